@@ -38,7 +38,6 @@ def _json(*arguments: str | Path) -> dict[str, Any]:
 
 
 def test_a_set_is_recorded_and_is_valid(tmp_path: Path) -> None:
-    """Episodes are whole, and say who played what."""
     demos = tmp_path / "demos"
     told = _json("record", *PLAIN, "--episodes", "1", "--out", demos)
     assert (told["episodes"], told["steps"], told["tasks"][0]["discarded"]) == (1, 5, 0)
@@ -51,7 +50,6 @@ def test_a_set_is_recorded_and_is_valid(tmp_path: Path) -> None:
 
 
 def test_practice_leaves_the_evaluation_seeds_alone() -> None:
-    """Whoever trains on what is evaluated measures memory."""
     folder = environments.find("mujoco")
     tests = check.seeds(folder, "lift_cube", "clean")
     wishes = plan.Wishes(episodes=500, first=min(tests), is_practice=True)
@@ -93,7 +91,6 @@ def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path
 
 
 def test_who_could_play_is_asked_for_in_one_sentence(tmp_path: Path) -> None:
-    """Where an environment has no expert, and where the size of images is none."""
     ended = xpl("record", "offline", "--out", tmp_path / "demos")
     assert ended.code == 3
     assert "offline has no expert" in ended.stderr

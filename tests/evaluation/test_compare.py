@@ -46,7 +46,6 @@ def compared(first: Path, second: Path) -> dict[str, Any]:
 
 
 def notes(found: dict[str, Any]) -> str:
-    """Return all that a comparison says besides the verdict."""
     return "\n".join(found["notes"])
 
 
@@ -73,7 +72,6 @@ def test_the_better_policy_is_named_with_its_margin(runs: tuple[Path, Path]) -> 
 
 
 def test_no_difference_shown_is_not_called_equality(tmp_path: Path) -> None:
-    """The verdict names what would fit the data as well."""
     foo = synthetic(tmp_path / "foo", **ONE, episodes=20, rate=0.5, policy="Foo")
     bar = synthetic(tmp_path / "bar", **ONE, episodes=20, rate=0.55, policy="Bar")
     found = compared(foo, bar)
@@ -87,7 +85,6 @@ def test_no_difference_shown_is_not_called_equality(tmp_path: Path) -> None:
 
 
 def test_too_few_unlike_pairs_can_show_nothing(tmp_path: Path) -> None:
-    """Three pairs in favour of one side prove no more than three heads in a row."""
     foo = synthetic(tmp_path / "foo", **ONE, rate=1.0, policy="Foo", faults=Faults(policy=0))
     bar = rewritten(
         synthetic(tmp_path / "bar", **ONE, rate=1.0, policy="Bar", faults=Faults(policy=0)),
@@ -130,7 +127,6 @@ def test_spoilt_episodes_are_compared_as_failed_and_others_only_where_both_have_
 
 
 def test_what_differs_besides_the_policy_is_told(runs: tuple[Path, Path]) -> None:
-    """Files of the environment, control, and when tasks ended."""
     control = {"horizon": None, "attempts": 3}
     found = compared(runs[0], rewritten(runs[1], action_type="ee", control=control, until_width=0.5))
     assert {entry["what"] for entry in found["differences"]} == {
@@ -141,7 +137,6 @@ def test_what_differs_besides_the_policy_is_told(runs: tuple[Path, Path]) -> Non
 
 
 def test_tasks_that_one_run_lacks_are_told(tmp_path: Path) -> None:
-    """What both have is compared all the same."""
     foo = synthetic(tmp_path / "foo", policy="Foo")
     found = compared(foo, synthetic(tmp_path / "bar", ["lift_cube"], ["clean", "other"], policy="Bar"))
     assert [(row["task"], row["setting"]) for row in found["cells"]] == [("lift_cube", "clean")]
@@ -160,7 +155,6 @@ def test_tasks_that_one_run_lacks_are_told(tmp_path: Path) -> None:
     ],
 )
 def test_runs_that_have_nothing_in_common_are_refused(tmp_path: Path, change: dict[str, Any], complaint: str) -> None:
-    """Neither an environment nor an episode."""
     foo = synthetic(tmp_path / "foo", policy="Foo")
     bar = rewritten(synthetic(tmp_path / "bar", policy="Bar", first_seed=0 if change else 100), **change)
     with pytest.raises(IncomparableError, match=complaint) as caught:

@@ -74,7 +74,6 @@ def test_the_scripts_of_a_scaffold_run_a_debug_evaluation(tmp_path: Path) -> Non
 def test_what_cannot_be_evaluated_is_refused_in_one_sentence(
     tmp_path: Path, options: list[str], code: ExitCode, said: str
 ) -> None:
-    """The message lists what there is; no traceback."""
     done = xpl("eval", "demo_policy", *options, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (code, "")
     assert said in done.stderr
@@ -226,7 +225,6 @@ def test_an_adapter_without_a_loop_is_driven_with_a_horizon(
 def test_where_an_environment_cannot_be_played_one_sentence_says_so(
     frail: Path, tmp_path: Path, options: list[str], code: ExitCode, said: str
 ) -> None:
-    """Before a server is started."""
     done = xpl("eval", "demo_policy", *HOLD, *options, cwd=tmp_path)
     assert done.returncode == code
     answer = json.loads(done.stdout)
@@ -267,7 +265,6 @@ def test_the_environment_runs_in_the_python_it_is_given(frail: Path, tmp_path: P
     ],
 )
 def test_environments_and_workers(num_envs: int | None, workers: str, wanted: tuple[int, int]) -> None:
-    """One environment for each worker unless told otherwise."""
     assert look.places(num_envs, workers) == wanted
 
 
@@ -281,7 +278,6 @@ def test_automatic_workers_are_as_many_as_cores_and_no_more_than_environments() 
     ("num_envs", "workers", "said"), [(2, "3", "3 workers for 2 environments"), (None, "many", "a number or auto")]
 )
 def test_workers_that_cannot_be_are_refused(num_envs: int | None, workers: str, said: str) -> None:
-    """One sentence."""
     with pytest.raises(UserError, match=said):
         look.places(num_envs, workers)
 

@@ -50,7 +50,6 @@ def test_runs_are_ranked_by_success_and_compared_with_the_first(tmp_path: Path) 
 
 
 def test_what_the_episodes_do_not_tell_apart_is_said(tmp_path: Path) -> None:
-    """Two policies that are equally good have an order, and a sentence that it may be luck."""
     found = _rank(*(_run(tmp_path, name, rate=0.6) for name in ("One", "Other")))
     first, second = (row.policy for row in found.rows)
     assert any(note.startswith(f"Not told apart from {first} by these episodes: {second}.") for note in found.notes)
@@ -91,7 +90,6 @@ def test_a_run_of_which_too_much_was_spoilt_is_not_ranked(tmp_path: Path) -> Non
     ],
 )
 def test_a_record_that_contradicts_itself_about_success_is_not_ranked(tmp_path: Path, edit: dict[str, Any]) -> None:
-    """An edited success is refused before it is counted."""
     run = _run(tmp_path, "Edited", rate=0.0, faults=Faults(policy=0.0))
     run.finals[3] = replace(run.finals[3], **edit)
     with pytest.raises(UserError, match=r"episode 3 .*: the record was changed"):
@@ -99,7 +97,6 @@ def test_a_record_that_contradicts_itself_about_success_is_not_ranked(tmp_path: 
 
 
 def test_a_ranking_is_written_for_people_papers_and_tables(tmp_path: Path) -> None:
-    """Text, Markdown and CSV have a line for each run."""
     found = _rank(*(_run(tmp_path, name) for name in ("One", "Other_|_two")))
     assert len([line for line in board.text(found).splitlines() if "/80" in line or "/79" in line]) <= 2
     assert "| Other\\_\\|\\_two |" in board.as_markdown(found)
@@ -138,7 +135,6 @@ def test_runs_that_are_not_alike_are_ranked_only_by_those_who_want_it(
 
 
 def test_other_machines_are_named_and_no_reason_to_refuse(tmp_path: Path) -> None:
-    """Results of two machines are ranked; the reader is told."""
     runs = _run(tmp_path, "One"), _run(tmp_path, "Other")
     facts = next(iter(runs[1].machines.values()))
     facts["system"] = "another system"
@@ -164,14 +160,12 @@ def test_common_episodes_make_runs_alike(tmp_path: Path) -> None:
 
 
 def test_a_difference_that_common_episodes_do_not_mend_is_refused_still(tmp_path: Path) -> None:
-    """Another standard is another standard, whatever was played."""
     runs = _run(tmp_path, "One"), _run(tmp_path, "Other", spec="v2")
     with pytest.raises(field.UnlikeError, match="Standard that the environment declares"):
         _rank(*runs, common=True)
 
 
 def test_a_field_without_a_common_episode_or_with_a_run_twice_is_none(tmp_path: Path) -> None:
-    """Both are mistakes, and said to be."""
     run = _run(tmp_path, "One")
     with pytest.raises(UserError, match="no episode in common"):
         _rank(run, _run(tmp_path, "Other", first_seed=500), common=True)
@@ -183,7 +177,6 @@ def test_a_field_without_a_common_episode_or_with_a_run_twice_is_none(tmp_path: 
 
 
 def test_the_command_ranks_and_writes_what_others_read(tmp_path: Path) -> None:
-    """One call gives the table, the page, and the files of both benchmarks."""
     for name in ("One", "Other"):
         _run(tmp_path, name, episodes=3)
     done = xpl("leaderboard", "One", "Other", "--out", "b", "--robodojo", "d", "--robotwin", "t", cwd=tmp_path)
@@ -216,7 +209,6 @@ def test_robodojo_reads_rates_scores_and_details_by_index(tmp_path: Path) -> Non
 
 
 def test_robotwin_reads_a_plain_number(tmp_path: Path) -> None:
-    """The whole file is the rate."""
     run = _run(tmp_path, "One")
     found = {path.parts[:3]: text for path, text in export.robotwin(run)}
     for cell in cells(run):
@@ -225,7 +217,6 @@ def test_robotwin_reads_a_plain_number(tmp_path: Path) -> None:
 
 
 def test_names_make_no_way_out_of_the_folder(tmp_path: Path) -> None:
-    """What a task or a policy is called never becomes part of a path as it is."""
     run = _run(tmp_path, "Foo", tasks=["../../up", "/etc"], episodes=2)
     for paths in (export.robodojo(run), export.robotwin(run)):
         for path, _ in paths:
@@ -234,7 +225,6 @@ def test_names_make_no_way_out_of_the_folder(tmp_path: Path) -> None:
 
 
 def test_two_runs_never_write_the_same_file(tmp_path: Path) -> None:
-    """Nothing is written where one result would hide another."""
     runs = [records.read(synthetic(tmp_path / name, episodes=2)) for name in ("a", "b")]
     with pytest.raises(UserError, match="would both write"):
         export.write("robotwin", runs, tmp_path / "out")

@@ -80,7 +80,6 @@ def test_a_policy_that_is_not_here_is_recorded(room: Path, elsewhere: str) -> No
 
 @pytest.mark.slow
 def test_such_a_run_is_resumed_by_whoever_serves_the_policy(room: Path, elsewhere: str) -> None:
-    """A run that lacks episodes gets them from the server that is named."""
     reach = ("--connect", elsewhere, "--token-file", "token")
     done = _eval(room, "Foreign", "--episodes", "3", *reach)
     assert done.returncode == 0, done.stderr
@@ -143,7 +142,6 @@ def test_other_words_depend_on_the_seed_alone(instead: str, told: list[str]) -> 
 
 
 def test_where_all_episodes_are_told_the_same_nothing_is_swapped() -> None:
-    """The sentence names the task, and what swapping is for."""
     with pytest.raises(UserError, match=r"pick, clean: episodes of the next 30 seeds are told nothing else"):
         retold(_Told(["lift it"]), manner.SWAP, [Job(0, 1, "pick", "clean", 1)], 1)
 
@@ -155,15 +153,12 @@ class _Told:
         self.texts, self.seeds = texts, [0]
 
     def reset(self, seed: list[int]) -> None:
-        """Begin episodes."""
         self.seeds = seed
 
     def get_running_env_idx_list(self) -> list[int]:
-        """Return all."""
         return list(range(len(self.seeds)))
 
     def get_obs_batch(self, env_idx_list: list[int] | None = None, _last: bool = False) -> list[dict[str, Any]]:
-        """Return the seed as the state."""
         return [self._seen(self.seeds[env]) for env in env_idx_list or self.get_running_env_idx_list()]
 
     def _seen(self, seed: int) -> dict[str, Any]:

@@ -95,7 +95,6 @@ def test_an_episode_opens_with_film_and_curves(page: Page, url: str) -> None:
 
 
 def test_an_address_leads_to_an_episode(page: Page, url: str) -> None:
-    """A link to one episode opens it on its page of the list."""
     page.open(f"{url}#episode-77")
     assert page("document.querySelector('tr.open').id") == "episode-77"
     assert _text(page, "#place").startswith("51 to 100 of ")
@@ -140,7 +139,6 @@ def test_texts_of_others_stay_texts(page: Page, tmp_path: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("width", "dark"), LOOKS)
 def test_the_leaderboard_fits_too(page: Page, tmp_path: Path, width: int, dark: bool) -> None:
-    """Each run has its bar, its interval and its words."""
     folders = [
         synthetic(tmp_path / name, episodes=20, policy=name, rate=rate) for name, rate in (("A", 0.2), ("B", 0.9))
     ]

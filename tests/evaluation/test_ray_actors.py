@@ -95,7 +95,6 @@ def test_a_machine_with_something_else_is_refused(orders: tuple[Orders, ServerOr
 
 @pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
 def test_without_ray_the_backend_says_how_to_get_it(orders: tuple[Orders, ServerOrders], tmp_path: Path) -> None:
-    """Nothing is recorded but the plan, with which the run can be resumed."""
     done = xpl("eval", "Drilled", "--env", "drill", "--out", "run", "--backend", "ray", cwd=tmp_path)
     assert done.returncode == ExitCode.NOT_RUN
     assert "pip install 'ray" in done.stderr

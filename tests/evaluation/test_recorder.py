@@ -31,35 +31,28 @@ class Counting:
         self.seen = 0
 
     def get_obs(self) -> dict[str, Any]:
-        """Return the observation of the only one."""
         return self.get_obs_batch([0])[0]
 
     def get_obs_batch(self, env_idx_list: Sequence[int] | None = None, last_frame: bool = False) -> list[Any]:
-        """Return what some of them see."""
         chosen = self.get_running_env_idx_list() if env_idx_list is None else env_idx_list
         self.seen += len(chosen)
         state = [{name: np.full(1, self._steps[env], np.float32) for name in STATE} for env in chosen]
         return [{"state": one, "privileged": {"truth": 1.0}} for one in state]
 
     def take_action(self, action: Mapping[str, Any]) -> None:
-        """Execute a step of the only one."""
         self.take_action_batch([action], [0])
 
     def take_action_batch(self, actions: Sequence[Any], env_idx_list: Sequence[int]) -> None:
-        """Execute a step of some of them."""
         for env in env_idx_list:
             self._steps[env] += 1
 
     def get_running_env_idx_list(self) -> list[int]:
-        """Return those that have not ended."""
         return [env for env, end in enumerate(self._ends) if self._steps[env] < end]
 
     def is_episode_end(self) -> bool:
-        """Return whether all have."""
         return not self.get_running_env_idx_list()
 
     def results(self) -> list[dict[str, Any]]:
-        """Return their outcomes."""
         return [{} for _ in self._ends]
 
 
@@ -70,7 +63,6 @@ class Chunks:
         self.count = 0
 
     def call(self, func_name: str, obs: Any = None) -> Any:
-        """Answer what asks for actions."""
         if not func_name.startswith("get_action"):
             return None
         chunks = []

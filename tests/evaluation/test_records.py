@@ -103,14 +103,12 @@ def _damaged(lines: list[Any]) -> list[Any]:
     ids=["twice", "beyond", "other seed", "other plan", "no plan", "list", "other kind"],
 )
 def test_a_record_that_contradicts_itself_is_refused(folder: Path, spoil: Any, said: str) -> None:
-    """With the line's number and one sentence."""
     _write(folder, spoil(_lines(folder)))
     with pytest.raises(RecordError, match=said):
         records.read(folder)
 
 
 def test_damage_before_the_last_line_is_refused(folder: Path) -> None:
-    """It is not what a crash leaves."""
     content = (folder / records.FILE).read_bytes().splitlines(keepends=True)
     content[3] = content[3][:50] + b"\n"
     (folder / records.FILE).write_bytes(b"".join(content))
@@ -119,7 +117,6 @@ def test_damage_before_the_last_line_is_refused(folder: Path) -> None:
 
 
 def test_a_new_record_begins_with_its_plan(folder: Path, tmp_path: Path) -> None:
-    """Also where an earlier attempt to write the plan was cut short."""
     plan = records.read(folder).plan
     with pytest.raises(NotFoundError, match="no recorded run"):
         records.read(tmp_path / "new")
@@ -151,7 +148,6 @@ def test_an_episode_becomes_final_once(folder: Path) -> None:
 
 
 def test_a_machine_is_written_once(folder: Path) -> None:
-    """Before the first line that names it."""
     with Writer(folder, records.read(folder).plan) as writer:
         names = {writer.machine({"processor": "a"}) for _ in range(3)}
     assert [line["machine"] for line in _lines(folder) if line["kind"] == "machine"][1:] == [*names]

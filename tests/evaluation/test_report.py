@@ -37,7 +37,6 @@ def _write(folder: Path, out: Path | None = None, budget: int = MUCH) -> Path:
 
 
 def _data(page: str) -> Any:
-    """Return the data that a page holds."""
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
     assert found is not None
     return json.loads(found[1])
@@ -65,7 +64,6 @@ def test_a_report_is_a_page_and_the_same_for_machines_and_for_papers(tmp_path: P
 
 
 def test_what_cannot_be_reported_is_said_in_a_sentence(tmp_path: Path) -> None:
-    """A folder without a run, and a target for several, end the command before anything is written."""
     nothing = xpl("report", ".", cwd=tmp_path)
     assert nothing.returncode == ExitCode.NOT_FOUND
     assert "no recorded run" in nothing.stderr
@@ -93,7 +91,6 @@ def test_a_run_that_goes_on_is_reported_as_what_it_is(tmp_path: Path) -> None:
 
 
 def test_a_run_of_which_nothing_was_played_has_a_report(tmp_path: Path) -> None:
-    """The page of a run that just began is there."""
     out = _write(synthetic(tmp_path / "foo", episodes=2, played=0))
     assert "No episode has a success to speak of yet." in (out / written.PAGE).read_text()
 
@@ -179,7 +176,6 @@ def test_a_small_budget_goes_to_every_cell_and_to_failures_first(tmp_path: Path)
     ],
 )
 def test_a_film_that_was_changed_or_is_gone_is_not_shown(tmp_path: Path, spoil: Any, said: str) -> None:
-    """The page says so instead."""
     run = synthetic(tmp_path / "foo", episodes=2, films=1)
     spoil(run)
     shown = media.shown(records.read(run), MUCH, "")
@@ -188,7 +184,6 @@ def test_a_film_that_was_changed_or_is_gone_is_not_shown(tmp_path: Path, spoil: 
 
 
 def test_a_record_leads_to_no_file_outside_its_run(tmp_path: Path) -> None:
-    """A path that leaves the folder is never read."""
     run = synthetic(tmp_path / "foo", episodes=2, films=1)
     shutil.copy(run / "films/0.webp", tmp_path / "secret.webp")
     text = (run / records.FILE).read_text()
@@ -241,7 +236,6 @@ def test_long_curves_are_thinned_and_constant_ones_drawn(tmp_path: Path) -> None
 
 
 def test_what_is_no_trace_is_refused(tmp_path: Path) -> None:
-    """Pickled objects are never loaded."""
     np.savez(tmp_path / "pickled.npz", frequency=np.array({"a": 1}, dtype=object))
     (tmp_path / "text.npz").write_text("no archive")
     for name in ("pickled.npz", "text.npz", "missing.npz"):
@@ -258,5 +252,4 @@ def test_times_are_for_people(seconds: float, said: str) -> None:
 
 
 def test_differences_have_a_sign_and_no_negative_zero() -> None:
-    """Points are whole; a little less than nothing is nothing."""
     assert [phrases.points(value) for value in (0.123, -0.051, -0.001)] == ["+12", "\N{MINUS SIGN}5", "+0"]

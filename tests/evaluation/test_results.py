@@ -164,7 +164,6 @@ def test_results_of_robotwin_are_plain_numbers(tmp_path: Path) -> None:
     ],
 )
 def test_a_file_that_is_no_result_is_refused_and_can_be_left_out(tmp_path: Path, content: str, said: str) -> None:
-    """With its path, and what is wrong."""
     _write(tmp_path, "insert_key", "P", 0, 1, 50)
     bad = _write(tmp_path, "swap_T", "P", 0, 1, 50)
     bad.write_text(content)
@@ -176,7 +175,6 @@ def test_a_file_that_is_no_result_is_refused_and_can_be_left_out(tmp_path: Path,
 
 
 def test_folders_without_results_and_mixtures_are_refused(tmp_path: Path) -> None:
-    """One benchmark at a time."""
     with pytest.raises(NotFoundError, match="there is no"):
         trees.read([tmp_path])
     _write(tmp_path / "eval_result" / "RoboDojo", "insert_key", "P", 0, 1, 50)
@@ -188,7 +186,6 @@ def test_folders_without_results_and_mixtures_are_refused(tmp_path: Path) -> Non
 
 
 def test_the_command_writes_tables(whole: Path) -> None:
-    """As JSON, as Markdown, as figures."""
     written = xpl("leaderboard", ".", "--tables", "--out", "board", "--json", cwd=whole)
     assert json.loads(written.stdout)["schema"] == "xpl.results/1"
     assert (whole / "board" / "leaderboard.md").read_text().count("## Table") == 3
@@ -197,7 +194,6 @@ def test_the_command_writes_tables(whole: Path) -> None:
 
 @pytest.mark.slow
 def test_the_command_prints_a_ranking_and_refuses_what_files_do_not_tell(whole: Path) -> None:
-    """As text; options that need episodes do not go with them."""
     shown = xpl("leaderboard", ".", "--by", "memory", cwd=whole)
     assert shown.returncode == 0, shown.stderr
     assert shown.stdout.startswith("2 policies, by Memory")

@@ -47,16 +47,13 @@ class Script:
         self.played: list[Job] = []
 
     def free(self) -> int:
-        """Return how many more jobs it takes."""
         return self.lanes - len(self.playing)
 
     def submit(self, job: Job) -> None:
-        """Take a job."""
         assert self.free() > 0
         self.playing.append(job)
 
     def wait(self) -> list[Outcome]:
-        """Let the job whose turn it is end."""
         job = self.playing.pop(self.turn(len(self.playing)))
         self.played.append(job)
         return self.answer(job)
@@ -69,7 +66,6 @@ class Silent:
     """A view that shows nothing."""
 
     def add(self, line: Episode, left: int) -> None:
-        """Show nothing."""
         assert left >= 0
 
 
@@ -99,7 +95,6 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 
 
 def test_episodes_are_played_in_the_order_of_the_plan(plan: Plan, tmp_path: Path) -> None:
-    """Each once."""
     backend = Script(2, _good, _first)
     run = _play(tmp_path, plan, backend)
     assert [job.index for job in backend.played] == [0, 1, 2, 3, 4, 5] == list(run.finals)
@@ -122,7 +117,6 @@ def test_a_spoilt_attempt_is_played_again_after_others_and_within_a_bound(plan: 
 
 
 def test_attempts_before_an_interruption_count(plan: Plan, tmp_path: Path) -> None:
-    """A run that is resumed does not begin to count anew."""
     spoilt = 0
 
     def answer(job: Job) -> list[Outcome]:
@@ -182,7 +176,6 @@ def test_an_outcome_that_comes_again_or_too_late_is_dropped(plan: Plan, tmp_path
 
 
 def test_a_backend_may_have_nothing_to_tell(plan: Plan, tmp_path: Path) -> None:
-    """As a cluster does whose lanes have just changed."""
     pauses = iter([True, False] * 12)
     backend = Script(2, _good, _first)
     wait = backend.wait

@@ -43,7 +43,6 @@ def test_every_report_says_it_first(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("setting", "is_said"), [(SETTING, True), ("clean", False)])
 @pytest.mark.parametrize("rate", [None, 1.0])
 def test_an_evaluation_says_it_beside_its_figure(setting: str, is_said: bool, rate: float | None) -> None:
-    """Also where no episode has a success to speak of."""
     played = Played("x", "x", "x", setting, "x", "joint")
     told = Evaluation(played, [episode(success=None if rate is None else True, score=rate)])
     assert told.success_rate == rate
@@ -61,7 +60,6 @@ def test_no_leaderboard_takes_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", list(export.FORMATS))
 def test_no_result_file_is_written_of_it(tmp_path: Path, name: str) -> None:
-    """The readers of such files know no settings of ours."""
     with pytest.raises(UserError, match="is not written as a result"):
         export.write(name, [_run(tmp_path)], tmp_path / "out")
     assert not (tmp_path / "out").exists()
@@ -79,7 +77,6 @@ def test_a_result_file_in_such_a_folder_is_none(tmp_path: Path) -> None:
 
 
 def test_it_is_not_submitted(tmp_path: Path) -> None:
-    """Before anything of the adapter is looked at."""
     run = _run(tmp_path)
     request = prepare.Request(SimpleNamespace(name="Foo"), (run.folder,), tmp_path / "bundle")  # type: ignore[arg-type]
     with pytest.raises(UserError, match="is not submitted"):
@@ -87,7 +84,6 @@ def test_it_is_not_submitted(tmp_path: Path) -> None:
 
 
 def test_only_names_that_say_so_are_such_settings() -> None:
-    """A setting that has the words elsewhere is a usual one."""
     assert stand_ins.is_one("stand_in_robot")
     assert not stand_ins.is_one("clean_stand_in")
     assert stand_ins.sentence("x", ["clean"]) is None

@@ -41,7 +41,6 @@ def test_intervals_of_a_share_are_those_of_published_tables(
 
 @pytest.mark.parametrize(("mean", "count"), [(0.5, 0), (1.1, 3), (float("nan"), 3)])
 def test_what_is_no_share_has_no_interval(mean: float, count: int) -> None:
-    """Neither without a trial nor outside 0..1."""
     with pytest.raises(ValueError, match="at least one trial"):
         wilson(mean, count)
 
@@ -139,7 +138,6 @@ def test_p_values_are_raised_as_published() -> None:
 
 
 def test_resampling_depends_on_the_values_only() -> None:
-    """Not on their order, nor on what was resampled before."""
     scores = [0.0, 0.25, 0.25, 0.5, 0.5, 0.5, 0.75, 1.0, 1.0, 1.0, 1.0, 1.0]
     first = bootstrap(scores)
     assert bootstrap(reversed(scores)) == first
@@ -147,7 +145,6 @@ def test_resampling_depends_on_the_values_only() -> None:
 
 
 def test_resampling_gives_about_what_normal_theory_gives_for_many_values() -> None:
-    """Where both are right, they agree."""
     scores = np.random.default_rng(1).beta(2, 1, size=1000)
     half = 1.96 * scores.std() / math.sqrt(len(scores))
     assert bootstrap(scores) == pytest.approx((scores.mean() - half, scores.mean() + half), abs=half / 10)

@@ -11,7 +11,6 @@ from xpl_cli.evaluation.statistics.intervals import Interval, wilson
 
 
 def test_a_cell_ends_with_the_first_interval_that_is_narrow_enough() -> None:
-    """And not before; what follows makes no difference."""
     outcomes = [True, False] * 40
     point = stopping_point(outcomes, 0.3)
     assert point is not None
@@ -31,13 +30,11 @@ def test_episodes_that_count_neither_way_are_passed_over() -> None:
 
 
 def test_a_few_successes_in_a_row_are_no_measurement() -> None:
-    """However wide the interval may be."""
     assert stopping_point([True] * 100, 1.0) == FEWEST
 
 
 @pytest.mark.parametrize(("width", "rate", "count"), [(0.1, 0.5, 381), (0.2, 0.5, 93), (1.0, 0.5, 1), (0.1, 0.9, 141)])
 def test_the_plan_names_the_fewest_episodes(width: float, rate: float, count: int) -> None:
-    """One fewer leaves the interval too wide."""
     assert episodes_needed(width, rate) == count
     assert wilson(rate, count).width <= width
     assert count == 1 or wilson(rate, count - 1).width > width
@@ -53,7 +50,6 @@ def test_the_documentation_plans_as_the_tool_does() -> None:
 
 @pytest.mark.parametrize("width", [0.0, -0.1, 1.5])
 def test_no_plan_for_no_width(width: float) -> None:
-    """A width is a share, and not 0."""
     with pytest.raises(ValueError, match="above 0 and at most 1"):
         episodes_needed(width)
 

@@ -47,7 +47,6 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.C
 
 @pytest.fixture
 def room(tmp_path: Path) -> Path:
-    """Return a folder with the drill's environment and adapter in it."""
     drill.environment(tmp_path)
     drill.adapter(tmp_path)
     return tmp_path
@@ -196,7 +195,6 @@ def test_a_policy_that_does_not_fit_ends_the_run_before_its_first_episode(room: 
 
 
 def test_evaluation_seeds_are_those_of_the_environment_where_it_has_some(room: Path) -> None:
-    """From the place that --seed names; there are no more than there are."""
     seeds = room / "envs" / "drill" / "seeds"
     seeds.mkdir()
     (seeds / "hold.json").write_text(json.dumps({"clean": [70, 71, 72, 73]}))
@@ -256,7 +254,6 @@ def _agree(killed: Path, whole: Path) -> None:
 
 @pytest.mark.slow
 def test_a_run_that_is_killed_ends_with_the_same_table(room: Path) -> None:
-    """And no process survives it."""
     command = [sys.executable, "-m", "xpl_cli", "eval", "Drilled", "--env", "drill", "--task", "all", "--horizon", "2"]
     command += ["--episodes", "6", "--out"]
     _killed_again_and_again(room, [*command, "killed"], 3, 20261121, 0.2)

@@ -63,7 +63,6 @@ def test_rows_count_what_was_played(tmp_path: Path) -> None:
 
 
 def test_the_exact_interval_is_at_hand(tmp_path: Path) -> None:
-    """It is the wider one."""
     folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"])
     usual, exact = summary_of(folder), summary_of(folder, "exact")
     row = exact["overall"]
@@ -151,7 +150,6 @@ def test_a_policy_that_fails_has_not_succeeded_and_has_no_score(tmp_path: Path) 
 
 
 def test_an_environment_without_success_has_no_rate(tmp_path: Path) -> None:
-    """It is not 0."""
     folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"])
 
     def driving(lines: list[Line]) -> list[Line]:
@@ -199,7 +197,6 @@ def test_what_was_played_after_a_cell_had_ended_does_not_count(tmp_path: Path) -
 
 
 def test_seeds_may_run_out_before_the_interval_is_narrow(tmp_path: Path) -> None:
-    """The run is over, and says that it has not reached what was asked for."""
     folder = synthetic(tmp_path / "run", ["lift_cube"], ["clean"], 30, rate=0.5)
     found = summary_of(rewritten(folder, lambda lines: lines, until_width=0.2))
     assert found["overall"]["unplayed"] == 0

@@ -67,7 +67,6 @@ def test_a_case_that_the_policy_refuses_is_its_failure(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_what_a_hook_does_after_the_trial_changes_no_verdict(tmp_path: Path) -> None:
-    """It is told to whoever watches."""
     done, _ = _evaluated(tmp_path, "--episodes", "2", fails="on_trial_end")
     assert done.returncode == 0
     assert json.loads(done.stdout)["successes"] == 2

@@ -30,7 +30,6 @@ def run(tmp_path: Path) -> records.Run:
 
 
 def _next(run: records.Run, index: int, **more: Any) -> Episode:
-    """Return a line that is recorded now."""
     slot = run.plan.slots()[index]
     place = {"index": index, "task": slot.task, "setting": slot.setting, "seed": slot.seed}
     return replace(run.finals[0], **place, **more)
@@ -62,7 +61,6 @@ def _all_of(terminal: io.FileIO) -> str:
 
 
 def test_a_terminal_shows_cells_and_the_last_failure(run: records.Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All in one table, which is drawn anew."""
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "100")
     ours, theirs = pty.openpty()

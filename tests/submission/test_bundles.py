@@ -47,8 +47,6 @@ def _episodes(lines: list[Line]) -> list[Line]:
 
 
 class TestArchive:
-    """A bundle is one file, equal for equal content, and harmless to open."""
-
     def test_equal_content_gives_equal_bytes(self, tmp_path: Path) -> None:
         """Neither the order of files nor the time nor their modes show."""
         first, second, source = tmp_path / "a.zip", tmp_path / "b.zip", tmp_path / "source"
@@ -59,32 +57,27 @@ class TestArchive:
         source.chmod(0o600)
         assert archive.write(second, dict(reversed(files.items()))) == archive.write(first, files)
         assert first.read_bytes() == second.read_bytes()
-
-    def test_what_is_packed_comes_out(self, tmp_path: Path) -> None:
-        """Unpacking returns the digest of every file."""
-        path = tmp_path / "a.zip"
-        archive.write(path, {"b/c": b"1", "a": b"2"})
-        digests = archive.unpack(path, tmp_path / "out", limit=LIMIT)
-        assert sorted(digests) == ["a", "b/c"]
+        assert sorted(archive.unpack(first, tmp_path / "out", limit=LIMIT)) == ["a", "b/c"]
         assert (tmp_path / "out/b/c").read_bytes() == b"1"
 
     def test_nothing_is_left_where_writing_fails(self, tmp_path: Path) -> None:
-        """A bundle is there whole, or not at all."""
         with pytest.raises(UserError, match="cannot be written"):
             archive.write(tmp_path / "a.zip", {"a": tmp_path / "missing"})
         assert not list(tmp_path.iterdir())
 
-    @pytest.mark.parametrize("name", ["../a", "/a", "a/../b", "a//b", "a\\b", "c:a", "a\nb", "", "."])
-    def test_names_that_lead_elsewhere_are_refused(self, tmp_path: Path, name: str) -> None:
-        """A bundle stays inside of the folder that it is unpacked into."""
+    @pytest.mark.filterwarnings("ignore:Duplicate name")
+    @pytest.mark.parametrize(
+        "names", ["../a", "/a", "a/../b", "a//b", "a\\b", "c:a", "a\nb", "", ".", ("a", "a"), ("a", "a/b")], ids=repr
+    )
+    def test_names_that_lead_elsewhere_or_come_twice_are_refused(self, tmp_path: Path, names: str | tuple[str]) -> None:
         path = tmp_path / "a.zip"
         with zipfile.ZipFile(path, "w") as made:
-            made.writestr(zipfile.ZipInfo(name), b"1")
-        with pytest.raises(UserError, match="expected files with plain names"):
+            for name in (names,) if isinstance(names, str) else names:
+                made.writestr(zipfile.ZipInfo(name), b"1")
+        with pytest.raises(UserError, match="expected files with plain names, each once"):
             archive.unpack(path, tmp_path / "out", limit=LIMIT)
 
     def test_links_are_refused(self, tmp_path: Path) -> None:
-        """A link may lead anywhere."""
         path, entry = tmp_path / "a.zip", zipfile.ZipInfo("a")
         entry.external_attr = (stat.S_IFLNK | 0o777) << 16
         with zipfile.ZipFile(path, "w") as made:
@@ -92,18 +85,7 @@ class TestArchive:
         with pytest.raises(UserError, match="expected files with plain names"):
             archive.unpack(path, tmp_path / "out", limit=LIMIT)
 
-    @pytest.mark.filterwarnings("ignore:Duplicate name")
-    def test_a_name_comes_once(self, tmp_path: Path) -> None:
-        """Of two files with one name nobody knows which one counts."""
-        path = tmp_path / "a.zip"
-        with zipfile.ZipFile(path, "w") as made:
-            made.writestr("a", b"1")
-            made.writestr("a", b"2")
-        with pytest.raises(UserError, match="each once"):
-            archive.unpack(path, tmp_path / "out", limit=LIMIT)
-
-    def test_what_would_fill_the_disk_is_refused(self, tmp_path: Path) -> None:
-        """The limit holds before anything is written."""
+    def test_what_would_fill_the_disk_is_refused_before_anything_is_written(self, tmp_path: Path) -> None:
         path = tmp_path / "a.zip"
         archive.write(path, {"a": bytes(LIMIT + 1)})
         with pytest.raises(UserError, match="more than the limit"):
@@ -127,15 +109,12 @@ class TestArchive:
 
 
 class TestConsistency:
-    """Records are held against their schema, their plan and themselves."""
-
     @pytest.fixture
     def run(self, tmp_path: Path) -> Run:
         """Return a run with retries and failures of the policy."""
         return _run(tmp_path / "run", faults=Faults(policy=0.2, retried=0.3))
 
     def test_a_sound_run_has_no_problem(self, run: Run) -> None:
-        """What was recorded is in order, retries and all."""
         assert list(consistency.problems(run)) == []
 
     @pytest.mark.parametrize(
@@ -154,12 +133,10 @@ class TestConsistency:
         ],
     )
     def test_edited_lines_are_found(self, run: Run, change: Callable[[list[Line]], Any], said: str) -> None:
-        """A line that does not fit the others is named."""
         found = list(consistency.problems(_rewritten(run, change)))
         assert any(said in problem for problem in found), found
 
     def test_an_episode_is_played_again_only_where_it_was_spoilt(self, run: Run) -> None:
-        """Whoever plays until it succeeds is found out."""
 
         def play_again(lines: list[Line]) -> None:
             first = dict(lines[-1], final=False, success=False, failure="task")
@@ -170,15 +147,12 @@ class TestConsistency:
         assert any("although the infrastructure had not spoilt it" in problem for problem in found), found
 
     def test_a_torn_line_is_said(self, run: Run) -> None:
-        """A run that crashed is to be finished first."""
         with (run.folder / records.FILE).open("a", encoding="utf-8") as stream:
             stream.write('{"kind": "epi')
         assert any("torn" in problem for problem in consistency.problems(records.read(run.folder)))
 
 
 class TestClaims:
-    """What a bundle claims follows from its records."""
-
     def test_the_manifest_is_valid_and_repeats_itself(self, tmp_path: Path) -> None:
         """It tells counts by task and setting, and neither times nor places."""
         run = _run(tmp_path / "run")
@@ -212,63 +186,48 @@ def _spoilt(pair: Pair) -> Pair:
     return Pair(pair.recorded, replayed, is_equal_machine=False)
 
 
-class TestJudgement:
-    """What a sample says depends on what may be asked of the machine and the policy."""
+WON, LOST, FLIPPED = (_pair(*outcomes) for outcomes in ((True, True), (False, False), (True, False)))
+SAME, OTHER = _pair(True, True, digests="aa", equal=True), _pair(True, True, equal=True)
 
-    def test_the_same_states_agree(self) -> None:
-        """Everything repeats itself: the record is right as far as the sample goes."""
-        found = replay.judge([_pair(True, True, digests="aa", equal=True)] * 5, 100, deterministic=True)
-        assert found.verdict is Verdict.AGREES
-        assert found.counts == {Match.SAME: 5}
+
+class TestJudgement:
+    @pytest.mark.parametrize(
+        ("pairs", "total", "deterministic", "verdict"),
+        [
+            ([SAME] * 5, 100, True, Verdict.AGREES),
+            ([SAME, OTHER], 100, True, Verdict.DISAGREES),
+            ([WON, LOST], 100, True, Verdict.AGREES),
+            ([OTHER] * 2, 100, False, Verdict.AGREES),
+            ([FLIPPED] * 6 + [WON] * 4, 100, True, Verdict.DISAGREES),
+            ([FLIPPED] + [WON] * 4, 100, True, Verdict.UNDECIDED),
+            ([FLIPPED, _pair(False, True)] * 2 + [WON, LOST] * 98, 1000, True, Verdict.AGREES),
+            ([_spoilt(WON)], 10, True, Verdict.UNDECIDED),
+            ([_spoilt(WON), WON], 10, True, Verdict.AGREES),
+        ],
+        ids=[
+            "the same states",
+            "other states on an equal machine",
+            "other states elsewhere, where outcomes count",
+            "other states of a policy that draws random numbers",
+            "a rate that was made up",
+            "few differences, which chance can explain",
+            "rates that are surely close",
+            "nothing but spoilt episodes",
+            "a spoilt one among others",
+        ],
+    )
+    def test_a_sample_is_judged_by_what_may_be_asked_of_machine_and_policy(
+        self, pairs: list[Pair], total: int, deterministic: bool, verdict: Verdict
+    ) -> None:
+        assert replay.judge(pairs, total, deterministic=deterministic).verdict is verdict
+
+    def test_figures_say_how_many_others_may_come_out_otherwise(self) -> None:
+        found = replay.judge([SAME] * 5, 100, deterministic=True)
+        assert (found.counts, found.change) == ({Match.SAME: 5}, pytest.approx((-0.43, 0.43), abs=0.01))
         assert found.differing is not None
         assert 0.4 < found.differing.high < 0.6
-
-    def test_other_states_on_an_equal_machine_disagree(self) -> None:
-        """A deterministic policy has to do the same thing again, whatever the outcome."""
-        pairs = [_pair(True, True, digests="aa", equal=True), _pair(True, True, digests="ab", equal=True)]
-        found = replay.judge(pairs, 100, deterministic=True)
-        assert found.verdict is Verdict.DISAGREES
-        assert "1 of 2" in found.sentence
-
-    @pytest.mark.parametrize(("equal", "deterministic"), [(False, True), (True, False)])
-    def test_elsewhere_outcomes_count(self, equal: bool, deterministic: bool) -> None:
-        """On another machine, or with a policy that draws random numbers, states may differ."""
-        pairs = [_pair(True, True, equal=equal), _pair(False, False, equal=equal)]
-        assert replay.judge(pairs, 100, deterministic=deterministic).verdict is Verdict.AGREES
-
-    def test_a_rate_that_was_made_up_disagrees(self) -> None:
-        """Recorded successes that fail here, and none the other way, are more than chance."""
-        found = replay.judge([_pair(True, False)] * 6 + [_pair(True, True)] * 4, 100, deterministic=True)
-        assert found.verdict is Verdict.DISAGREES
-        assert found.change is not None
-        assert found.change.high < 0
-
-    def test_few_differences_are_undecided(self) -> None:
-        """What chance can explain, and what a larger sample would tell, is not green."""
-        found = replay.judge([_pair(True, False)] + [_pair(True, True)] * 4, 100, deterministic=True)
-        assert found.verdict is Verdict.UNDECIDED
-
-    def test_rates_that_are_surely_close_agree(self) -> None:
-        """Single episodes that come out otherwise on another machine do not matter if the rate is the same."""
-        both_ways = [_pair(True, False), _pair(False, True)] * 2
-        found = replay.judge(
-            both_ways + [_pair(True, True)] * 98 + [_pair(False, False)] * 98, 1000, deterministic=True
-        )
-        assert found.verdict is Verdict.AGREES
-        assert found.change is not None
-        assert max(-found.change.low, found.change.high) <= replay.MARGIN
-
-    def test_all_episodes_leave_nothing_to_chance(self) -> None:
-        """Who plays everything knows the share."""
-        found = replay.judge([_pair(True, True)] * 3, 3, deterministic=True)
-        assert found.differing == (0.0, 0.0)
-
-    def test_spoilt_episodes_say_nothing(self) -> None:
-        """Where the infrastructure spoils all of it, nothing is known."""
-        pair = _pair(True, True)
-        assert replay.judge([_spoilt(pair)], 10, deterministic=True).verdict is Verdict.UNDECIDED
-        found = replay.judge([_spoilt(pair), pair], 10, deterministic=True)
-        assert found.verdict is Verdict.AGREES
+        assert replay.judge([WON] * 3, 3, deterministic=True).differing == (0.0, 0.0)  # who plays all knows the share
+        found = replay.judge([_spoilt(WON), WON], 10, deterministic=True)
         assert found.counts == {Match.SPOILT: 1, Match.OUTCOME: 1}
 
     def test_the_sample_is_drawn_from_what_counts(self, tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ UNAUDITED = "the audit ran without the gates offline, mujoco"
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Return a run of two episodes that the expert has solved."""
-    wishes = Wishes("lift_cube", "clean", 2, 0, horizon=1)
+    wishes = Wishes("lift_cube", "clean", 2, 0, horizon=5)
     out = tmp_path_factory.mktemp("runs") / "expert"
     return evaluate.evaluate(evaluate.Request(package.load(EXPERT), "mujoco", out, wishes, films=0))
 
@@ -115,6 +115,8 @@ def test_a_bundle_repeats_itself(run: Run, report: TargetReport, packed: Path, t
 def test_a_sound_bundle_lacks_only_what_was_left_out(packed: Path) -> None:
     """Everything but the audit, of which two gates did not run here, is in order."""
     assert _problems(packed) == {}
+    report = verify.verify(verify.Request(packed, sample=0))
+    assert str(report.verdict).startswith("PARTIAL static only: nothing wrong")
 
 
 @pytest.mark.slow
@@ -143,7 +145,47 @@ def test_changed_files_are_found(
     assert any(said in problem for problem in found[where])
 
 
-@pytest.mark.sampled(1)
+def _seeds_of_its_own(lines: list[Line]) -> None:
+    lines[0]["cells"][0]["seeds"] = [1, 2]
+    lines[0].update(renamed(lines[0]))
+    for line, seed in zip(lines[-2:], (1, 2), strict=True):
+        line["seed"] = seed
+
+
+def _documents(change: Callable[..., Any], *names: str) -> Callable[[Path], None]:
+    """Return what changes some documents of a bundle together."""
+
+    def edit(folder: Path) -> None:
+        told = [json.loads((folder / name).read_bytes()) for name in names]
+        change(*told)
+        for name, document in zip(names, told, strict=True):
+            (folder / name).write_bytes(bundle.document(document))
+
+    return edit
+
+
+def _audited(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
+    """Return what changes the static gate in a bundle's audit report."""
+    return _documents(lambda told: change(told["targets"][0]["gates"][0]), bundle.AUDIT)
+
+
+def _claimed(**changes: Any) -> Callable[[Path], None]:
+    """Return what changes the verdict in a bundle, in its manifest and in its audit report alike."""
+
+    def change(manifest: dict[str, Any], report: dict[str, Any]) -> None:
+        manifest["audit"].update(changes)
+        report["targets"][0].update(changes)
+
+    return _documents(change, bundle.MANIFEST, bundle.AUDIT)
+
+
+PARITY = [{"word": "parity", "numbers": {"pairs": 24, "assumed": 0}}]
+_NOWHERE = dict.fromkeys(("path", "line", "column", "end_line", "end_column", "expected", "got", "evidence", "fix"))
+_FINDING = {**_NOWHERE, "message": "x", "explain": "xpl explain XPL101", "fingerprint": "0" * 16}
+_OTHER_WEIGHTS = {"loaded": "0" * 64, "name": None, "declared": []}
+
+
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize(
     ("change", "where", "said"),
     [
@@ -151,43 +193,34 @@ def test_changed_files_are_found(
         (_records(lambda lines: lines[-1].update(end_reason="max_steps")), "records", "but ended with max_steps"),
         (_records(lambda lines: lines[-1].update(score=0.0)), "records", "with a score of 0"),
         (_records(lambda lines: lines.pop()), "records", "were not played"),
+        (_records(_seeds_of_its_own), "plan", "has frozen"),
+        (lambda folder: (folder / "policy/scripted_expert/moves.py").write_text(""), "adapter", "have the digest"),
+        (_documents(lambda told: told.update(_OTHER_WEIGHTS), bundle.CHECKPOINTS), "checkpoint", "loaded another"),
+        (_audited(lambda gate: gate["results"][0].update(outcome="fail")), "audit", "make it red (XPL101 fail)"),
+        (_audited(lambda gate: gate["results"][0].update(outcome="not_run")), "audit", "incomplete (XPL101 not_run)"),
+        (_audited(lambda gate: gate["results"][0].update(severity="should", findings=[_FINDING])), "audit", "1 fail"),
+        (_audited(lambda gate: gate["results"].pop(0)), "audit", "static gate is without the rules XPL101"),
+        (_audited(lambda gate: gate["results"].append(gate["results"][0])), "audit", "two results of XPL101"),
+        (_audited(lambda gate: gate.update(digest="0" * 16)), "audit", "is not of the adapter in the bundle"),
+        (_claimed(verdict="green"), "audit", "it is green, its rules and the adapter make it partial"),
+        (_claimed(proven=PARITY), "audit", "says otherwise what is proven: its rules"),
+        (_claimed(statement="GREEN"), "audit", "says otherwise what it comes to"),
         (
-            lambda folder: (folder / "policy/scripted_expert/moves.py").write_text("", encoding="utf-8"),
-            "adapter",
-            "have the digest",
-        ),
-        (
-            lambda folder: (folder / bundle.CHECKPOINTS).write_text(
-                json.dumps({"loaded": "0" * 64, "name": None, "declared": []}), encoding="utf-8"
-            ),
-            "checkpoint",
-            "loaded another checkpoint",
+            _documents(lambda told: told["audit"].update(proven=PARITY), bundle.MANIFEST),
+            "audit",
+            "submission.json says otherwise what is proven than audit.json",
         ),
     ],
 )
 def test_parts_that_contradict_each_other_are_found(
     packed: Path, tmp_path: Path, change: Callable[[Path], Any], where: str, said: str
 ) -> None:
-    """A manifest that was changed along with a file does not help: the parts no longer fit."""
+    """A manifest that was changed along with a file does not help: what is said follows from rules and records."""
     found = _problems(_forged(packed, tmp_path / "forged.zip", change))
     assert any(said in problem for problem in found[where]), found
 
 
-def test_seeds_that_are_not_the_frozen_ones_are_found(packed: Path, tmp_path: Path) -> None:
-    """Whoever chooses seeds may not call them the environment's."""
-
-    def choose(lines: list[Line]) -> None:
-        lines[0]["cells"][0]["seeds"] = [1, 2]
-        lines[0].update(renamed(lines[0]))
-        for line, seed in zip(lines[-2:], (1, 2), strict=True):
-            line["seed"] = seed
-
-    found = _problems(_forged(packed, tmp_path / "forged.zip", _records(choose)))
-    assert any("has frozen" in problem for problem in found["plan"])
-
-
 def test_a_run_is_not_packed_twice(run: Run, tmp_path: Path) -> None:
-    """Nothing is written where something is to be mended first."""
     out = tmp_path / "twice.zip"
     answer = prepare.submit(prepare.Request(package.load(EXPERT), (run.folder, run.folder), out))
     assert answer.code == ExitCode.FINDINGS
@@ -196,7 +229,6 @@ def test_a_run_is_not_packed_twice(run: Run, tmp_path: Path) -> None:
 
 
 def test_an_adapter_that_changed_since_is_not_packed(run: Run, tmp_path: Path) -> None:
-    """A bundle holds the files that were evaluated, or there is none."""
     changed = tmp_path / "scripted_expert"
     shutil.copytree(EXPERT, changed, ignore=shutil.ignore_patterns("__pycache__"))
     (changed / "model.py").write_text("# other\n", encoding="utf-8")
@@ -232,7 +264,6 @@ class TestReplay:
         assert [pair.match for pair in player.play(run, [0])] == [replay.Match.SAME]
 
     def test_only_the_adapter_of_the_run_is_played(self, run: Run) -> None:
-        """Another one says nothing about the bundle."""
         with pytest.raises(UserError, match="does not have the files of the run"):
             Player(EXPERT.parent / "demo_policy").play(run, [0])
 
@@ -254,90 +285,6 @@ class TestReplay:
         monkeypatch.chdir(tmp_path)
         with pytest.raises(UserError, match="does not wait for the policy"):
             Player(EXPERT).play(run, [0])
-
-
-_NOWHERE = dict.fromkeys(("path", "line", "column", "end_line", "end_column", "expected", "got", "evidence", "fix"))
-_FINDING = {**_NOWHERE, "message": "x", "explain": "xpl explain XPL101", "fingerprint": "0" * 16}
-
-
-def _audited(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
-    """Return what changes the static gate in a bundle's audit report."""
-
-    def edit(folder: Path) -> None:
-        told = json.loads((folder / bundle.AUDIT).read_bytes())
-        change(told["targets"][0]["gates"][0])
-        (folder / bundle.AUDIT).write_bytes(bundle.document(told))
-
-    return edit
-
-
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda gate: gate["results"][0].update(outcome="fail"), "its rules make it red (XPL101 fail)"),
-        (lambda gate: gate["results"][0].update(outcome="not_run"), "its rules make it incomplete (XPL101 not_run)"),
-        (lambda gate: gate["results"][0].update(severity="should", findings=[_FINDING]), "XPL101 fail"),
-        (lambda gate: gate["results"].pop(0), "the audit's static gate is without the rules XPL101"),
-        (lambda gate: gate["results"].append(gate["results"][0]), "two results of XPL101"),
-        (lambda gate: gate.update(digest="0" * 16), "the audit is not of the adapter in the bundle"),
-    ],
-    ids=["failed", "not run", "findings", "left out", "twice", "of another"],
-)
-def test_the_verdict_of_an_audit_follows_from_its_rules_and_the_adapter(
-    packed: Path, tmp_path: Path, change: Callable[[dict[str, Any]], Any], said: str
-) -> None:
-    """A report that says green over rules that failed, were left out or are of other files is found out."""
-    found = _problems(_forged(packed, tmp_path / "forged.zip", _audited(change)))
-    assert any(said in problem for problem in found["audit"]), found
-
-
-def _claimed(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
-    """Return what changes the verdict in a bundle, in its manifest and in its audit report alike."""
-
-    def edit(folder: Path) -> None:
-        manifest, report = (json.loads((folder / name).read_bytes()) for name in (bundle.MANIFEST, bundle.AUDIT))
-        change(manifest["audit"])
-        change(report["targets"][0])
-        (folder / bundle.MANIFEST).write_bytes(bundle.document(manifest))
-        (folder / bundle.AUDIT).write_bytes(bundle.document(report))
-
-    return edit
-
-
-PARITY = [{"word": "parity", "numbers": {"pairs": 24, "assumed": 0}}]
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda told: told.update(verdict="green"), "it is green, its rules and the adapter make it partial"),
-        (lambda told: told.update(proven=PARITY), "says otherwise what is proven"),
-        (lambda told: told.update(statement="GREEN"), "says otherwise what it comes to"),
-    ],
-    ids=["word", "claim", "sentence"],
-)
-def test_a_bundle_claims_no_more_than_its_audit_proves(
-    packed: Path, tmp_path: Path, change: Callable[[dict[str, Any]], Any], said: str
-) -> None:
-    """What is proven follows from the rules and from the adapter, whatever manifest and report say of it."""
-    report = verify.verify(verify.Request(packed, sample=0))
-    assert str(report.verdict).startswith("PARTIAL static only: nothing wrong")
-    found = _problems(_forged(packed, tmp_path / "forged.zip", _claimed(change)))
-    assert any(said in problem for problem in found["audit"]), found
-
-
-def test_manifest_and_report_of_a_bundle_say_the_same(packed: Path, tmp_path: Path) -> None:
-    """Who reads only one of them is told the same as who reads the other."""
-
-    def edit(folder: Path) -> None:
-        manifest = json.loads((folder / bundle.MANIFEST).read_bytes())
-        manifest["audit"]["proven"] = PARITY
-        (folder / bundle.MANIFEST).write_bytes(bundle.document(manifest))
-
-    found = _problems(_forged(packed, tmp_path / "forged.zip", edit))
-    assert "submission.json says otherwise what is proven than audit.json" in found["audit"]
 
 
 class TestCheckpoints:

@@ -17,7 +17,6 @@ MEMORY = {"object_store_memory": 80 * 2**20}
 
 
 def main(first: dict[str, Any], second: dict[str, Any]) -> None:
-    """Run the cluster until the end of the input."""
     cluster = Cluster(initialize_head=True, head_node_args={**first, **MEMORY, "include_dashboard": False})
     node = cluster.add_node(**second, **MEMORY)
     print(cluster.address, flush=True)  # noqa: T201 - this is how it answers

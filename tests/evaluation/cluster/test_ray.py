@@ -62,7 +62,6 @@ class Cluster:
         self._environment["RAY_ADDRESS"] = self._answer()
 
     def tell(self, what: str) -> None:
-        """Have a node killed or added."""
         assert self._process.stdin is not None
         self._process.stdin.write(what + "\n")
         self._process.stdin.flush()
@@ -74,7 +73,6 @@ class Cluster:
         return {pid: told for pid, told in processes(self.mark).items() if "xpl" in told.replace(place, "")}
 
     def servers(self) -> int:
-        """Return how many policy servers run on the nodes."""
         count = 0
         for pid in self.left():
             with contextlib.suppress(OSError):
@@ -111,14 +109,12 @@ class Cluster:
 
 
 def ended(process: subprocess.Popen[str]) -> str:
-    """Wait for a command and return what it printed."""
     out, err = process.communicate()
     assert process.returncode == ExitCode.CLEAN, err
     return out
 
 
 def lines(folder: Path) -> int:
-    """Return how many episodes' lines there are so far."""
     with contextlib.suppress(FileNotFoundError):
         return sum(b'"kind":"episode"' in line for line in (folder / records.FILE).read_bytes().splitlines())
     return 0

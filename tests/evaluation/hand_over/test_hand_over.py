@@ -128,7 +128,6 @@ def test_a_run_that_broke_off_goes_on_under_its_name(workspace: Path, tmp_path: 
 
 
 def test_the_environment_variable_names_a_workspace_too(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And --dry-run starts nothing."""
     monkeypatch.setenv("ROBODOJO_ROOT", str(workspace))
     ended = _call("--dry-run")
     assert ended.code == 0, ended.stderr
@@ -138,7 +137,6 @@ def test_the_environment_variable_names_a_workspace_too(workspace: Path, monkeyp
 
 @pytest.mark.parametrize("missing", ["scripts/eval_policy.sh", "XPolicyLab/policy/demo_policy/deploy.py"])
 def test_a_folder_that_is_no_workspace_is_told(workspace: Path, missing: str) -> None:
-    """By the file that it lacks; for the adapter, what to do about it."""
     (workspace / missing).unlink()
     ended = _call("--workspace", workspace)
     assert ended.code == 3
@@ -148,7 +146,6 @@ def test_a_folder_that_is_no_workspace_is_told(workspace: Path, missing: str) ->
 
 
 def test_without_a_workspace_the_ways_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The option, the variable, the rehearsal."""
     monkeypatch.delenv("ROBODOJO_ROOT", raising=False)
     ended = _call()
     assert ended.code == 3
@@ -187,7 +184,6 @@ WRONG = {
 
 @pytest.mark.parametrize("content", WRONG.values(), ids=WRONG)
 def test_a_result_that_cannot_be_relied_on_is_refused(tmp_path: Path, content: Any) -> None:
-    """With a sentence that names the file."""
     file = tmp_path / "_result.json"
     file.write_text(content if isinstance(content, str) else json.dumps({"details": content}))
     with pytest.raises(UserError, match="_result"):
@@ -195,7 +191,6 @@ def test_a_result_that_cannot_be_relied_on_is_refused(tmp_path: Path, content: A
 
 
 def test_a_rate_that_contradicts_its_layouts_is_refused(workspace: Path) -> None:
-    """Nothing is recorded then."""
     _write(workspace, DETAILS, success_rate=0.9)
     ended = _call("--workspace", workspace)
     assert ended.code == 4
@@ -211,7 +206,6 @@ def test_the_plain_number_of_robotwin_is_read(tmp_path: Path, text: str, value: 
 
 @pytest.mark.parametrize("text", ["", "success", "nan", "1.5", "-0.1"])
 def test_what_is_no_rate_is_refused(tmp_path: Path, text: str) -> None:
-    """Also the end of a file that was cut off."""
     (tmp_path / "_result.txt").write_text(text)
     with pytest.raises(UserError):
         results.rate(tmp_path / "_result.txt")
@@ -241,7 +235,6 @@ def test_a_launcher_is_data_and_held_to_its_names() -> None:
 
 
 def test_the_launcher_runs_in_the_python_that_is_named(workspace: Path, tmp_path: Path) -> None:
-    """Its folder comes first on the path."""
     home = tmp_path / "sim" / "bin"
     home.mkdir(parents=True)
     (home / "python").symlink_to(os.sys.executable)  # type: ignore[attr-defined]
@@ -261,7 +254,6 @@ def test_the_result_is_found_whatever_the_checkpoint_is_called(workspace: Path, 
 
 
 def test_a_name_does_not_lead_out_of_the_workspace(workspace: Path) -> None:
-    """A result that lies elsewhere is none."""
     ended = _call("--workspace", workspace, "--set", "ckpt_name=" + "/.." * 8 + str(workspace.parent / "out"))
     assert ended.code == 4
     assert "no result" in ended.stderr
@@ -328,7 +320,6 @@ def test_eval_says_that_it_plays_a_stand_in(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_the_name_of_a_benchmark_counts_for_its_own_tasks_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And for simulations: a debug run stays one."""
     from xpl_cli.evaluation.runs.settings import benchmark_for
 
     monkeypatch.delenv("EVAL_ENV_TYPE", raising=False)
