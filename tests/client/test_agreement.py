@@ -25,7 +25,6 @@ ENVIRONMENT = {
 
 
 def test_an_environment_that_offers_what_is_needed_fits() -> None:
-    """It may offer more, in any order."""
     assert differences(POLICY, ENVIRONMENT) == []
 
 
@@ -41,7 +40,6 @@ def test_an_environment_that_offers_what_is_needed_fits() -> None:
     ],
 )  # fmt: skip
 def test_each_difference_names_both_sides(field: str, offered: Any, wanted: Any, says: str) -> None:
-    """And it is the only one."""
     (found,) = differences(POLICY, {**ENVIRONMENT, field: offered})
     assert (found["field"], found["policy"], found["environment"]) == (field, wanted, offered)
     assert says in found["message"]
@@ -58,7 +56,6 @@ def test_each_difference_names_both_sides(field: str, offered: Any, wanted: Any,
 def test_without_a_choice_what_the_manifest_declares_counts(
     field: str, declared: list[str], offered: str, says: str
 ) -> None:
-    """All that the policy was made for."""
     policy = {**POLICY, field: None, f"{field}s": declared}
     (found,) = differences(policy, {**ENVIRONMENT, field: offered})
     assert (found["field"], found["policy"]) == (field, declared)
@@ -97,7 +94,6 @@ def test_images_are_at_least_as_large_as_the_policy_needs_them(
 
 @pytest.mark.parametrize("field", ["embodiment", "action_type", "control_frequency", "inputs"])
 def test_what_one_side_does_not_say_is_not_compared(field: str) -> None:
-    """Left out or null, by either side."""
     strange = {**ENVIRONMENT, field: None}
     assert differences(POLICY, strange) == []
     del strange[field]
@@ -122,14 +118,12 @@ def test_an_embodiment_has_one_name_behind_its_aliases(chosen: Any, declared: An
 
 
 def test_several_differences_are_one_sentence() -> None:
-    """For the log, and for an error."""
     found = differences(POLICY, {**ENVIRONMENT, "action_type": "ee", "control_frequency": 10})
     assert sentence(found).count("; ") == 1
     assert sentence(found).startswith("policy and environment do not fit: the policy was started for action_type joint")
 
 
 def test_needs_are_read_from_manifest_and_configuration() -> None:
-    """What neither says is null."""
     manifest = {
         "embodiments": ["dual_x5"],
         "action_types": ["joint"],
@@ -149,7 +143,6 @@ def test_needs_are_read_from_manifest_and_configuration() -> None:
 
 @pytest.mark.parametrize("noise", [3, "text", [["arx_x5"]], {"a": 1}, True])
 def test_whatever_a_peer_announces_is_compared_or_left(noise: Any) -> None:
-    """It came over the network."""
     for field in ENVIRONMENT:
         differences(POLICY, {**ENVIRONMENT, field: noise})
     for field in POLICY:

@@ -65,13 +65,11 @@ COUNTING = """
 
 @pytest.fixture(scope="module")
 def adapter(write_adapter: Callable[..., Path]) -> Path:
-    """Return an adapter whose actions are the number in the observation, and which counts its runs."""
     return write_adapter(COUNTING, methods=["count"], temporal={"chunk": 2})
 
 
 @pytest.fixture(scope="module")
 def shared(adapter: Path) -> Iterator[RunningServer]:
-    """Serve it once."""
     with serving(adapter) as server:
         yield server
 
@@ -93,13 +91,11 @@ class Relay:
         self._threads[0].start()
 
     def cut(self) -> None:
-        """Lose every connection."""
         for end in self._sockets:
             with contextlib.suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """End the relay."""
         self._listener.shutdown(socket.SHUT_RDWR)
         self.cut()
         for thread in list(self._threads):
@@ -133,7 +129,6 @@ class Relay:
 
 @pytest.fixture
 def relay() -> Iterator[Callable[[str], Relay]]:
-    """Return a function that puts a relay before a server."""
     with contextlib.ExitStack() as stack:
 
         def start(url: str) -> Relay:
@@ -175,14 +170,12 @@ class StandIn:
                     connection.close(*answer)
 
     def close(self) -> None:
-        """End the server."""
         self._server.shutdown()
         self._thread.join()
 
 
 @pytest.fixture
 def stand_in() -> Iterator[Callable[[Callable[[Frame], Any]], StandIn]]:
-    """Return a function that starts a stand-in."""
     with contextlib.ExitStack() as stack:
 
         def start(answer: Callable[[Frame], Any]) -> StandIn:
@@ -194,7 +187,6 @@ def stand_in() -> Iterator[Callable[[Callable[[Frame], Any]], StandIn]]:
 
 
 def modern(frame: Frame, **answers: Any) -> Any:
-    """Answer as a server of today does; `answers` replace the answer to a type of message."""
     if frame.message_type in answers:
         return answers[frame.message_type]
     if frame.message_type == "hello":
@@ -215,12 +207,10 @@ def first_generation(frame: Frame) -> Frame | None:
 
 
 def numbers(chunk: Any) -> list[float]:
-    """Return what the adapter put into its actions."""
     return [float(step["arm_joint_state"][0]) for step in chunk]
 
 
 def test_the_operations_of_the_contract(shared: RunningServer) -> None:
-    """As methods, and by name as benchmarks call them."""
     with Client(shared.url) as client:
         client.reset()
         client.update_obs({"n": 3})
@@ -243,7 +233,6 @@ def test_the_operations_of_the_contract(shared: RunningServer) -> None:
 
 
 def test_errors_of_the_policy_are_raised_and_the_client_goes_on(shared: RunningServer) -> None:
-    """With their code."""
     with Client(shared.url) as client:
         client.reset()
         with pytest.raises(PolicyServerError, match="call_failed: PolicyStateError: get_action needs") as failure:
@@ -259,13 +248,11 @@ def test_errors_of_the_policy_are_raised_and_the_client_goes_on(shared: RunningS
 
 
 def test_an_identifier_that_servers_refuse_is_refused_here(shared: RunningServer) -> None:
-    """A trial's name is a text."""
     with pytest.raises(WireError, match="trial_id must be str"):
         Client(shared.url, trial_id=5)  # type: ignore[arg-type]
 
 
 def test_a_closed_client_says_so(shared: RunningServer) -> None:
-    """Closing twice is fine; the next client is let in at once."""
     client = Client(shared.url)
     client.close()
     client.close()
@@ -275,7 +262,6 @@ def test_a_closed_client_says_so(shared: RunningServer) -> None:
 
 
 def test_a_proxy_of_the_environment_is_not_asked(shared: RunningServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A policy server is reached directly."""
     for name in ("http_proxy", "https_proxy", "all_proxy", "HTTP_PROXY"):
         monkeypatch.setenv(name, "http://127.0.0.1:1")
     monkeypatch.setenv("no_proxy", "")
@@ -288,7 +274,6 @@ def test_a_proxy_of_the_environment_is_not_asked(shared: RunningServer, monkeypa
 def test_a_cut_while_the_model_thinks_runs_it_once(
     shared: RunningServer, relay: Callable[[str], Relay], tmp_path: Path
 ) -> None:
-    """The client reconnects and asks again under the same id."""
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
     between = relay(shared.url)
@@ -308,7 +293,6 @@ def test_a_cut_while_the_model_thinks_runs_it_once(
 
 
 def test_a_cut_between_requests_goes_unnoticed(shared: RunningServer, relay: Callable[[str], Relay]) -> None:
-    """The state is still there."""
     between = relay(shared.url)
     with Client(between.url) as client:
         client.reset()
@@ -321,7 +305,6 @@ def test_a_cut_between_requests_goes_unnoticed(shared: RunningServer, relay: Cal
 def test_another_server_instance_aborts_the_trial(
     adapter: Path, serve: Callable[..., RunningServer], relay: Callable[[str], Relay]
 ) -> None:
-    """Its state is not the episode's; after that a new episode may begin."""
     first, second = serve(adapter), serve(adapter)
     between = relay(first.url)
     with Client(between.url) as client:
@@ -364,7 +347,6 @@ def test_a_server_that_does_not_come_back_ends_the_request_within_its_timeout(
     ids=str,
 )
 def test_connecting_is_bounded_by_attempts_and_by_time(limits: dict[str, Any]) -> None:
-    """Either may be off."""
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         url = f"ws://127.0.0.1:{unused.getsockname()[1]}"
@@ -377,7 +359,6 @@ def test_connecting_is_bounded_by_attempts_and_by_time(limits: dict[str, Any]) -
 
 
 def test_a_port_that_says_nothing_does_not_hold_the_client() -> None:
-    """One attempt has its own limit, and all of them together have theirs."""
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"ws://127.0.0.1:{silent.getsockname()[1]}"
         started = time.monotonic()
@@ -389,7 +370,6 @@ def test_a_port_that_says_nothing_does_not_hold_the_client() -> None:
 
 
 def test_something_else_at_the_port_is_not_taken_for_a_server() -> None:
-    """An HTTP server, for example, that some other program started there."""
     listener = socket.create_server(("127.0.0.1", 0))
 
     def answer() -> None:
@@ -409,7 +389,6 @@ def test_something_else_at_the_port_is_not_taken_for_a_server() -> None:
 
 @pytest.mark.parametrize("url", ["localhost:8000", "http://localhost:8000", "ws://", ""])
 def test_an_address_that_is_none_is_refused_at_once(url: str) -> None:
-    """With an example of one."""
     with pytest.raises(ServerConnectionError, match="ws://host:port"):
         Client(url)
 
@@ -425,7 +404,6 @@ def test_a_hello_without_answer_is_tried_again(stand_in: Callable[..., StandIn])
 
 
 def test_a_busy_server_is_tried_again(shared: RunningServer) -> None:
-    """Until the other client leaves."""
     other = Client(shared.url)
     with pytest.raises(ServerConnectionError, match=r"after 2 attempts: internal: .*in use"):
         Client(shared.url, config=HASTE)
@@ -446,7 +424,6 @@ def test_a_busy_server_is_tried_again(shared: RunningServer) -> None:
 
 
 def test_a_refusal_for_good_is_not_tried_again(stand_in: Callable[..., StandIn]) -> None:
-    """An error other than busy."""
     server = stand_in(lambda frame: frame.answer("error", {"code": "internal", "message": "go away", "details": "x"}))
     with pytest.raises(PolicyServerError, match="internal: go away"):
         Client(server.url)
@@ -454,7 +431,6 @@ def test_a_refusal_for_good_is_not_tried_again(stand_in: Callable[..., StandIn])
 
 
 def test_a_server_that_failed_says_why_and_is_not_asked_again(stand_in: Callable[..., StandIn]) -> None:
-    """Whatever the limits for connecting are."""
     server = stand_in(
         lambda frame: modern(frame, reset=(spec.CLOSE_CODES["server_failed"], "the worker was ended by signal SIGKILL"))
     )
@@ -465,7 +441,6 @@ def test_a_server_that_failed_says_why_and_is_not_asked_again(stand_in: Callable
 
 
 def test_a_request_without_answer_ends_the_trial(stand_in: Callable[..., StandIn]) -> None:
-    """After its timeout; nothing is sent again."""
     server = stand_in(modern)
     client = Client(server.url, config={"request_timeout_s": 0.2})
     with pytest.raises(RequestTimeoutError, match=r"reset was not answered within 0\.\d s"):
@@ -477,8 +452,6 @@ def test_a_request_without_answer_ends_the_trial(stand_in: Callable[..., StandIn
 
 
 def test_what_is_not_the_answer_is_passed_over(stand_in: Callable[..., StandIn]) -> None:
-    """Text, and answers to other requests."""
-
     def answer(frame: Frame) -> Any:
         if frame.message_type != "reset":
             return modern(frame)
@@ -505,14 +478,12 @@ def test_what_is_not_the_answer_is_passed_over(stand_in: Callable[..., StandIn])
 def test_a_wrong_answer_is_a_clear_error(
     stand_in: Callable[..., StandIn], answer: Callable[[Frame], Any], error: type[Exception], message: str
 ) -> None:
-    """An unknown code counts as internal."""
     server = stand_in(lambda frame: answer(frame) if frame.message_type == "infer" else modern(frame))
     with Client(server.url) as client, pytest.raises(error, match=message):
         client.infer({})
 
 
 def test_a_frame_over_the_limit_is_not_sent(shared: RunningServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The server would close the connection over it."""
     with Client(shared.url, shared_memory=False) as client:
         monkeypatch.setitem(spec.LIMITS, "frame_bytes", 100_000)
         with pytest.raises(WireError, match="over the limit"):
@@ -524,7 +495,6 @@ def test_a_frame_over_the_limit_is_not_sent(shared: RunningServer, monkeypatch: 
 
 
 def test_an_old_server_is_served_by_infer_alone(stand_in: Callable[..., StandIn]) -> None:
-    """Observations are held back, and only the newest travels."""
     server = stand_in(first_generation)
     with Client(server.url) as client:
         client.reset()
@@ -538,7 +508,6 @@ def test_an_old_server_is_served_by_infer_alone(stand_in: Callable[..., StandIn]
 
 
 def test_a_batch_to_an_old_server_is_one_infer_for_each_environment(stand_in: Callable[..., StandIn]) -> None:
-    """Each with its index, written out where it followed from the position."""
     with Client(stand_in(first_generation).url) as client:
         client.reset()
         client.update_obs_batch([{}, {}, {}])

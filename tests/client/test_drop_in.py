@@ -46,8 +46,6 @@ ANSWERS = {
 
 
 class Server:
-    """A server that answers everything and notes what it was asked."""
-
     def __init__(self, *, is_of_july: bool = False) -> None:
         self.frames: list[Frame] = []
         self._is_of_july = is_of_july
@@ -71,14 +69,12 @@ class Server:
         return {"ok": True, "actions": ["chunk"], "result": frame.message_type}
 
     def close(self) -> None:
-        """End it."""
         self._server.shutdown()
         self._thread.join()
 
 
 @pytest.fixture
 def server() -> Iterator[Callable[..., Server]]:
-    """Return a function that starts a server."""
     with contextlib.ExitStack() as stack:
 
         def start(**options: Any) -> Server:
@@ -90,7 +86,6 @@ def server() -> Iterator[Callable[..., Server]]:
 
 
 def test_every_argument_of_the_field_is_taken_and_every_frame_bears_the_names(server: Callable[..., Server]) -> None:
-    """All by keyword, as there; the attributes of the same names can be set between trials."""
     there = server()
     with Client(url=there.url, **NAMES, **LIMITS, client=None) as client:
         client.call(func_name="reset")
@@ -140,7 +135,6 @@ def _counted(payload: dict[str, Any]) -> dict[str, Any]:
     ],
 )
 def test_what_would_be_lost_is_refused(server: Callable[..., Server], arguments: dict[str, Any], kind: type) -> None:
-    """As the newer clients of the field refuse it; nothing is sent."""
     there = server()
     with Client(there.url, **NAMES) as client, pytest.raises(kind):
         client.call(**arguments)
@@ -148,7 +142,6 @@ def test_what_would_be_lost_is_refused(server: Callable[..., Server], arguments:
 
 
 def test_a_case_is_needed_before_it_is_announced(server: Callable[..., Server]) -> None:
-    """`prepare_case(...)` names one, and all further frames bear it."""
     there = server()
     with Client(there.url) as client:
         with pytest.raises(ValueError, match="action_case_id"):
@@ -160,7 +153,6 @@ def test_a_case_is_needed_before_it_is_announced(server: Callable[..., Server]) 
 
 @pytest.mark.parametrize("name", [{"trial_id": 3}, {"action_case_id": 1.5}, {"repeat_index": "2"}])
 def test_a_name_that_servers_drop_is_refused(server: Callable[..., Server], name: dict[str, Any]) -> None:
-    """Nothing is sent."""
     there = server()
     with pytest.raises(codec.WireError, match=next(iter(name))):
         Client(there.url, **name)
@@ -168,7 +160,6 @@ def test_a_name_that_servers_drop_is_refused(server: Callable[..., Server], name
 
 
 def test_limits_by_name_go_before_those_of_a_configuration(server: Callable[..., Server]) -> None:
-    """None leaves a limit as it is, and turns pings off."""
     there = server()
     config = {"request_timeout_s": 7, "close_timeout_s": 8, "ws_ping_interval_s": 9, "ws_ping_timeout_s": 10}
     with Client(there.url, config=config, close_timeout_s=1, request_timeout_s=None, ws_ping_interval_s=None) as client:
@@ -177,7 +168,6 @@ def test_limits_by_name_go_before_those_of_a_configuration(server: Callable[...,
 
 
 def test_a_client_that_is_connected_can_be_handed_over(server: Callable[..., Server]) -> None:
-    """Its connection and names are used; another package's inner client is refused by name."""
     there = server()
     with Client(there.url, trial_id="t7") as first:
         second = Client("", client=first)
@@ -192,7 +182,6 @@ def test_a_client_that_is_connected_can_be_handed_over(server: Callable[..., Ser
 
 
 def test_the_client_that_loops_import_hands_all_of_it_on(server: Callable[..., Server]) -> None:
-    """By the name that it has in the field."""
     there = server()
     with WsModelClient(there.url, **NAMES, **LIMITS) as client:
         client.call(func_name="reset")

@@ -94,60 +94,50 @@ SIZE = 240 * 320 * 3
 
 @pytest.fixture(scope="module")
 def subject(write_adapter: Callable[..., Path]) -> Path:
-    """Return the folder of the adapter above."""
     return write_adapter(SUBJECT, methods=["sums", "vision", "echo"])
 
 
 @pytest.fixture(scope="module")
 def trace(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the file that gets a line for each request."""
     return tmp_path_factory.mktemp("trace") / "requests.jsonl"
 
 
 @pytest.fixture(scope="module")
 def shared(subject: Path, trace: Path) -> Iterator[RunningServer]:
-    """Serve the adapter; the place of a client that was cut off is soon free."""
     with serving(subject, {"close_timeout_s": 0.5}, options=["--trace", str(trace)]) as server:
         yield server
 
 
 @pytest.fixture
 def fifo(tmp_path: Path) -> Path:
-    """Return a named pipe: the model waits on it until the test opens it and closes it again."""
     path = tmp_path / "fifo"
     os.mkfifo(path)
     return path
 
 
 def picture(seed: int = 0) -> np.ndarray:
-    """Return an image of noise, (240, 320, 3) uint8."""
     return np.random.default_rng(seed).integers(0, 256, SHAPE, np.uint8)
 
 
 def seen(seed: int = 0, **entries: Any) -> dict[str, Any]:
-    """Return an observation of one camera."""
     return {"vision": {"cam_head": {"color": picture(seed)}}, **entries}
 
 
 def sizes(trace: Path, method: str) -> list[int]:
-    """Return how many bytes the requests of a method had."""
     lines = map(json.loads, trace.read_text(encoding="utf-8").splitlines())
     return [line["bytes_in"] for line in lines if line.get("method") == method]
 
 
 def workers(server: RunningServer) -> list[int]:
-    """Return the processes of the workers."""
     return [worker["process"] for worker in json.loads(page(server.url, "/healthz")[1])["workers"]]
 
 
 def mapped(pid: int) -> int:
-    """Return how many pieces of shared memory a process has mapped."""
     maps = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
     return len(re.findall(rf"{segment.folder()}/xpl-", maps))
 
 
 def touched(pid: int) -> int:
-    """Return how many bytes of shared memory a process has used."""
     maps = Path(f"/proc/{pid}/smaps").read_text(encoding="utf-8")
     return 1024 * sum(map(int, re.findall(rf"{segment.folder()}/xpl-.*\nSize:.*\n(?:.*\n)*?Rss: +(\d+) kB", maps)))
 
@@ -156,7 +146,6 @@ def touched(pid: int) -> int:
 
 
 def test_large_arrays_do_not_travel_in_the_message(shared: RunningServer, trace: Path) -> None:
-    """In single observations and in batches; small ones and text do."""
     with Client(shared.url) as client:
         client.reset()
         before = len(sizes(trace, "update_obs")), len(sizes(trace, "update_obs_batch"))
@@ -171,7 +160,6 @@ def test_large_arrays_do_not_travel_in_the_message(shared: RunningServer, trace:
 
 
 def test_who_does_not_wish_it_sends_all(shared: RunningServer, trace: Path) -> None:
-    """And the policy sees the same."""
     for wishes in ({"shared_memory": False}, {"packed": False}):
         with Client(shared.url, **wishes) as client:
             assert "shared_memory" not in client.capabilities
@@ -182,7 +170,6 @@ def test_who_does_not_wish_it_sends_all(shared: RunningServer, trace: Path) -> N
 
 
 def test_what_a_history_holds_stays_as_it_was(shared: RunningServer) -> None:
-    """However much is observed afterwards; memory that nobody holds any more is used again."""
     expected = []
     with Client(shared.url) as client:
         for episode in range(2):
@@ -196,7 +183,6 @@ def test_what_a_history_holds_stays_as_it_was(shared: RunningServer) -> None:
 
 
 def test_every_kind_of_large_array_crosses(shared: RunningServer) -> None:
-    """Types, byte orders, dimensions, views that are not contiguous, and empty ones."""
     arrays: list[np.ndarray] = [
         np.arange(10_000.0),
         np.arange(10_000, dtype=">i8").reshape(10, 10, 100),
@@ -218,7 +204,6 @@ def test_every_kind_of_large_array_crosses(shared: RunningServer) -> None:
 
 
 def test_a_goodbye_gives_the_memory_back(shared: RunningServer) -> None:
-    """In order or by a cut: the worker lives longer than its clients."""
     (worker,) = workers(shared)
     for _ in range(3):
         with Client(shared.url, config=HASTE) as client:
@@ -232,8 +217,6 @@ def test_a_goodbye_gives_the_memory_back(shared: RunningServer) -> None:
 def test_memory_that_the_client_cannot_see_is_done_without(
     shared: RunningServer, trace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As in a container that has another /dev/shm."""
-
     def refuse(*_: object) -> None:
         raise segment.SegmentError("no such file")
 
@@ -248,7 +231,6 @@ def test_memory_that_the_client_cannot_see_is_done_without(
 
 
 def test_memory_that_the_server_cannot_make_is_done_without(subject: Path, serve: Callable[..., RunningServer]) -> None:
-    """Here the system lets it make no file of that size; the log says so."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 26, limits[1]))
     try:
@@ -265,7 +247,6 @@ def test_memory_that_the_server_cannot_make_is_done_without(subject: Path, serve
 
 
 def owned(path: Path, pid: int) -> bool:
-    """Tell whether a process has a file open."""
     with contextlib.suppress(OSError):
         return any(link.resolve() == path for link in Path(f"/proc/{pid}/fd").iterdir())
     return False
@@ -330,7 +311,6 @@ def test_an_offer_that_outlived_its_server_is_swept_by_the_next_one(
 
 
 def smooth() -> np.ndarray:
-    """Return an image that JPEG does justice to, with a red side and a blue one."""
     ramp = np.linspace(0, 255, SHAPE[1]).astype(np.uint8)
     image = np.zeros(SHAPE, np.uint8)
     image[..., 0], image[..., 2] = ramp, ramp[::-1]
@@ -338,7 +318,6 @@ def smooth() -> np.ndarray:
 
 
 def test_chosen_cameras_travel_as_jpeg_and_the_others_as_they_are(shared: RunningServer, trace: Path) -> None:
-    """By either client, in single observations and in batches; the quality is the client's."""
     noise, ramp = picture(5), smooth()
     obs = {"vision": {name: {"color": ramp, "depth": noise[..., :1]} for name in ("cam_head", "cam_wrist")}}
 
@@ -370,7 +349,6 @@ def test_chosen_cameras_travel_as_jpeg_and_the_others_as_they_are(shared: Runnin
 
 
 def test_pictures_that_are_encoded_already_stay_so(shared: RunningServer) -> None:
-    """Compressed once, by whoever made them; the adapter gets pixels."""
     ramp = smooth()
     for camera in (images.encode_png(ramp), np.frombuffer(images.encode_png(ramp), np.uint8)):
         with Client(shared.url, jpeg={"cam_head": 10}, config=HASTE) as client:
@@ -398,7 +376,6 @@ def test_a_server_that_does_not_know_the_marker_gets_pixels() -> None:
 
 
 def test_updates_are_sent_ahead_in_order(shared: RunningServer, fifo: Path) -> None:
-    """While the policy is still at work on the first one; what is asked next sees all of them."""
     with Client(shared.url, pipelined=True) as client:
         client.reset()
         client.update_obs({"n": 0, "fifo": str(fifo)})
@@ -412,7 +389,6 @@ def test_updates_are_sent_ahead_in_order(shared: RunningServer, fifo: Path) -> N
 
 
 def test_the_number_of_updates_ahead_is_bounded(shared: RunningServer, fifo: Path) -> None:
-    """One more waits until the first is answered."""
     with Client(shared.url, pipelined=True) as client:
         client.reset()
         sent: list[int] = []
@@ -433,7 +409,6 @@ def test_the_number_of_updates_ahead_is_bounded(shared: RunningServer, fifo: Pat
 
 
 def follow(client: Client, operation: str) -> None:
-    """Do what comes next; another update tells at the latest when the window is full."""
     if operation == "update_obs":
         for n in range(spec.LIMITS["pipelined"] + 1):
             client.update_obs({"n": n})
@@ -443,7 +418,6 @@ def follow(client: Client, operation: str) -> None:
 
 @pytest.mark.parametrize("following", ["get_action", "update_obs", "settle", "reset"])
 def test_an_update_that_failed_is_reported_by_what_comes_next(shared: RunningServer, following: str) -> None:
-    """Once; and then the client goes on."""
     with Client(shared.url, pipelined=True, config=HASTE) as client:
         client.reset()
         client.update_obs({"n": 1, "fail": True})
@@ -471,7 +445,6 @@ def test_an_update_that_is_not_answered_in_time_ends_the_trial(
 
 
 def test_an_update_that_cannot_be_sent_leaves_no_gap(shared: RunningServer) -> None:
-    """It is refused here, and the next ones are in order."""
     with Client(shared.url, pipelined=True, config=HASTE) as client:
         client.reset()
         client.update_obs({"n": 1})
@@ -482,7 +455,6 @@ def test_an_update_that_cannot_be_sent_leaves_no_gap(shared: RunningServer) -> N
 
 
 def test_a_missing_or_repeated_update_is_found_out(shared: RunningServer) -> None:
-    """By its number, under whatever id it comes."""
     with contextlib.closing(Peer(shared.url)) as peer:
         announced = {"capabilities": {"sequence": True}}
         wait_until(lambda: peer.ask("hello", announced).message_type == "hello_ack", "the server is free")
@@ -502,7 +474,6 @@ def test_a_missing_or_repeated_update_is_found_out(shared: RunningServer) -> Non
 
 @pytest.mark.parametrize("direction", ["request", "answer"])
 def test_a_cut_with_updates_ahead_loses_and_repeats_nothing(shared: RunningServer, direction: str) -> None:
-    """What was not answered is sent again under its id, wherever the cut was."""
     with (
         Proxy(int(shared.url.rpartition(":")[2])) as proxy,
         Client(proxy.url, pipelined=True, shared_memory=False, config=HASTE) as client,
@@ -516,13 +487,11 @@ def test_a_cut_with_updates_ahead_loses_and_repeats_nothing(shared: RunningServe
 
 
 def observe_much(client: Client) -> None:
-    """Show the policy more pictures than may be sent ahead."""
     for seed in range(spec.LIMITS["pipelined"] + 1):
         client.update_obs(seen(seed))
 
 
 def test_a_cut_with_updates_ahead_in_shared_memory_is_loud(shared: RunningServer, fifo: Path) -> None:
-    """The memory is gone with the connection, and the trial ends with it."""
     with Proxy(int(shared.url.rpartition(":")[2])) as proxy:
         client = Client(proxy.url, pipelined=True, config=HASTE)
         client.reset()
@@ -539,8 +508,6 @@ def test_a_cut_with_updates_ahead_in_shared_memory_is_loud(shared: RunningServer
 
 
 def test_the_async_client_has_every_operation(shared: RunningServer) -> None:
-    """As methods and by name, as a context and without one."""
-
     async def scenario() -> None:
         client = AsyncClient(shared.url, trial_id="t", config=HASTE)
         await client.connect()
@@ -580,8 +547,6 @@ def test_the_async_client_has_every_operation(shared: RunningServer) -> None:
 
 
 def test_tasks_that_share_a_client_take_turns(shared: RunningServer) -> None:
-    """Each gets the answer to its own question."""
-
     async def scenario() -> None:
         async with AsyncClient(shared.url, config=HASTE) as client:
             await client.reset()
@@ -624,7 +589,6 @@ def test_a_cancelled_request_never_leaves_a_mixed_up_client(shared: RunningServe
 
 
 def test_threads_that_share_a_client_take_turns(shared: RunningServer) -> None:
-    """Each gets the answer to its own question."""
     with Client(shared.url, config=HASTE) as client, ThreadPoolExecutor(4) as pool:
         client.reset()
         answers = list(pool.map(lambda n: client.call("echo", seen(n, n=n)), range(40)))
@@ -648,7 +612,6 @@ def test_long_lists_and_texts_travel_unpacked(shared: RunningServer) -> None:
 
 
 def test_a_server_that_ends_says_so(subject: Path, serve: Callable[..., RunningServer]) -> None:
-    """The next operation raises a typed error, also after updates that were sent ahead."""
     server = serve(subject)
     with Client(server.url, pipelined=True) as client:
         client.reset()

@@ -29,15 +29,12 @@ PUBLIC = checkout()
 
 
 class Still:
-    """A policy that holds still: chunks of the observed pose; notes the operations."""
-
     def __init__(self) -> None:
         self.asked: list[str] = []
         self._seen: dict[int, Any] = {}
         self._order: list[int] = []
 
     def call(self, func_name: str, obs: Any = None) -> Any:
-        """Run an operation of the policy."""
         self.asked.append(func_name)
         if func_name.startswith("update_obs"):
             batch = obs if isinstance(obs, list) else [obs]
@@ -61,7 +58,6 @@ class Still:
 @pytest.mark.parametrize("file", [OURS, THEIRS], ids=["scaffold", "contract"])
 @pytest.mark.parametrize("function", FUNCTIONS)
 def test_a_loop_ends_where_only_is_episode_end_tells(file: Path, function: str) -> None:
-    """Not a step more than the episode has, although its end lies inside a chunk."""
     env = DebugEnv()
     getattr(load_module(file), function)(env, Still())
     assert env.steps == LIMIT
@@ -69,7 +65,6 @@ def test_a_loop_ends_where_only_is_episode_end_tells(file: Path, function: str) 
 
 @pytest.mark.parametrize("run", [rollout.run_episode, rollout.run_batch])
 def test_the_sdks_own_loop_ends_there_too(run: Any) -> None:
-    """Also with a shorter horizon."""
     for horizon in (None, 3):
         env = DebugEnv()
         run(env, Still(), horizon=horizon)
@@ -164,7 +159,6 @@ def _uses_the_wire_only(file: Path) -> bool:
 @pytest.mark.parametrize("file", _theirs())
 @pytest.mark.parametrize("count", [1, 3])
 def test_a_loop_of_the_field_plays_our_environments_to_their_end(file: Path, count: int) -> None:
-    """Whatever it looks like: as many steps as the episode has, in every environment, and not one after the end."""
     config = {"embodiment": "arx_x5", "action_type": "joint", "num_envs": count, "max_steps": 7, "cameras": (48, 64)}
     env = environments.make("offline", {**config, "task": "echo"})
     env.reset(list(range(count)))

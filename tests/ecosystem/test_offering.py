@@ -57,7 +57,6 @@ def _adapter(folder: Path) -> Path:
 
 
 def _told(adapter: Path) -> Any:
-    """Load an adapter in a process of its own; return what it found."""
     code = (
         "import json, sys; from pathlib import Path; from xpl.worker.loading import load_model_class\n"
         "model = load_model_class(Path(sys.argv[1]))({'env_cfg_type': 'dual_x5'})\n"
@@ -90,7 +89,6 @@ def test_a_real_checkout_is_used_and_hides_nothing(tmp_path: Path) -> None:
 
 
 def test_an_env_cfg_that_exists_is_not_hidden(tmp_path: Path) -> None:
-    """The benchmark's own numbers count."""
     root = tmp_path / "XPolicyLab"
     _write(root / "model_template.py", "class ModelTemplate: pass")
     _write(root / "utils/process_data.py", REAL)
@@ -102,7 +100,6 @@ def test_an_env_cfg_that_exists_is_not_hidden(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", embodiment_names())
 @pytest.mark.parametrize("action_type", ["joint", "ee"])
 def test_states_are_packed_and_unpacked_by_the_names_of_the_standard(name: str, action_type: str) -> None:
-    """A robot with one arm has no prefix, and a pose has seven values whatever the arm."""
     robot = process_data.get_robot_action_dim_info(name)
     dims = get_embodiment(name).dims(action_type)
     flat = np.arange(float(sum(dims.values())))
@@ -116,7 +113,6 @@ def test_states_are_packed_and_unpacked_by_the_names_of_the_standard(name: str, 
 
 
 def test_a_checkpoint_that_is_nowhere_is_never_another(tmp_path: Path) -> None:
-    """What was looked for is told."""
     config = {"bench_name": "b", "ckpt_name": "c", "env_cfg_type": "e", "action_type": "joint", "seed": 0}
     (tmp_path / "checkpoints/c").mkdir(parents=True)
     folder = tmp_path / "checkpoints"
@@ -128,7 +124,6 @@ def test_a_checkpoint_that_is_nowhere_is_never_another(tmp_path: Path) -> None:
 
 
 def test_scripts_are_read_as_far_as_they_are_understood(tmp_path: Path) -> None:
-    """What is installed comes after what is put ahead; folders outside, or absent, do not count."""
     for name in ("up/src/pkg", "tools", "other"):
         _write(tmp_path / name / "__init__.py", "")
     _write(tmp_path / "up/pyproject.toml", "")

@@ -35,7 +35,6 @@ CONFIG: dict[str, Any] = {
 
 
 def observation(number: float, env: int | None = None) -> dict[str, Any]:
-    """Return what an environment shows; its first joint is at `number`."""
     robot = get_embodiment("franka_single")
     state = {key: np.full(width, number, np.float32) for key, width in robot.dims("joint").items()}
     cameras = {name: {"color": np.zeros((4, 4, 3), np.uint8)} for name in robot.cameras}
@@ -43,19 +42,15 @@ def observation(number: float, env: int | None = None) -> dict[str, Any]:
 
 
 def first_joint(chunk: Any) -> float:
-    """Return where a chunk moves the first joint to."""
     return round(float(chunk[0]["arm_joint_state"][0]), 3)
 
 
 class Model:
-    """What the server computes: it holds the state, and says which thread, that is which connection, it served."""
-
     def __init__(self) -> None:
         self.served: list[int] = []
         self.seen: list[dict[str, Any]] = []
 
     def infer(self, obs: dict[str, Any]) -> dict[str, Any]:
-        """Return a chunk."""
         self.served.append(threading.get_ident())
         self.seen.append(obs)
         if obs["observation/state"][0] > 0.9:
@@ -65,26 +60,22 @@ class Model:
 
 @pytest.fixture
 def model() -> Model:
-    """Return the model behind the server."""
     return Model()
 
 
 @pytest.fixture
 def url(model: Model) -> Iterator[str]:
-    """Serve it as openpi would."""
     with policy_server(model.infer) as address:
         yield address
 
 
 @pytest.fixture
 def client(url: str) -> Iterator[Client]:
-    """Return a client of it."""
     with Client(url, config={**CONFIG, "server": url}) as client:
         yield client
 
 
 def test_observations_become_chunks(client: Client, model: Model) -> None:
-    """The metadata comes first; names are openpi's there and the standard's here."""
     assert client.metadata == METADATA
     client.update_obs(observation(0.25))
     chunk = client.get_action()
@@ -129,8 +120,6 @@ def test_an_error_is_quoted_and_the_next_question_is_answered(client: Client, mo
 
 
 def test_who_awaits_speaks_it_too(url: str) -> None:
-    """The conversation is the same; only the connection suspends."""
-
     async def ask() -> Any:
         async with AsyncClient(f"openpi+{url}", config=CONFIG) as client:
             await client.update_obs_batch([observation(0.1 * env, env) for env in (1, 2)])
@@ -144,7 +133,6 @@ def test_who_awaits_speaks_it_too(url: str) -> None:
 
 
 def test_operations_go_by_name_and_what_the_wire_lacks_is_told(client: Client) -> None:
-    """`call` of benchmarks works; hooks and methods of an adapter do not travel."""
     client.call("update_obs", observation(0.25))
     assert first_joint(client.call("get_action")) == 0.25
     client.call("reset")
@@ -180,7 +168,6 @@ def test_after_a_cut_the_episode_has_to_begin_anew() -> None:
 
 
 def test_a_late_answer_is_an_error() -> None:
-    """The trial ends; the next one gets a connection of its own."""
     go_on = threading.Event()
 
     def infer(obs: dict[str, Any]) -> dict[str, Any]:
@@ -196,7 +183,6 @@ def test_a_late_answer_is_an_error() -> None:
 
 
 def test_a_remote_adapter_speaks_openpi(url: str, tmp_path: Path) -> None:
-    """The scaffold with two keys of deploy.yml: an episode through two servers."""
     adapter = tmp_path / "Far"
     answers = {"name": "Far", **scaffold.defaults(), "kind": "remote", "embodiment": "franka_single", "chunk": 3}
     scaffold.write(scaffold.render(scaffold.answers_of(**answers)), adapter)
@@ -212,7 +198,6 @@ def test_a_remote_adapter_speaks_openpi(url: str, tmp_path: Path) -> None:
 
 
 def test_a_server_of_openpi_is_recognised_by_its_first_word(url: str) -> None:
-    """By either of our clients, with the key that makes it work."""
     told = r"speaks openpi's wire.*`wire: openpi` beside `server` in deploy.yml"
     with pytest.raises(ClientError, match=told):
         Client(url, config=ONCE)
@@ -227,7 +212,6 @@ def test_a_server_of_openpi_is_recognised_by_its_first_word(url: str) -> None:
 
 @pytest.mark.parametrize("hello", [b"\xc1", b"\x93\x01\x02\x03"])
 def test_what_is_neither_is_told_with_what_is_spoken(hello: bytes) -> None:
-    """Whatever comes first."""
     with policy_server(lambda obs: obs, hello) as url:
         for refused in (lambda: Client(url, config=ONCE), lambda: Client(f"openpi+{url}", config=CONFIG)):
             with pytest.raises(
@@ -237,7 +221,6 @@ def test_what_is_neither_is_told_with_what_is_spoken(hello: bytes) -> None:
 
 
 def test_text_first_is_how_a_server_refuses() -> None:
-    """It is quoted."""
     with (
         policy_server(lambda obs: obs, "no checkpoint") as url,
         pytest.raises(ServerConnectionError, match="no checkp"),
@@ -246,7 +229,6 @@ def test_text_first_is_how_a_server_refuses() -> None:
 
 
 def test_an_address_where_nothing_answers_is_told() -> None:
-    """After as many attempts as are allowed."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         silent = f"ws://127.0.0.1:{listener.getsockname()[1]}"
         with pytest.raises(ServerConnectionError, match=r"no openpi server at .* after 1 attempts"):
@@ -265,7 +247,6 @@ def test_a_server_that_waits_for_hello_is_told_apart() -> None:
 
 
 def test_an_http_server_is_told_with_what_is_spoken() -> None:
-    """The field has policies behind JSON over HTTP, too."""
     with _web() as url:
         for refused in (lambda: Client(url, config=ONCE), lambda: Client(f"openpi+{url}", config=CONFIG)):
             with pytest.raises(ServerConnectionError, match=r"HTTP 404.*JSON over HTTP are not spoken yet"):
@@ -294,7 +275,6 @@ def _web() -> Iterator[str]:
 
 
 def test_a_wire_that_is_not_spoken_is_refused(url: str) -> None:
-    """With those that are, and those that are not yet."""
     with pytest.raises(ConfigError, match=r"one of xpl, openpi, got 'groot'.*not spoken yet"):
         Client(url, config={"wire": "groot", "server": url})
     with pytest.raises(ConfigError, match=r"server says 'openpi' and wire says 'xpl'"):

@@ -33,13 +33,11 @@ VALUES = st.recursive(
 
 @given(VALUES)
 def test_both_codecs_read_what_the_other_writes(value: Any) -> None:
-    """Type, shape and every byte."""
     _assert_same(theirs.unpack(codec.pack(value)), value)
     _assert_same(codec.unpack(theirs.pack(value)), value)
 
 
 def test_scalars_of_numpy_travel_as_openpi_writes_them() -> None:
-    """Their type included."""
     for value in (np.float32(0.5), np.uint8(7), np.bool_(True)):
         for got in (theirs.unpack(codec.pack(value)), codec.unpack(theirs.pack(value))):
             assert (type(got), got) == (type(value), value)
@@ -87,14 +85,12 @@ def _array(**changed: Any) -> bytes:
     ],
 )
 def test_what_is_damaged_or_unsafe_is_refused(data: bytes, told: str) -> None:
-    """In one sentence, whatever a stranger sends."""
     with pytest.raises(WireError, match=told):
         codec.unpack(data)
 
 
 @given(st.binary(max_size=64))
 def test_any_bytes_are_read_or_refused(data: bytes) -> None:
-    """Nothing else happens."""
     try:
         codec.unpack(data)
     except WireError:
@@ -105,6 +101,5 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     "value", [object(), np.array([object()]), np.array([1j]), np.zeros(1, [("a", "<f4")]), {"a": {1, 2}}, 2**70]
 )
 def test_what_openpi_has_no_form_for_is_not_sent(value: Any) -> None:
-    """An error here is better than one that nobody understands there."""
     with pytest.raises(WireError, match="cannot be sent to openpi"):
         codec.pack(value)

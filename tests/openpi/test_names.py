@@ -24,7 +24,6 @@ def _names(openpi: Any, robot: str = "franka_single", action_type: str = "joint"
 
 
 def _observation(robot: str, action_type: str, seed: int = 0) -> dict[str, Any]:
-    """Return what an environment shows: states in their ranges, and images that are all different."""
     rng, body = np.random.default_rng(seed), get_embodiment(robot)
     state = {key: rng.random(width).astype(np.float32) for key, width in body.dims(action_type).items()}
     cameras = {name: {"color": rng.integers(0, 255, (4, 6, 3), np.uint8)} for name in body.cameras}
@@ -49,7 +48,6 @@ def test_every_style_keeps_an_observation_through_both_ways(style: str, action_t
 
 
 def test_the_styles_send_what_openpis_examples_send() -> None:
-    """Names, levels, order of axes and scale: make_droid_example and its like."""
     droid = _names({"style": "droid"}).values(_observation("franka_single", "joint"))
     assert set(droid) == {
         "observation/exterior_image_1_left",
@@ -73,7 +71,6 @@ def test_the_styles_send_what_openpis_examples_send() -> None:
 
 @given(st.sampled_from(["joint", "ee"]), st.sampled_from(["franka_single", "arx_x5"]), st.integers(0, 2**32 - 1))
 def test_actions_go_both_ways(action_type: str, robot: str, seed: int) -> None:
-    """In the embodiment's order, grippers on the other side's scale."""
     target = {"names": {"state": "state"}, "gripper": {"closed": 255, "open": 0}}
     names, body = _names(target, robot, action_type), get_embodiment(robot)
     rng = np.random.default_rng(seed)
@@ -89,7 +86,6 @@ def test_actions_go_both_ways(action_type: str, robot: str, seed: int) -> None:
 
 
 def test_names_of_ones_own_take_the_place_of_a_styles() -> None:
-    """An input goes with the name that was given for it; null is known, and not used."""
     own = {"observation/exterior_image_2_left": "vision.cam_head", "debug": None}
     names = _names({"style": "droid", "names": own})
     sent = names.values(_observation("franka_single", "joint"))
@@ -117,13 +113,11 @@ def test_names_of_ones_own_take_the_place_of_a_styles() -> None:
     ],
 )
 def test_a_mapping_that_is_unclear_is_refused(openpi: Any, robot: str, told: str) -> None:
-    """With the key, and what it takes."""
     with pytest.raises(ConfigError, match=told):
         _names(openpi, robot)
 
 
 def test_what_policy_yml_requires_has_a_name_and_comes() -> None:
-    """Before the first step where that can be known, and with the names to send where it cannot."""
     with pytest.raises(ConfigError, match=r"policy.yml requires vision.cam_third_view, for which openpi.names"):
         _names({"style": "droid"}, inputs={"required": ["vision.cam_third_view"]})
     short = _observation("franka_single", "joint")
@@ -155,7 +149,6 @@ def test_what_policy_yml_requires_has_a_name_and_comes() -> None:
     ],
 )
 def test_an_answer_that_holds_no_chunk_of_this_robot_is_refused(answer: Any, told: str) -> None:
-    """Whatever else the field's servers answer."""
     with pytest.raises(ActionError, match=told):
         _names({"style": "droid"}, temporal={"chunk": 2}).steps(answer)
 
@@ -177,6 +170,5 @@ def test_an_answer_that_holds_no_chunk_of_this_robot_is_refused(answer: Any, tol
     ],
 )
 def test_an_observation_of_another_form_is_refused(values: Any, told: str) -> None:
-    """Never guessed."""
     with pytest.raises(ObservationError, match=told):
         _names({"style": "droid"}).observation(values)

@@ -52,7 +52,6 @@ REQUIRED = ["state.arm_joint_state", "state.ee_joint_state", "vision.cam_head", 
 
 
 def observation(image: int = 7, **others: Any) -> dict[str, Any]:
-    """Return what openpi's DROID example sends: the gripper is nearly closed, which is near 1 there."""
     return {
         "observation/exterior_image_1_left": np.full((6, 8, 3), image, np.uint8),
         "observation/wrist_image_left": np.zeros((6, 8, 3), np.uint8),
@@ -65,20 +64,17 @@ def observation(image: int = 7, **others: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def subject(write_adapter: Callable[..., Path]) -> Path:
-    """Return an adapter whose actions tell how often it was asked in its episode, and what it saw."""
     return write_adapter(COUNTING, inputs={"required": REQUIRED}, temporal={"chunk": 2})
 
 
 @pytest.fixture(scope="module")
 def server(subject: Path) -> Iterator[RunningServer]:
-    """Serve it to both kinds of clients."""
     with serving(subject, DROID, options=ALSO) as running:
         yield running
 
 
 @pytest.fixture
 def openpi_url(server: RunningServer) -> str:
-    """Return where openpi's clients come in, once the place is free."""
     wait_until(lambda: _is_free(server), "the place is free")
     return server.also["openpi"]
 
@@ -103,7 +99,6 @@ def test_an_openpi_client_gets_metadata_and_chunks(openpi_url: str) -> None:
 
 
 def test_a_connection_is_an_episode(openpi_url: str) -> None:
-    """A new one begins anew, whatever the one before left behind, and even if it was lost without a goodbye."""
     for _ in range(2):
         peer = OpenpiPeer(openpi_url)
         assert [peer.infer(observation())["actions"][0, 0] for _ in range(2)] == [1, 2]
@@ -111,7 +106,6 @@ def test_a_connection_is_an_episode(openpi_url: str) -> None:
 
 
 def test_errors_are_text_and_the_connection_stays(openpi_url: str) -> None:
-    """Unknown names list what came, a missing input is named, a policy that raises is quoted; then all goes on."""
     with OpenpiPeer(openpi_url) as peer:
         for spoiled, told in (
             (
@@ -143,7 +137,6 @@ def test_answers_come_in_the_order_of_the_observations(openpi_url: str) -> None:
 
 
 def test_places_are_shared_with_other_clients(server: RunningServer, openpi_url: str) -> None:
-    """There is one worker: who comes second is told so, whichever wire it speaks."""
     with OpenpiPeer(openpi_url) as peer:
         second = Peer(server.url)
         refused = second.ask("hello", {"capabilities": {}})
@@ -159,7 +152,6 @@ def test_places_are_shared_with_other_clients(server: RunningServer, openpi_url:
 
 
 def test_a_token_is_asked_for_here_too(subject: Path, tmp_path: Path) -> None:
-    """As openpi's client announces it; without it nobody comes in."""
     file = tmp_path / "token"
     file.touch(0o600)
     file.write_text(TOKEN)
@@ -172,7 +164,6 @@ def test_a_token_is_asked_for_here_too(subject: Path, tmp_path: Path) -> None:
 
 
 def test_what_openpi_cannot_be_told_is_refused_before_the_model_loads(subject: Path, tmp_path: Path) -> None:
-    """One sentence, exit code 2."""
     done = xpl("serve", str(subject), "--port", "0", *ALSO, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert "`openpi` in deploy.yml has to say what its names mean, for example {style: droid}" in done.stderr
@@ -193,13 +184,11 @@ LIBERO = {"env_cfg_type": "franka_single", "action_type": "joint", "openpi": {"s
     ],
 )
 def test_other_wires_are_refused(also: list[str], told: str) -> None:
-    """With what the option takes."""
     with pytest.raises(UserError, match=told):
         entrances(also, LIBERO, Manifest(), {})
 
 
 def test_an_entrance_has_the_port_that_was_asked_for() -> None:
-    """The system chooses one where none was."""
     found = [
         {name: one.port for name, one in entrances(also, LIBERO, Manifest(), {}).items()}
         for also in ([], ["openpi"], ["openpi:8001"])
@@ -208,6 +197,5 @@ def test_an_entrance_has_the_port_that_was_asked_for() -> None:
 
 
 def test_names_that_lead_nowhere_are_refused() -> None:
-    """Before anybody is served, with the key of deploy.yml."""
     with pytest.raises(UserError, match=r"--also openpi: .*images.cam_left_wrist must stand for"):
         entrances(["openpi"], {**LIBERO, "openpi": {"style": "aloha"}}, Manifest(), {})

@@ -26,7 +26,6 @@ def test_an_exit_code_is_told_in_words(code: int, launched: bool, told: str) -> 
 
 
 def test_a_group_ends_with_its_leader() -> None:
-    """What the leader has started holds its output no longer; a group that has ended is no error."""
     waits = "[sys.executable, '-c', 'input()']"
     start = f"import subprocess, sys; subprocess.Popen({waits}); print('there', flush=True); input()"
     with subprocess.Popen(
@@ -41,5 +40,4 @@ def test_a_group_ends_with_its_leader() -> None:
 
 
 def test_our_path_settings_do_not_leak_into_another_interpreter() -> None:
-    """Everything else goes along."""
     assert spawn.variables({"PYTHONHOME": "/nowhere", "HOME": "/home"}) == {"HOME": "/home", "PYTHONUNBUFFERED": "1"}

@@ -17,7 +17,6 @@ ROBOTS = st.tuples(st.sampled_from(embodiment_names()), st.sampled_from(spec.ACT
 
 
 def good(name: str = "arx_x5", action_type: str = "joint") -> dict[str, Any]:
-    """Return a correct action step."""
     robot = get_embodiment(name)
     flat = np.full(action_dim(robot, action_type), 0.5, np.float32)
     return unpack(flat, robot, action_type)  # four halves are a unit quaternion
@@ -40,7 +39,6 @@ def good(name: str = "arx_x5", action_type: str = "joint") -> dict[str, Any]:
 def test_keys_and_dimensions_come_from_the_embodiment_in_packing_order(
     name: str, action_type: str, keys: dict[str, int]
 ) -> None:
-    """[arm, end effector], left before right."""
     robot = get_embodiment(name)
     assert list(robot.dims(action_type).items()) == list(keys.items())
     flat = np.arange(sum(keys.values()), dtype=np.float32)
@@ -58,7 +56,6 @@ def test_an_alias_names_the_same_robot_and_a_typo_gets_a_hint() -> None:
 
 @given(ROBOTS, st.data())
 def test_unpack_inverts_pack(robot: tuple[str, str], data: st.DataObject) -> None:
-    """For every robot and any numbers; lists are as good as arrays, and results are new."""
     embodiment, action_type = get_embodiment(robot[0]), robot[1]
     dim = action_dim(embodiment, action_type)
     flat = data.draw(st.lists(st.floats(width=32, allow_nan=False), min_size=dim, max_size=dim))
@@ -92,13 +89,11 @@ def test_unpack_inverts_pack(robot: tuple[str, str], data: st.DataObject) -> Non
     ],
 )
 def test_a_wrong_step_is_refused_with_the_difference(key: str, value: Any, message: str) -> None:
-    """Keys, dimensions, values."""
     with pytest.raises(ActionError, match=message):
         check_step({**good(), key: value}, get_embodiment("arx_x5"), "joint")
 
 
 def test_a_missing_key_and_a_wrong_quaternion_are_refused() -> None:
-    """The error lists what is needed."""
     step = good("arx_x5", "ee")
     check_step(step, get_embodiment("arx_x5"), "ee")
     with pytest.raises(ActionError, match="unit quaternion"):
@@ -109,7 +104,6 @@ def test_a_missing_key_and_a_wrong_quaternion_are_refused() -> None:
 
 
 def test_a_hand_is_in_radians_and_may_leave_zero_to_one() -> None:
-    """Only parallel grippers are normalised."""
     step = good("tianji_marvin_wuji")
     step["left_ee_joint_state"] = np.full(20, -1.5)
     check_step(step, get_embodiment("tianji_marvin_wuji"), "joint")
@@ -117,19 +111,16 @@ def test_a_hand_is_in_radians_and_may_leave_zero_to_one() -> None:
 
 @pytest.mark.parametrize("chunk", [None, {}, "text", [], 3, [None], [good(), {}], np.zeros((2, 14))])
 def test_a_chunk_is_a_non_empty_list_of_steps(chunk: Any) -> None:
-    """Anything else is refused."""
     with pytest.raises(ActionError):
         check_chunk(chunk, get_embodiment("arx_x5"), "joint")
 
 
 def test_the_error_names_the_step() -> None:
-    """Of how many."""
     with pytest.raises(ActionError, match="step 1 of 3: action step lacks"):
         check_chunk([good(), {}, good()], get_embodiment("arx_x5"), "joint")
 
 
 def test_an_action_type_that_does_not_exist_is_refused() -> None:
-    """By every helper."""
     with pytest.raises(ValueError, match="joint, ee"):
         action_dim(get_embodiment("piper"), "qpos")
 
@@ -157,13 +148,11 @@ def test_small_overshoot_is_repaired_and_large_is_not() -> None:
 
 @pytest.mark.parametrize("raw", [[], np.zeros((0, 8)), np.zeros((2, 7)), np.zeros(8), np.zeros((1, 2, 8))])
 def test_rows_of_another_width_or_none_at_all_are_refused(raw: Any) -> None:
-    """With the width that is right."""
     with pytest.raises(ActionError, match="rows of 8 values"):
         decode_rows(raw, SINGLE, "joint")
 
 
 def test_decoded_steps_share_no_memory() -> None:
-    """Neither with the model's output nor with each other."""
     raw = np.full((2, 8), 0.5, np.float32)
     first, second = decode_rows(raw, SINGLE, "joint")
     first["arm_joint_state"][:] = 9
@@ -188,7 +177,6 @@ def test_ensembling_weights_by_hand() -> None:
 
 @given(st.integers(0, 2**32 - 1), st.lists(st.booleans(), min_size=4, max_size=4))
 def test_the_sign_of_a_quaternion_does_not_matter(seed: int, flips: list[bool]) -> None:
-    """A rotation has two quaternions, q and -q: a model may give either at every step."""
     rng = np.random.default_rng(seed)
     robot = get_embodiment("arx_x5")
     columns = quaternion_columns(robot, "ee")
@@ -214,7 +202,6 @@ def test_the_sign_of_a_quaternion_does_not_matter(seed: int, flips: list[bool]) 
 
 
 def test_antipodal_quaternions_do_not_cancel() -> None:
-    """Their plain average is zero."""
     predictions: dict[int, np.ndarray] = {}
     pose = np.array([[0, 0, 0, 1.0, 0, 0, 0, 0.5]] * 2)
     ensemble(predictions, pose, 0, 0.0, [slice(3, 7)])

@@ -35,32 +35,25 @@ CONFIG = {"task": "push", "embodiment": "franka_single", "cameras": False}
 
 
 class Table(Episode):
-    """A disc on a table, and what becomes of it in metres."""
-
     down, metre = -1.0, 1000.0
 
     def reset(self, seed: int) -> None:
-        """Put the disc somewhere."""
         self.disc = np.random.default_rng(seed).uniform(100, 400, 2)
         self.told: NDArray[np.float64] | None = None
 
     def state(self) -> Mapping[str, Any]:
-        """Return the disc as a flange in metres, y upwards."""
         x, y = self.disc[0] / self.metre, (self.down * self.disc[1] + HEIGHT * (self.down < 0)) / self.metre
         return {"ee_pose": np.array([x, y, 0.1, 1, 0, 0, 0]), "ee_joint_state": np.zeros(1)}
 
     def step(self, action: Mapping[str, Any]) -> None:
-        """Move the disc where it is told to be."""
         x, y = action["ee_pose"][:2] * self.metre
         self.told = np.array([x, (y - HEIGHT * (self.down < 0)) * self.down])
         self.disc = self.told
 
     def score(self) -> float:
-        """Return 0: nothing is won here."""
         return 0.0
 
     def simulated(self) -> Simulated:
-        """Return the disc in pixels."""
         return Simulated(self.disc.copy(), self.told)
 
 
@@ -71,10 +64,7 @@ class Mirrored(Table):
 
 
 class Silent(Table):
-    """Does not say what its simulator does."""
-
     def simulated(self) -> None:
-        """Return nothing."""
         return
 
 
@@ -91,12 +81,10 @@ class Client:
         self.instructions: set[str] = set()
 
     def reset(self) -> None:
-        """Forget the chunk."""
         self.resets.append(0)
         self.left: list[Any] = []
 
     def __call__(self, observation: Any, instruction: str) -> Any:
-        """Return the next command."""
         self.instructions.add(instruction)
         self.left = self.left or list(network(observation)[:2])
         return self.left.pop(0)
@@ -106,16 +94,13 @@ class Adapter(Policy):
     """The same network, asked in the standard's words; knows the table as its authors do."""
 
     def encode(self, obs: Any, env: int) -> Any:
-        """Return the disc in pixels."""
         x, y = np.asarray(obs["state"]["ee_pose"], np.float64)[:2] * 1000
         return np.array([x, HEIGHT - y])
 
     def predict(self, inputs: Any, envs: Sequence[int]) -> Any:
-        """Return one chunk for each environment."""
         return np.stack([network(one) for one in inputs])
 
     def decode(self, output: Any, obs: Any, env: int) -> Any:
-        """Return poses."""
         return [self._pose(obs, *pixels) for pixels in output]
 
     def _pose(self, obs: Any, x: float, y: float) -> Any:
@@ -125,21 +110,15 @@ class Adapter(Policy):
 
 
 class Shifted(Adapter):
-    """Counts pixels from one."""
-
     def encode(self, obs: Any, env: int) -> Any:
-        """Return the disc beside itself."""
         return super().encode(obs, env) + 1
 
 
 class Asked:
-    """A policy in this process, asked as `xpl.Client` is."""
-
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
 
     def call(self, func_name: str, obs: Any = None) -> Any:
-        """Run an operation of the policy."""
         operation = getattr(self.policy, func_name)
         return operation() if obs is None else operation(obs)
 
@@ -147,7 +126,6 @@ class Asked:
 def crossed(
     episode: type[Episode], adapter: type[Policy] = Adapter, client: Callable[..., Any] | None = None
 ) -> Bridge:
-    """Play two episodes and return the bridge."""
     bridge = Bridge(Environment(episode, EnvManifest.parse(MANIFEST), CONFIG), client or Client())
     policy = adapter({"env_cfg_type": "franka_single", "action_type": "ee", "manifest": {"temporal": {"chunk": 3}}})
     for seed in (3, 4):
@@ -157,7 +135,6 @@ def crossed(
 
 
 def test_two_routes_that_are_right_command_the_same() -> None:
-    """In the simulator's units, at every step of every episode, chunk by chunk."""
     client = Client()
     found = crossed(Table, client=client).verdict()
     assert (found.agree, found.steps, found.corrected, found.first) == (True, 18, 0, None)
@@ -170,7 +147,6 @@ def test_two_routes_that_are_right_command_the_same() -> None:
     ("episode", "adapter"), [(Mirrored, Adapter), (Table, Shifted)], ids=["environment", "adapter"]
 )
 def test_a_mistake_on_either_side_is_told_at_its_first_step(episode: type[Episode], adapter: type[Policy]) -> None:
-    """Also one that the environment's own checks cannot see."""
     found = crossed(episode, adapter).verdict()
     assert not found.agree
     assert found.first is not None
@@ -179,8 +155,6 @@ def test_a_mistake_on_either_side_is_told_at_its_first_step(episode: type[Episod
 
 
 def test_steps_that_the_robot_s_limits_changed_are_left_out() -> None:
-    """The client knows nothing of them; where nothing else is left, nothing is proven."""
-
     class Far(Adapter):
         def _pose(self, obs: Any, x: float, y: float) -> Any:
             return super()._pose(obs, x + 5000, y)
@@ -192,7 +166,6 @@ def test_steps_that_the_robot_s_limits_changed_are_left_out() -> None:
 
 
 def test_what_cannot_be_compared_is_said() -> None:
-    """An environment that does not tell, and a client that commands something else."""
     with pytest.raises(BridgeError, match="needs `simulated\\(\\)`"):
         crossed(Silent)
     with pytest.raises(BridgeError, match="was told 2 numbers, the authors' client commands 7"):
@@ -202,7 +175,6 @@ def test_what_cannot_be_compared_is_said() -> None:
 
 
 def test_a_number_that_is_none_differs() -> None:
-    """NaN is no agreement."""
     bridge = crossed(Table)
     bridge.crossings[4].ours[1] = np.nan
     found: Verdict = bridge.verdict()

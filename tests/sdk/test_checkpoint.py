@@ -14,7 +14,6 @@ RUN_FOLDER = "checkpoints/RoboTwin-demo-arx_x5-joint-0"
 
 @pytest.fixture
 def policy(tmp_path: Path) -> Path:
-    """Return a policy folder in which every rule could find something."""
     for name in ("given", "demo", RUN_FOLDER, "checkpoints/demo", "runs/demo"):
         (tmp_path / name).mkdir(parents=True)
     return tmp_path
@@ -22,12 +21,10 @@ def policy(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("key", spec.CHECKPOINT_KEYS)
 def test_an_explicit_path_comes_first(policy: Path, key: str) -> None:
-    """Relative to the policy folder."""
     assert resolve({**RUN, key: "given"}, policy) == policy / "given"
 
 
 def test_absolute_and_home_paths_are_kept(policy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They start where they say."""
     monkeypatch.setenv("HOME", str(policy))
     assert resolve({"model_path": str(policy / "given")}, Path("/nowhere")) == policy / "given"
     assert resolve({"model_path": "~/given"}, Path("/nowhere")) == policy / "given"
@@ -36,7 +33,6 @@ def test_absolute_and_home_paths_are_kept(policy: Path, monkeypatch: pytest.Monk
 def test_the_working_directory_plays_no_part(
     policy: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: Any
 ) -> None:
-    """An adapter is started from anywhere."""
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     (elsewhere / "only_here").mkdir()
     monkeypatch.chdir(elsewhere)
@@ -47,13 +43,11 @@ def test_the_working_directory_plays_no_part(
 
 @pytest.mark.parametrize("key", spec.CHECKPOINT_KEYS)
 def test_an_explicit_path_that_is_missing_is_an_error(policy: Path, key: str) -> None:
-    """Although every other rule would find something."""
     with pytest.raises(CheckpointError, match=f"{key} is 'missing'.*does not exist"):
         resolve({**RUN, key: "missing"}, policy)
 
 
 def test_the_name_as_a_path_comes_second(policy: Path) -> None:
-    """A name with the form of a path must exist; a bare one may be an entry of the policy folder."""
     assert resolve({**RUN, "ckpt_name": "runs/demo"}, policy) == policy / "runs/demo"
     assert resolve(RUN, policy) == policy / "demo"
     for missing in ("./runs/other", "runs/other", "~/nothing/there"):
@@ -62,7 +56,6 @@ def test_the_name_as_a_path_comes_second(policy: Path) -> None:
 
 
 def test_the_conventional_run_comes_third_and_the_folder_of_the_name_last(policy: Path) -> None:
-    """Each found only where nothing before it is."""
     (policy / "demo").rmdir()
     assert resolve(RUN, policy) == policy / RUN_FOLDER
     (policy / RUN_FOLDER).rmdir()
@@ -74,7 +67,6 @@ def test_the_conventional_run_comes_third_and_the_folder_of_the_name_last(policy
 
 
 def test_seed_zero_is_part_of_a_run_name() -> None:
-    """And `dataset_name` stands for `bench_name`."""
     assert run_name(RUN) == "RoboTwin-demo-arx_x5-joint-0"
     aliased = {**RUN, "bench_name": None, "dataset_name": "other"}
     assert run_name(aliased) == "other-demo-arx_x5-joint-0"
@@ -97,7 +89,6 @@ def test_a_number_is_a_name(policy: Path) -> None:
 
 @pytest.fixture
 def steps(tmp_path: Path) -> Path:
-    """Return a folder with steps 0, 5, 50000 and things that are none."""
     for name in ("step_0", "checkpoint-50000", "notes", "step_5_backup"):
         (tmp_path / name).mkdir()
     (tmp_path / "5.ckpt").touch()
@@ -106,7 +97,6 @@ def steps(tmp_path: Path) -> Path:
 
 
 def test_a_step_is_found_by_its_number(steps: Path) -> None:
-    """0 is a step; 5 is not 50000; none asks for the newest."""
     assert resolve_step(steps, 0).name == "step_0"
     assert resolve_step(steps, 5).name == "5.ckpt"
     assert resolve_step(steps, 50000).name == "checkpoint-50000"
@@ -115,13 +105,11 @@ def test_a_step_is_found_by_its_number(steps: Path) -> None:
 
 @pytest.mark.parametrize("step", [1, 50, 500, 5000, 500000])
 def test_a_missing_step_is_an_error_and_never_another_step(steps: Path, step: int) -> None:
-    """The error lists those that are there."""
     with pytest.raises(CheckpointError, match="there are: 0, 5, 50000"):
         resolve_step(steps, step)
 
 
 def test_two_entries_of_one_step_are_an_error(steps: Path) -> None:
-    """Which of them was meant cannot be known."""
     (steps / "step_5").mkdir()
     with pytest.raises(CheckpointError, match=r"several entries of step 5: 5\.ckpt, step_5"):
         resolve_step(steps, 5)
@@ -130,11 +118,9 @@ def test_two_entries_of_one_step_are_an_error(steps: Path) -> None:
 
 @pytest.mark.parametrize("name", ["missing", "config.json", "notes"])
 def test_a_folder_without_steps_is_an_error(steps: Path, name: str) -> None:
-    """So is a file, and nothing."""
     with pytest.raises(CheckpointError, match="there are: none"):
         resolve_step(steps / name, None)
 
 
 def test_the_pattern_is_the_callers(steps: Path) -> None:
-    """Group 1 is the step."""
     assert resolve_step(steps, 5, r"step_(\d+)_backup").name == "step_5_backup"

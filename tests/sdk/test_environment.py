@@ -31,8 +31,6 @@ HOLD = {"arm_joint_state": HOME.astype(np.float32), "ee_joint_state": np.ones(1,
 
 
 class _Counter(Episode):
-    """Counts steps; the seed is how many it takes to succeed."""
-
     made = 0
 
     def __init__(self, setup: Any) -> None:
@@ -69,7 +67,6 @@ def _env(**config: Any) -> Environment:
 
 
 def test_an_episode_ends_with_success_or_with_its_step_limit() -> None:
-    """The seed says when; both leave the running list, and results keep what happened."""
     env = _env(num_envs=2)
     env.reset([2, 50])
     assert env.get_running_env_idx_list() == [0, 1]
@@ -97,7 +94,6 @@ def test_limits_are_kept_and_corrections_reported_and_counted() -> None:
 
 
 def test_a_value_that_is_not_finite_ends_the_episode_and_reaches_no_simulator() -> None:
-    """The author's step never sees it."""
     env = _env(privileged=True)
     env.reset([50])
     report = env.take_action({**HOLD, "ee_joint_state": np.array([np.nan], np.float32)})
@@ -116,7 +112,6 @@ def test_a_value_that_is_not_finite_ends_the_episode_and_reaches_no_simulator() 
     ],
 )
 def test_a_wrong_action_is_refused_by_name_and_nothing_moves(action: Any, said: str) -> None:
-    """Whether the episode goes on or not."""
     env = _env(privileged=True)
     env.reset([50])
     with pytest.raises(ActionError, match=said.replace("(", r"\(").replace(")", r"\)")):
@@ -142,13 +137,11 @@ def test_a_wrong_action_is_refused_by_name_and_nothing_moves(action: Any, said: 
     ],
 )
 def test_what_is_not_offered_is_refused_with_what_is(config: dict[str, Any], said: str) -> None:
-    """Each sentence names the value, and what would do."""
     with pytest.raises(ValueError, match=said):
         _env(**config)
 
 
 def test_seeds_count_on_and_their_number_is_checked() -> None:
-    """Where none are given, and where there are too few."""
     env = _env(num_envs=2, seed=5)
     for expected in ([5, 6], [7, 8]):
         env.reset()
@@ -173,7 +166,6 @@ def test_a_simulator_is_made_once_for_each_environment_until_the_options_change(
 
 
 def test_last_frame_draws_nothing_and_an_observation_is_the_callers() -> None:
-    """The same observation again after a step, and a new one when asked for; changing it changes nothing."""
     env = _env()
     env.reset([50])
     (first,) = env.get_obs_batch()
@@ -187,7 +179,6 @@ def test_last_frame_draws_nothing_and_an_observation_is_the_callers() -> None:
 
 
 def test_people_see_through_any_camera(tmp_path: Path) -> None:
-    """By name, and the first one by default."""
     env = _env(cameras=False)
     env.reset([50])
     assert env.render().shape == (2, 2, 3)
@@ -196,7 +187,6 @@ def test_people_see_through_any_camera(tmp_path: Path) -> None:
 
 
 def test_nothing_works_before_reset_and_indices_are_checked() -> None:
-    """With a sentence that says what to do."""
     env = _env(num_envs=2)
     with pytest.raises(RuntimeError, match="call reset first"):
         env.results()

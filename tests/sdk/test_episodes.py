@@ -13,7 +13,6 @@ ENVS = st.integers(0, CLIENT_ENVS - 1)
 
 @given(CLIENTS, ENVS, CLIENTS, ENVS)
 def test_no_two_clients_share_a_number(client: int, env: int, other: int, another: int) -> None:
-    """And a number leads back to what the client calls the environment."""
     number = shared_index(client, env)
     assert own_index(number) == env
     assert (number == shared_index(other, another)) == ((client, env) == (other, another))
@@ -21,7 +20,6 @@ def test_no_two_clients_share_a_number(client: int, env: int, other: int, anothe
 
 @given(CLIENTS, ENVS)
 def test_seeds_are_those_of_a_client_alone(client: int, env: int) -> None:
-    """Whoever else shares the model; a second reset without an observation between does not count."""
     alone, shared = EpisodeCounter(), EpisodeCounter()
     number, other = shared_index(client, env), shared_index(client + 1, env)
     for _ in range(2):

@@ -27,7 +27,6 @@ def picture() -> np.ndarray:
 
 
 def jpeg(image: np.ndarray, **options: Any) -> bytes:
-    """Return a plain JPEG without our marker."""
     target = io.BytesIO()
     Image.fromarray(image).save(target, "JPEG", quality=95, **options)
     return target.getvalue()
@@ -39,7 +38,6 @@ def legacy(image: np.ndarray) -> bytes:
 
 
 def is_picture(image: np.ndarray) -> bool:
-    """Tell whether an image is ours up to the codec's error, red and blue on their sides."""
     assert image.dtype == np.uint8
     assert image.shape == (32, 64, 3)
     inner = np.abs(image.astype(int) - picture())[:, [*range(24), *range(40, 64)]]
@@ -47,12 +45,10 @@ def is_picture(image: np.ndarray) -> bool:
 
 
 def with_segment(data: bytes, kind: int, content: bytes, before: bytes = b"") -> bytes:
-    """Insert a segment after the start of a JPEG."""
     return data[:2] + before + bytes([0xFF, kind]) + (len(content) + 2).to_bytes(2, "big") + content + data[2:]
 
 
 def test_a_marked_jpeg_is_true_rgb() -> None:
-    """And other programs see the right colours, too."""
     data = images.encode_jpeg(picture())
     assert images.has_marker(data)
     assert is_picture(images.decode(data))
@@ -68,7 +64,6 @@ def test_a_legacy_jpeg_decodes_to_rgb() -> None:
 
 
 def test_the_marker_is_found_wherever_a_header_segment_may_be() -> None:
-    """After application data, other comments, fill bytes and segments without a length."""
     plain = jpeg(picture())
     marked = with_segment(plain, 0xFE, spec.JPEG_MARKER)
     assert images.has_marker(marked)
@@ -81,7 +76,6 @@ def test_the_marker_is_found_wherever_a_header_segment_may_be() -> None:
 
 
 def test_the_marker_elsewhere_is_no_marker() -> None:
-    """Inside other data, as part of a comment, after the start of scan, behind the end of the file."""
     plain = legacy(picture())
     assert not images.has_marker(with_segment(plain, 0xE1, spec.JPEG_MARKER))
     assert not images.has_marker(with_segment(plain, 0xFE, b"not " + spec.JPEG_MARKER))
@@ -91,12 +85,10 @@ def test_the_marker_elsewhere_is_no_marker() -> None:
 @settings(max_examples=examples(200))
 @given(st.binary(max_size=60))
 def test_the_search_for_the_marker_ends_on_any_bytes(data: bytes) -> None:
-    """Also when lengths lie."""
     assert images.has_marker(b"\xff\xd8" + data) in {True, False}
 
 
 def test_png_has_no_legacy_form() -> None:
-    """Lossless, and never exchanged."""
     assert np.array_equal(images.decode(images.encode_png(picture())), picture())
 
 
@@ -110,7 +102,6 @@ def test_padding_and_containers_do_not_matter(data: bytes) -> None:
 
 @pytest.mark.parametrize("data", [b"", b"\xff\xd8", b"no image", images.encode_png(picture())[:60], bytes(100)])
 def test_what_is_no_image_is_an_observation_error(data: bytes) -> None:
-    """One sentence, whatever the decoder raised."""
     with pytest.raises(ObservationError, match="do not decode as an image"):
         images.decode(data)
 
@@ -118,7 +109,6 @@ def test_what_is_no_image_is_an_observation_error(data: bytes) -> None:
 @settings(max_examples=examples(100), deadline=None)
 @given(st.sampled_from(["jpeg", "png"]), st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=9))
 def test_damaged_images_raise_nothing_else(kind: str, damage: list[tuple[int, int]]) -> None:
-    """Decoded or refused."""
     data = bytearray(images.encode_jpeg(picture()) if kind == "jpeg" else images.encode_png(picture()))
     for position, byte in damage:
         data[position % len(data)] = byte
@@ -136,7 +126,6 @@ def test_a_small_file_cannot_unpack_to_gigabytes() -> None:
 
 
 def test_formats_that_start_programs_are_not_read() -> None:
-    """PostScript would be handed to an interpreter."""
     eps = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n"
     with pytest.raises(ObservationError):
         images.decode(eps)
@@ -144,7 +133,6 @@ def test_formats_that_start_programs_are_not_read() -> None:
 
 @pytest.mark.parametrize("image", [np.zeros((2, 2)), np.zeros((2, 2, 3)), np.zeros((2, 2, 4), np.uint8)])
 def test_only_rgb_is_encoded(image: np.ndarray) -> None:
-    """(H, W, 3) uint8."""
     for encode in (images.encode_jpeg, images.encode_png):
         with pytest.raises(ObservationError, match=r"\(H, W, 3\) uint8"):
             encode(image)
@@ -153,7 +141,6 @@ def test_only_rgb_is_encoded(image: np.ndarray) -> None:
 @pytest.mark.parametrize("spelling", ["color", "colors", "rgb", "image", None])
 @pytest.mark.parametrize("form", [bytes, lambda data: np.frombuffer(data, np.uint8)], ids=["bytes", "array"])
 def test_an_observation_is_decoded_under_every_spelling(spelling: str | None, form: Any) -> None:
-    """Colour only; what was given stays as it was."""
     encoded = form(images.encode_png(picture()))
     depth = np.ones((2, 2), np.float32)
     camera: Any = encoded if spelling is None else {spelling: encoded, "depth": depth, "own": b"bytes"}
@@ -175,5 +162,4 @@ def test_an_observation_is_decoded_under_every_spelling(spelling: str | None, fo
 
 @pytest.mark.parametrize("value", [None, 3, "text", [1], {}, {"vision": None}, {"vision": {"cam_head": None}}])
 def test_what_holds_no_image_passes_through(value: Any) -> None:
-    """Arguments of a call are not always observations."""
     assert images.decode_observation(value) == value

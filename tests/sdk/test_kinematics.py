@@ -18,7 +18,6 @@ KNOWN = sorted(name for name, entry in shipped.entries().items() if robots.has_f
 
 @pytest.fixture(params=KNOWN)
 def chain(request: pytest.FixtureRequest) -> Chain:
-    """The arm of every embodiment whose joint frames are known."""
     return Chain.from_embodiment(robots.entries()[request.param])
 
 
@@ -28,7 +27,6 @@ def _random_joints(chain: Chain, rng: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize("name", DRIVEN)
 def test_forward_kinematics_agrees_with_mujoco(name: str) -> None:
-    """Flange and tcp, in the world, are where the simulated arm has its sites, and point the same way."""
     mujoco = pytest.importorskip("mujoco")
     folder = room("envs") / "mujoco"
     facts = load_module(folder / "manifest.py").manifest().data
@@ -51,7 +49,6 @@ def test_forward_kinematics_agrees_with_mujoco(name: str) -> None:
 
 @pytest.mark.parametrize("name", KNOWN)
 def test_a_model_of_the_same_numbers_stands_where_the_kinematics_says(name: str) -> None:
-    """MuJoCo, which reads roll, pitch and yaw itself, puts every joint, the flange and the tcp of our robots there."""
     mujoco = pytest.importorskip("mujoco")
     entry = robots.entries()[name]
     made = mujoco.MjSpec()
@@ -84,7 +81,6 @@ def _turned(mujoco: Any, item: Any, rpy: list[float]) -> Any:
 
 
 def test_jacobian_is_the_derivative(chain: Chain) -> None:
-    """Linear rows by differences of positions, angular rows by differences of rotations; for the flange and the tcp."""
     rng, step = np.random.default_rng(1), 1e-6
     for point in (chain.flange, *([] if chain.tcp_offset is None else [chain.tcp])):
         joints = _random_joints(chain, rng)
@@ -97,7 +93,6 @@ def test_jacobian_is_the_derivative(chain: Chain) -> None:
 
 
 def test_warm_started_solutions_reach_their_target(chain: Chain) -> None:
-    """From a configuration near by, every reachable pose is met within the tolerance and the limits."""
     rng = np.random.default_rng(2)
     for _ in range(50):
         joints = _random_joints(chain, rng)
@@ -112,7 +107,6 @@ def test_warm_started_solutions_reach_their_target(chain: Chain) -> None:
 
 @pytest.mark.sampled(9)
 def test_search_finds_what_is_far_from_the_start(chain: Chain) -> None:
-    """Planning from the middle of the limits reaches nearly every pose of the arm."""
     rng = np.random.default_rng(3)
     middle = 0.5 * (chain.lower + chain.upper)
     found = [chain.search(chain.flange(_random_joints(chain, rng)), middle, attempts=16).converged for _ in range(40)]
@@ -120,7 +114,6 @@ def test_search_finds_what_is_far_from_the_start(chain: Chain) -> None:
 
 
 def test_a_pose_that_holds_is_left_alone(chain: Chain) -> None:
-    """Solving for where the arm is returns the same joints, bit by bit: commanding the current pose stays."""
     joints = 0.5 * (chain.lower + chain.upper)
     solution = chain.solve(chain.flange(joints), joints)
     assert solution.iterations == 0
@@ -128,7 +121,6 @@ def test_a_pose_that_holds_is_left_alone(chain: Chain) -> None:
 
 
 def test_the_sign_of_a_quaternion_does_not_matter(chain: Chain) -> None:
-    """Both q and -q ask for the same rotation."""
     joints = 0.4 * chain.lower + 0.6 * chain.upper
     target = chain.flange(joints + 0.02)
     flipped = pose(target[:3], -target[3:])
@@ -137,7 +129,6 @@ def test_the_sign_of_a_quaternion_does_not_matter(chain: Chain) -> None:
 
 
 def test_a_pose_out_of_reach_is_reported(chain: Chain) -> None:
-    """Two metres away nothing converges; the arm stretches towards it and says how far it is off."""
     middle = 0.5 * (chain.lower + chain.upper)
     target = pose([2.0, 0.0, 0.3], chain.flange(middle)[3:])
     solution = chain.solve(target, middle)
@@ -160,7 +151,6 @@ def test_solving_is_fast_enough_for_control(chain: Chain) -> None:
 
 
 def test_frames_compose_and_invert() -> None:
-    """A pose and its inverse cancel; points follow frames; batches work."""
     rng = np.random.default_rng(4)
     a = pose(rng.normal(size=(6, 3)), rotation.normalise(rng.normal(size=(6, 4))))
     b = pose(rng.normal(size=3), rotation.normalise(rng.normal(size=4)))
@@ -171,13 +161,11 @@ def test_frames_compose_and_invert() -> None:
 
 
 def test_dimensions_without_frames_have_no_kinematics() -> None:
-    """An embodiment of which only dimensions are known is refused by name."""
     with pytest.raises(KinematicsError, match="tianji_marvin_wuji"):
         Chain.from_embodiment(shipped.entries()["tianji_marvin_wuji"])
 
 
 @pytest.mark.parametrize("bad", [[0.0] * 5, [np.nan] * 6])
 def test_malformed_joints_are_refused(bad: Any) -> None:
-    """The error says what was expected."""
     with pytest.raises(KinematicsError, match="6 finite numbers"):
         Chain.from_embodiment(shipped.entries()["arx_x5"]).flange(bad)

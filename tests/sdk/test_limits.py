@@ -107,7 +107,6 @@ class _RuntimeOnly(ast.NodeTransformer):
 
 
 def _newer_python(source: Path, scratch: Path) -> str:
-    """Ask vermin what in the folder `source` needs more than Python 3.9; return its report, empty if nothing does."""
     for path in source.rglob("*.py"):
         tree = _RuntimeOnly().visit(ast.parse(path.read_text(encoding="utf-8")))
         copy = scratch / path.relative_to(source)
@@ -118,7 +117,6 @@ def _newer_python(source: Path, scratch: Path) -> str:
 
 
 def _vermin(folder: Path, *options: str) -> str:
-    """Return vermin's report on a folder if that needs more than Python 3.9, else an empty text."""
     command: list[str | Path] = [Path(sysconfig.get_path("scripts"), "vermin"), "--no-tips", "--violations"]
     command += ["--target=3.9-", *options, folder]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -127,7 +125,6 @@ def _vermin(folder: Path, *options: str) -> str:
 
 
 def _imports_when_loaded(root: Path, modules: list[str]) -> list[str]:
-    """Import `modules` from the folder `root` in a fresh interpreter; list the imports that are not allowed."""
     command = [sys.executable, "-c", WATCH, str(root), *modules]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
 
@@ -138,7 +135,6 @@ def _module_name(path: Path) -> str:
 
 
 def _imported(node: ast.AST) -> list[str]:
-    """Name the top-level packages that an import statement brings in."""
     if isinstance(node, ast.Import):
         return [alias.name.partition(".")[0] for alias in node.names]
     if isinstance(node, ast.ImportFrom) and not node.level and node.module:
@@ -156,7 +152,6 @@ def _third_party(tree: ast.AST) -> Iterator[tuple[int, str]]:
 
 @pytest.mark.slow
 def test_the_sdk_needs_no_more_than_python_3_9(tmp_path: Path) -> None:
-    """No syntax and no standard-library name in `xpl/` is newer."""
     sources = copy(tmp_path / "sources", "xpl/**/*.py")
     assert _newer_python(sources / "xpl", tmp_path / "copies") == ""
 
@@ -167,7 +162,6 @@ def test_the_sdk_needs_no_more_than_python_3_9(tmp_path: Path) -> None:
     ids=["syntax", "union", "argument", "module"],
 )
 def test_newer_python_is_noticed(code: str, tmp_path: Path) -> None:
-    """The check above would fail: each of these needs 3.10 or 3.11."""
     (tmp_path / "source").mkdir()
     (tmp_path / "source/newer.py").write_text(code, encoding="utf-8")
     assert _newer_python(tmp_path / "source", tmp_path / "scratch")
@@ -179,7 +173,6 @@ def test_loading_the_sdk_imports_nothing_but_numpy() -> None:
 
 
 def test_an_import_at_load_time_is_noticed(tmp_path: Path) -> None:
-    """The check above names module and import, also where the module would go on without it."""
     code = "try:\n    import msgpack\nexcept ImportError:\n    msgpack = None\n"
     (tmp_path / "xpl").mkdir()
     (tmp_path / "xpl/__init__.py").touch()
@@ -198,7 +191,6 @@ def test_third_party_imports_stay_in_their_modules(path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def old_python() -> str:
-    """Return a Python 3.9 or 3.10 of this machine."""
     for version in ("3.9", "3.10"):
         # A pyenv shim runs only when told its version.
         env = {**os.environ, "PYENV_VERSION": version}
@@ -212,7 +204,6 @@ def old_python() -> str:
 
 @pytest.fixture(scope="module")
 def sdk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the SDK wheel; Python imports from it as from a folder."""
     return sdk_wheel.build(tmp_path_factory.mktemp("sdk")).path
 
 
@@ -222,7 +213,6 @@ def _run_old(python: str, code: str, *arguments: str | Path) -> subprocess.Compl
 
 
 def test_the_sdk_compiles_in_an_old_python(old_python: str, sdk: Path) -> None:
-    """The interpreter itself accepts the syntax of every module."""
     code = """
         import sys, zipfile
         wheel = zipfile.ZipFile(sys.argv[1])
@@ -235,7 +225,6 @@ def test_the_sdk_compiles_in_an_old_python(old_python: str, sdk: Path) -> None:
 
 
 def test_the_sdk_loads_in_an_old_python(old_python: str, sdk: Path) -> None:
-    """Every module of the wheel imports there."""
     if _run_old(old_python, "import numpy").returncode:
         pytest.skip(f"{Path(old_python).name} has no numpy, and tests install nothing from the network")
     code = """

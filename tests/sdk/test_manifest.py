@@ -25,7 +25,6 @@ JSON = st.recursive(
 
 
 def declared(schema: dict[str, Any]) -> dict[str, Any]:
-    """Return the keys of an object schema, through references, alternatives with null, and list items."""
     if "$ref" in schema:
         document, _, pointer = schema["$ref"].partition("#/")
         found: Any = spec.schema(document.rpartition("/")[2] or "policy")
@@ -79,7 +78,6 @@ def test_fields_are_those_of_the_schema(kind: type, properties: dict[str, Any]) 
 
 @given(JSON)
 def test_any_document_is_read(data: object) -> None:
-    """What has another type than is declared counts as missing: the schema check tells about it."""
     keys = dict.fromkeys([*_POLICY, *_ENV], data)
     for kind in (Manifest, EnvManifest):
         found = kind.parse(keys)
@@ -88,7 +86,6 @@ def test_any_document_is_read(data: object) -> None:
 
 
 def test_a_native_block_may_reach_farther_back_than_the_manifest_says() -> None:
-    """Two frames three steps apart are four observations, of the inputs that have them; what is open is one."""
     native = {"images": [{}], "state": [{}], "history": {"length": 2, "stride": 3, "of": ["images"]}}
     found = Manifest.parse({"temporal": {"kind": "history", "history": 2}, "native": native})
     assert found.native is not None
@@ -98,7 +95,6 @@ def test_a_native_block_may_reach_farther_back_than_the_manifest_says() -> None:
 
 
 def test_values_keep_their_types() -> None:
-    """True is no number; a whole number is one; a list of other things is emptied."""
     found = Manifest.parse({"control_frequency": 25, "temporal": {"chunk": True}, "embodiments": ["arx_x5", 3]})
     assert found.control_frequency == 25.0
     assert found.temporal.chunk is None

@@ -34,18 +34,13 @@ class UnhappyError(Exception):
 
 
 class Recurrent(Policy):
-    """Keeps a checksum of the observations that it was asked about, and puts what it saw into its actions."""
-
     def load(self, config: Any) -> None:
-        """Start in good health."""
         self.spoiled: set[int] = set()
 
     def encode(self, obs: Any, env: int) -> int:
-        """Return the observation's number."""
         return int(obs["number"])
 
     def predict(self, inputs: list[int], envs: list[int]) -> list[np.ndarray]:
-        """Return rows of [memory before, memory after, skipped, 0...]; every memory is kept before one fails."""
         rows = []
         for number, env in zip(inputs, envs, strict=True):
             memory = self.memory(env)
@@ -76,7 +71,6 @@ class Reference:
     skipped: int = 0
 
     def answer(self) -> list[float]:
-        """Return what the model has to see and say about the newest observation."""
         newest = len(self.shown) - 1
         if newest != self.asked:
             self.skipped = newest - self.asked - 1
@@ -96,7 +90,6 @@ class Machine(RuleBasedStateMachine):
 
     @rule(envs=st.lists(st.sampled_from(ENVS), unique=True, min_size=1))
     def show(self, envs: list[int]) -> None:
-        """Observations that nobody has asked about."""
         batch = []
         for env in envs:
             self.count = (self.count + 1) % 97
@@ -107,7 +100,6 @@ class Machine(RuleBasedStateMachine):
     @precondition(lambda self: self.references)
     @rule(data=st.data())
     def ask(self, data: st.DataObject) -> None:
-        """Any of those that are known, in any order, as often as one likes."""
         envs = data.draw(st.lists(st.sampled_from(sorted(self.references)), unique=True, min_size=1))
         expected = [self.references[env].answer() for env in envs]
         got = [
@@ -118,7 +110,6 @@ class Machine(RuleBasedStateMachine):
     @precondition(lambda self: self.references)
     @rule(data=st.data())
     def fail(self, data: st.DataObject) -> None:
-        """A batch that one environment spoils, as if it had not been."""
         envs = data.draw(st.lists(st.sampled_from(sorted(self.references)), unique=True, min_size=1))
         self.policy.spoiled = {self.references[envs[0]].shown[-1]}
         with pytest.raises(UnhappyError):
@@ -127,7 +118,6 @@ class Machine(RuleBasedStateMachine):
 
     @rule(client=st.sampled_from([0, CLIENT]))
     def reset_one_client(self, client: int) -> None:
-        """The other one goes on."""
         envs = [env for env in ENVS if env // CLIENT == client // CLIENT]
         self.policy.reset_envs(envs)
         for env in envs:
@@ -135,7 +125,6 @@ class Machine(RuleBasedStateMachine):
 
     @rule()
     def reset(self) -> None:
-        """All begin anew."""
         self.policy.reset()
         self.references.clear()
 
@@ -156,8 +145,6 @@ def test_a_memory_is_for_questions_alone() -> None:
 
 
 def test_what_is_kept_cannot_be_changed_afterwards() -> None:
-    """Neither through the array that was given, nor through the one that is handed out, however deep it lies."""
-
     class Careless(Recurrent):
         def predict(self, inputs: list[int], envs: list[int]) -> list[np.ndarray]:
             memory = self.memory(envs[0])
@@ -175,8 +162,6 @@ def test_what_is_kept_cannot_be_changed_afterwards() -> None:
 
 
 def test_an_answer_without_anything_kept_leaves_it_as_it_was() -> None:
-    """A policy may keep only now and then."""
-
     class Seldom(Recurrent):
         def predict(self, inputs: list[int], envs: list[int]) -> list[np.ndarray]:
             memory = self.memory(envs[0])
@@ -193,7 +178,6 @@ def test_an_answer_without_anything_kept_leaves_it_as_it_was() -> None:
 
 
 def test_clients_that_share_a_model_keep_memories_of_their_own(write_adapter: Callable[..., Path]) -> None:
-    """Over real sockets: questions put twice, by two clients in turn, and a reset of one of them."""
     folder = write_adapter(MODEL, serving={"shared": True}, temporal={"kind": "memory", "chunk": 1})
     with serving(folder) as server, Client(server.url) as first, Client(server.url) as second:
         states = {first: 0.0, second: 0.0}

@@ -13,7 +13,6 @@ IMAGE = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
 
 
 def state() -> dict[str, Any]:
-    """Return a state of two arms with distinct numbers, as lists."""
     return {
         "left_arm_joint_state": [1, 2, 3, 4, 5, 6],
         "left_ee_joint_state": [0.25],
@@ -25,7 +24,6 @@ def state() -> dict[str, Any]:
 
 
 def test_proprioception_is_packed_in_the_order_of_an_action() -> None:
-    """Left arm, left end effector, right arm, right end effector; further keys do not matter."""
     flat = pack_state({"state": state()}, ROBOT, "joint")
     assert flat.dtype == np.float32
     assert flat.tolist() == [1, 2, 3, 4, 5, 6, 0.25, 7, 8, 9, 10, 11, 12, 0.75]
@@ -41,26 +39,22 @@ def test_proprioception_is_packed_in_the_order_of_an_action() -> None:
     ],
 )
 def test_a_wrong_state_is_an_error_and_never_a_default(change: dict[str, Any], message: str) -> None:
-    """One clear sentence."""
     with pytest.raises(ObservationError, match=message):
         pack_state({"state": {**state(), **change}}, ROBOT, "joint")
 
 
 @pytest.mark.parametrize("obs", [{}, {"state": None}, {"state": [1]}, {"state": {}}])
 def test_a_missing_state_is_an_error_that_lists_what_is_there(obs: dict[str, Any]) -> None:
-    """And no vector of zeros."""
     with pytest.raises(ObservationError, match="state"):
         pack_state(obs, ROBOT, "joint")
 
 
 @pytest.mark.parametrize("spelling", ["color", "colors", "rgb", "image"])
 def test_an_image_is_found_under_every_spelling(spelling: str) -> None:
-    """Without a copy."""
     assert get_image({"vision": {"cam_head": {spelling: IMAGE, "depth": 0}}}, "cam_head") is IMAGE
 
 
 def test_an_image_may_lie_directly_under_its_camera_and_may_be_lists() -> None:
-    """As some environments send it."""
     assert get_image({"vision": {"cam_head": IMAGE}}, "cam_head") is IMAGE
     listed = get_image({"vision": {"cam_head": {"color": IMAGE.tolist()}}}, "cam_head")
     assert listed.dtype == np.uint8
@@ -83,7 +77,6 @@ def test_an_image_may_lie_directly_under_its_camera_and_may_be_lists() -> None:
     ],
 )
 def test_a_missing_or_wrong_image_is_an_error_and_never_black(vision: Any, message: str) -> None:
-    """One clear sentence."""
     with pytest.raises(ObservationError, match=message):
         get_image({"vision": vision}, "cam_head")
 
@@ -103,7 +96,6 @@ def test_a_missing_or_wrong_image_is_an_error_and_never_black(vision: Any, messa
     ],
 )
 def test_the_instruction_has_two_spellings(obs: dict[str, Any], text: str | None) -> None:
-    """Of a list the first counts."""
     assert get_instruction(obs) == text
 
 
@@ -111,7 +103,6 @@ def test_the_instruction_has_two_spellings(obs: dict[str, Any], text: str | None
     "obs", [{"instruction": 3}, {"instruction": ["x"]}, {"instructions": "lift"}, {"instructions": [3]}]
 )
 def test_an_instruction_that_is_no_text_is_an_error(obs: dict[str, Any]) -> None:
-    """The first letter of a text is not an instruction."""
     with pytest.raises(ObservationError):
         get_instruction(obs)
 
@@ -125,13 +116,11 @@ def test_observations_without_an_index_count_by_position() -> None:
 
 @pytest.mark.parametrize("indices", [[0, None], [None, 1], [2, 2]])
 def test_a_mixed_or_repeated_index_is_an_error(indices: list[Any]) -> None:
-    """No guess is made."""
     with pytest.raises(ObservationError):
         env_indices([{"env_idx": index} for index in indices])
 
 
 @pytest.mark.parametrize("value", [True, np.True_, -1, 1.0, "1", None, [1]])
 def test_an_index_is_a_non_negative_integer(value: Any) -> None:
-    """A flag is none, and neither is a whole float."""
     with pytest.raises(ObservationError, match="non-negative integer"):
         env_index(value)

@@ -20,27 +20,21 @@ CHUNK, HISTORY, DIM = 2, 3, 8
 
 
 def config(**changes: Any) -> dict[str, Any]:
-    """Return the configuration of a one-armed policy."""
     temporal = {"kind": "history", "chunk": CHUNK, "history": HISTORY}
     return {"env_cfg_type": "franka_single", "action_type": "joint", "manifest": {"temporal": temporal}, **changes}
 
 
 def observed(number: int, env: int | None = None) -> dict[str, Any]:
-    """Return an observation that can be told from others."""
     return {"number": number} if env is None else {"number": number, "env_idx": env}
 
 
 class Tracing(Policy):
-    """Puts what it was given into its actions: history, environment and a random number."""
-
     def load(self, config: Any) -> None:
-        """Start the records."""
         self.encoded: list[tuple[int, int]] = []
         self.forgotten: list[int] = []
         self.batches: list[list[int]] = []
 
     def encode(self, obs: Any, env: int) -> int:
-        """Return the observation's number."""
         self.encoded.append((obs["number"], env))
         return int(obs["number"])
 
@@ -56,18 +50,14 @@ class Tracing(Policy):
         return raw
 
     def reset_env(self, env: int) -> None:
-        """Note the call."""
         self.forgotten.append(env)
 
 
 def rows(chunk: list[dict[str, np.ndarray]]) -> np.ndarray:
-    """Return the arm's part of a chunk as an array, (H, 7)."""
     return np.array([step["arm_joint_state"] for step in chunk])
 
 
 class Memory(RuleBasedStateMachine):
-    """A policy against the simplest model of it: one list of numbers for each environment."""
-
     def __init__(self) -> None:
         super().__init__()
         self.policy = Tracing(config())
@@ -77,7 +67,6 @@ class Memory(RuleBasedStateMachine):
         self.count = 0
 
     def fresh(self, env: int) -> int:
-        """Return a new observation number, noted for the environment."""
         self.count += 1
         self.seen.setdefault(env, []).append(self.count)
         return self.count
@@ -88,7 +77,6 @@ class Memory(RuleBasedStateMachine):
         return [last[0]] * (HISTORY - len(last)) + last
 
     def check(self, chunks: list[Any], envs: list[int]) -> None:
-        """Compare answers with the model."""
         assert len(chunks) == len(envs)
         for chunk, env in zip(chunks, envs, strict=True):
             check_chunk(chunk, self.policy.embodiment, "joint")
@@ -98,31 +86,26 @@ class Memory(RuleBasedStateMachine):
 
     @rule(env=st.none() | st.integers(0, 3))
     def observe_one(self, env: int | None) -> None:
-        """No index means 0."""
         self.policy.update_obs(observed(self.fresh(env or 0), env))
         self.order = [env or 0]
 
     @rule(envs=st.lists(st.integers(0, 3), unique=True))
     def observe_batch(self, envs: list[int]) -> None:
-        """In any order."""
         self.policy.update_obs_batch([observed(self.fresh(env), env) for env in envs])
         self.order = envs
 
     @rule(count=st.integers(0, 3))
     def observe_by_position(self, count: int) -> None:
-        """Without indices."""
         self.policy.update_obs_batch([observed(self.fresh(env)) for env in range(count)])
         self.order = list(range(count))
 
     @rule(bad=st.sampled_from([[0, 0], [1, None], [True], [-1], [0.5]]))
     def observe_wrongly(self, bad: list[Any]) -> None:
-        """A refused batch leaves no trace."""
         with pytest.raises(ObservationError):
             self.policy.update_obs_batch([{"number": -1, "env_idx": env} for env in bad])
 
     @rule()
     def act_on_the_last_batch(self) -> None:
-        """None means its order."""
         if self.order is None:
             with pytest.raises(PolicyStateError, match="needs an observation"):
                 self.policy.get_action_batch()
@@ -131,7 +114,6 @@ class Memory(RuleBasedStateMachine):
 
     @rule()
     def act_alone(self) -> None:
-        """Only if it is clear for whom."""
         if self.order is not None and len(self.order) == 1:
             self.check([self.policy.get_action()], self.order)
         else:
@@ -159,14 +141,12 @@ class Memory(RuleBasedStateMachine):
     @precondition(lambda self: self.seen)
     @rule()
     def random_numbers_belong_to_seed_episode_and_environment(self) -> None:
-        """Whatever else happened."""
         env = next(iter(self.seen))
         fresh = np.random.default_rng([0, self.episode, env]).bit_generator.state["state"]["inc"]
         assert self.policy.rng(env).bit_generator.state["state"]["inc"] == fresh
 
     @invariant()
     def memory_is_bounded(self) -> None:
-        """No more frames than the history."""
         assert all(len(state.frames) <= HISTORY for state in self.policy._environments.values())
 
 
@@ -175,7 +155,6 @@ TestMemory.settings = settings(max_examples=examples(60), stateful_step_count=30
 
 
 def episode(policy: Policy, envs: list[int], steps: int, *, batch: bool) -> dict[int, list[np.ndarray]]:
-    """Run an episode, all environments in one batch or one after the other; return the chunks of each."""
     chunks: dict[int, list[np.ndarray]] = {env: [] for env in envs}
     for step in range(steps):
         observations = [observed(10 * step + env, env) for env in envs]
@@ -192,7 +171,6 @@ def episode(policy: Policy, envs: list[int], steps: int, *, batch: bool) -> dict
 
 @pytest.mark.parametrize("ensembling", [None, 0.1])
 def test_a_batch_acts_like_single_runs(ensembling: float | None) -> None:
-    """History, random numbers and ensembling included; the order of a batch does not matter."""
     temporal = {"chunk": CHUNK, "history": HISTORY, "ensembling": ensembling}
     settings_ = config(manifest={"temporal": temporal})
     alone = episode(Tracing(settings_), [0, 1, 2], 5, batch=False)
@@ -202,8 +180,6 @@ def test_a_batch_acts_like_single_runs(ensembling: float | None) -> None:
 
 
 def test_equal_seeds_repeat_and_others_do_not() -> None:
-    """The run seed, the episode and the environment each make a difference; 0 is a seed."""
-
     def numbers(seed: int | None, episodes: int) -> list[list[float]]:
         policy = Tracing(config(seed=seed))
         result = []
@@ -233,7 +209,6 @@ def test_resets_and_empty_batches_do_not_advance_the_episode() -> None:
 
 
 def test_asking_twice_is_answered_twice_and_encodes_once() -> None:
-    """One observation is one encoding, also for the histories that follow."""
     policy = Tracing(config())
     for number in range(5):
         policy.update_obs(observed(number))
@@ -253,7 +228,6 @@ def test_observations_are_not_changed() -> None:
 
 
 def test_one_forward_pass_serves_a_batch() -> None:
-    """And an empty one runs nothing."""
     policy = Tracing(config())
     policy.update_obs_batch([observed(env, env) for env in (3, 1, 2)])
     policy.get_action_batch([2, 3])
@@ -262,7 +236,6 @@ def test_one_forward_pass_serves_a_batch() -> None:
 
 
 def test_native_state_is_forgotten_before_the_first_observation_and_at_reset() -> None:
-    """Once each, and only for environments that were there."""
     policy = Tracing(config())
     policy.update_obs(observed(1, 4))
     policy.update_obs(observed(2, 4))
@@ -273,8 +246,6 @@ def test_native_state_is_forgotten_before_the_first_observation_and_at_reset() -
 
 
 def test_a_reset_that_fails_raises() -> None:
-    """It never passes in silence, and our own state is gone already."""
-
     class Fragile(Tracing):
         fails: bool
 
@@ -296,13 +267,11 @@ CLIENT = spec.LIMITS["client_envs"]
 
 
 def drawn(policy: Tracing, env: int) -> float:
-    """Return the random number of an environment's next chunk."""
     policy.update_obs(observed(1, env))
     return float(rows(policy.get_action())[0, 5])
 
 
 def test_reset_envs_ends_the_episode_of_these_environments_only() -> None:
-    """The others keep their history, and the newest batch counts only while it is whole."""
     policy = Tracing(config())
     policy.update_obs_batch([observed(number, env) for number, env in ((1, 0), (2, 1), (3, CLIENT))])
     policy.forgotten.clear()
@@ -319,7 +288,6 @@ def test_reset_envs_ends_the_episode_of_these_environments_only() -> None:
 
 
 def test_the_seeds_of_a_client_are_those_that_it_would_have_alone() -> None:
-    """Episodes and environments are counted for each client, however often it or the others reset."""
     alone, shared = Tracing(config()), Tracing(config())
     other = Tracing(config())  # never resets
     for _ in range(4):
@@ -332,8 +300,6 @@ def test_the_seeds_of_a_client_are_those_that_it_would_have_alone() -> None:
 
 
 def test_a_forward_pass_that_fails_leaves_the_random_generators_where_they_were() -> None:
-    """What is tried again gives what it would have given; so does a batch without the one that spoilt it."""
-
     class Failing(Tracing):
         fails = False
 
@@ -354,20 +320,16 @@ def test_a_forward_pass_that_fails_leaves_the_random_generators_where_they_were(
 
 
 class Fixed(Policy):
-    """Predicts what it is told to."""
-
     answer: Any = None
 
     def encode(self, obs: Any, env: int) -> None:
         """Look at nothing."""
 
     def predict(self, inputs: list[Any], envs: list[int]) -> Any:
-        """Return the same every time."""
         return self.answer
 
 
 def act(answer: Any, **temporal: Any) -> list[Any]:
-    """Return the chunk made of a prediction."""
     policy = Fixed(config(manifest={"temporal": temporal}))
     policy.answer = answer
     policy.update_obs({})
@@ -389,21 +351,17 @@ def act(answer: Any, **temporal: Any) -> list[Any]:
     ],
 )
 def test_a_wrong_prediction_is_refused_with_the_difference(answer: Any, message: str) -> None:
-    """Number, shape, length and values."""
     with pytest.raises(ActionError, match=message):
         act(answer, chunk=4)
 
 
 def test_predictions_may_be_arrays_lists_or_nested_lists() -> None:
-    """Of one length for each environment."""
     for answer in (np.zeros((1, 4, DIM)), [np.zeros((4, DIM))], [[[0.0] * DIM] * 4]):
         assert len(act(answer, chunk=4)) == 4
     assert len(act(np.zeros((1, 9, DIM)))) == 9  # nothing declared
 
 
 def test_the_declared_chunk_is_what_a_call_returns() -> None:
-    """A model may predict more than decode keeps."""
-
     class Cut(Fixed):
         def decode(self, raw: np.ndarray, obs: Any, env: int) -> Any:
             return super().decode(raw[:2], obs, env)
@@ -429,7 +387,6 @@ def test_ensembling_averages_actions_and_not_what_the_model_emits() -> None:
 
 
 def test_ensembling_of_poses_ignores_the_sign_of_quaternions() -> None:
-    """The rotation survives, and the step passes its check."""
     policy = Fixed(config(action_type="ee", manifest={"temporal": {"chunk": 2, "ensembling": 0.0}}))
     for sign in (1.0, -1.0, 1.0):
         policy.answer = np.array([[[0, 0, 0, sign, 0, 0, 0, 0.5]] * 2])
@@ -453,13 +410,11 @@ def test_ensembling_of_poses_ignores_the_sign_of_quaternions() -> None:
     ],
 )
 def test_a_setting_keeps_its_type(value: Any, default: Any, result: Any) -> None:
-    """A null means not given; a whole number may stand for a float."""
     got = Tracing(config(key=value)).setting("key", default)
     assert (got, type(got)) == (result, type(result))
 
 
 def test_a_setting_that_is_absent_has_its_default() -> None:
-    """Like null."""
     assert Tracing(config()).setting("key", 2.5) == 2.5
 
 
@@ -467,7 +422,6 @@ def test_a_setting_that_is_absent_has_its_default() -> None:
     ("value", "default"), [("false", True), (1, True), (True, 1), (True, 1.0), ("3", 3), (3.0, 3), (3, "x"), ({}, [])]
 )
 def test_a_setting_of_another_type_is_an_error(value: Any, default: Any) -> None:
-    """The truth value of a text is not a flag."""
     with pytest.raises(ConfigError, match="key must be a"):
         Tracing(config(key=value)).setting("key", default)
 
@@ -484,7 +438,6 @@ def test_a_setting_of_another_type_is_an_error(value: Any, default: Any) -> None
     ],
 )
 def test_a_wrong_configuration_is_refused_at_construction(change: dict[str, Any], error: type[Exception]) -> None:
-    """Not at the first inference."""
     with pytest.raises(error):
         Tracing(config(**change))
 
@@ -506,26 +459,22 @@ def test_what_the_manifest_does_not_declare_is_refused(declared: dict[str, Any],
 
 
 def test_a_declared_robot_may_go_by_another_name() -> None:
-    """On either side."""
     for asked, declared in (("dual_x5", "arx_x5"), ("arx_x5", "dual_x5")):
         manifest = {"embodiments": [declared], "action_types": ["joint"]}
         assert Tracing(config(env_cfg_type=asked, manifest=manifest)).embodiment.name == "arx_x5"
 
 
 def test_null_means_the_default() -> None:
-    """For everything that has one."""
     policy = Tracing(config(seed=None, action_type=None, manifest=None))
     assert (policy.seed, policy.action_type, policy.chunk, policy.history) == (0, "joint", None, 1)
     assert "manifest" not in policy.config
 
 
 def test_the_policy_folder_is_the_modules() -> None:
-    """Relative paths start there."""
     assert Tracing(config()).policy_dir.name == "sdk"
 
 
 def test_what_an_adapter_must_define_is_named() -> None:
-    """The error says which method."""
     policy = Policy(config())
     policy.update_obs({})
     with pytest.raises(NotImplementedError, match=r"must define encode\(obs, env\)"):

@@ -15,7 +15,6 @@ from xpl.registry import ENVS, WIRES, EntryPointError
 
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
-    """Return a function that installs a distribution."""
     with installing(tmp_path, monkeypatch) as made:
         yield made
 
@@ -30,7 +29,6 @@ def test_what_is_built_in_comes_first_and_is_not_looked_for(monkeypatch: pytest.
 
 
 def test_an_entry_point_is_loaded_when_it_is_used(install: Install) -> None:
-    """An object, or a whole module; finding it imports nothing."""
     install(
         "one",
         "[xpl.wires]\none = made_one:VALUE\nwhole = made_one\n[other]\nno = nothing\n",
@@ -53,7 +51,6 @@ def test_an_entry_point_is_loaded_when_it_is_used(install: Install) -> None:
 def test_a_broken_one_is_one_line_that_names_its_distribution(
     install: Install, monkeypatch: pytest.MonkeyPatch, value: str, module: str, told: str
 ) -> None:
-    """Whatever the package does when it is imported."""
     monkeypatch.delitem(sys.modules, "made_broken", raising=False)
     install("bad", f"[xpl.wires]\nbad = {value}\n", {"made_broken.py": module})
     with pytest.raises(EntryPointError, match=rf"bad = '{value}' \(xpl.wires\) of bad 1.0 cannot be used: .*{told}"):
@@ -61,7 +58,6 @@ def test_a_broken_one_is_one_line_that_names_its_distribution(
 
 
 def test_two_of_one_name_are_an_error_that_names_both(install: Install) -> None:
-    """Ours are among them; in another group the name is free."""
     install("first", "[xpl.wires]\none = a:X\n[xpl.envs]\none = a\n", {})
     with pytest.raises(EntryPointError, match=r"two are called one in xpl.wires: 'b:Y' of xpl and 'a:X' of first 1.0"):
         registry.entries(WIRES, {"one": "b:Y"})
@@ -91,7 +87,6 @@ def test_nothing_is_found_in_the_working_directory(install: Install, monkeypatch
 
 
 def test_a_folder_is_found_without_an_import(install: Install) -> None:
-    """Content is found by path; a package that is only a folder of it needs no code."""
     points = "[xpl.envs]\nall = content_pkg.deep.envs\nnone = content_pkg.absent\nno = absent_pkg\n"
     files = {"content_pkg/__init__.py": "raise AssertionError('imported')", "content_pkg/deep/envs/README.md": ""}
     site = install("content", points, files)

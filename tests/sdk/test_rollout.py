@@ -17,8 +17,6 @@ ADAPTER_LOOP = load_module(room("policy") / "demo_policy" / "deploy.py")
 
 
 class Counting:
-    """Environments that end after as many steps as they are given, and count what they are told."""
-
     guarded = True
 
     def __init__(self, lengths: list[int], log: list[Any]) -> None:
@@ -26,45 +24,35 @@ class Counting:
         self._steps = [0] * len(lengths)
 
     def get_obs(self) -> dict[str, Any]:
-        """Return the observation of the only environment."""
         return self.get_obs_batch([0])[0]
 
     def get_obs_batch(self, env_idx_list: list[int]) -> list[dict[str, Any]]:
-        """Return observations that tell themselves apart."""
         return [{"env_idx": env, "step": self._steps[env]} for env in env_idx_list]
 
     def take_action(self, action: Any) -> None:
-        """Execute one action."""
         self.take_action_batch([action], [0])
 
     def take_action_batch(self, actions: list[Any], env_idx_list: list[int]) -> None:
-        """Note what is executed where."""
         self._log.append(("act", list(env_idx_list), list(actions)))
         for env in env_idx_list:
             self._steps[env] += 1
 
     def is_episode_end(self) -> bool:
-        """Tell whether all have ended."""
         return not self.get_running_env_idx_list()
 
     def get_running_env_idx_list(self) -> list[int]:
-        """Return those that have not."""
         return [env for env, length in enumerate(self._lengths) if self._steps[env] < length]
 
     def results(self) -> list[dict[str, Any]]:
-        """Return the number of steps of each."""
         return [{"env_idx": env, "steps": steps} for env, steps in enumerate(self._steps)]
 
 
 class Scripted:
-    """A policy that answers chunks naming the question, and notes all it is told."""
-
     def __init__(self, chunk: int, log: list[Any]) -> None:
         self._chunk, self._log = chunk, log
         self.questions = 0
 
     def call(self, func_name: str, obs: Any = None) -> Any:
-        """Run an operation."""
         self._log.append((func_name, obs))
         if not func_name.startswith("get_action"):
             return None
@@ -75,7 +63,6 @@ class Scripted:
 
 @given(st.lists(st.integers(0, 7), min_size=1, max_size=4), st.integers(1, 4))
 def test_with_whole_chunks_our_loop_is_the_adapters(lengths: list[int], chunk: int) -> None:
-    """deploy.py of the scaffold and ours show, ask and execute the same in the same order."""
     logs: list[list[Any]] = [[], []]
     for log, loop in zip(logs, (run_batch, ADAPTER_LOOP.eval_one_episode_batch), strict=True):
         loop(Counting(lengths, log), Scripted(chunk, log))
@@ -84,7 +71,6 @@ def test_with_whole_chunks_our_loop_is_the_adapters(lengths: list[int], chunk: i
 
 @given(st.integers(1, 9), st.integers(1, 4))
 def test_with_whole_chunks_our_single_loop_is_the_adapters(length: int, chunk: int) -> None:
-    """The same, without a batch."""
     logs: list[list[Any]] = [[], []]
     for log, loop in zip(logs, (run_episode, ADAPTER_LOOP.eval_one_episode), strict=True):
         loop(Counting([length], log), Scripted(chunk, log))
@@ -96,7 +82,6 @@ def test_with_whole_chunks_our_single_loop_is_the_adapters(length: int, chunk: i
 )
 @pytest.mark.parametrize("run", [run_episode, run_batch])
 def test_the_horizon_says_how_much_of_a_chunk_is_executed(run: Any, horizon: int | None, asked: list[int]) -> None:
-    """Chunks are of three; a horizon beyond them is the whole chunk. There is one observation between two actions."""
     for given_horizon in {horizon, horizon or 99}:
         log: list[Any] = []
         run(Counting([7], log), Scripted(3, log), horizon=given_horizon)
@@ -121,20 +106,16 @@ def test_observations_without_an_index_get_theirs() -> None:
 
 
 class Odd(Scripted):
-    """A policy that answers something else."""
-
     def __init__(self, answer: Any) -> None:
         super().__init__(1, [])
         self._answer = answer
 
     def call(self, func_name: str, obs: Any = None) -> Any:
-        """Answer every question alike."""
         return self._answer if func_name.startswith("get_action") else None
 
 
 @pytest.mark.parametrize("chunk", [[], None, "text", np.zeros((4, 7)), {"arm_joint_state": []}])
 def test_a_chunk_that_holds_no_actions_is_an_error(chunk: Any) -> None:
-    """And no loop without end."""
     with pytest.raises(ActionError, match="at least one action step"):
         run_episode(Counting([3], []), Odd(chunk))
     with pytest.raises(ActionError, match="at least one action step"):
@@ -143,13 +124,11 @@ def test_a_chunk_that_holds_no_actions_is_an_error(chunk: Any) -> None:
 
 @pytest.mark.parametrize("answer", [None, [], [[1]], [[1], [1], [1]]])
 def test_a_batch_needs_one_chunk_for_each_environment(answer: Any) -> None:
-    """Otherwise a chunk would go to another environment than it is for."""
     with pytest.raises(ActionError, match=r"environments \[0, 1\]"):
         run_batch(Counting([3, 3], []), Odd(answer))
 
 
 def test_chunks_of_several_lengths_are_executed_as_far_as_the_shortest_goes() -> None:
-    """Then all are asked anew."""
     log: list[Any] = []
 
     class Uneven(Scripted):
@@ -165,6 +144,5 @@ def test_chunks_of_several_lengths_are_executed_as_far_as_the_shortest_goes() ->
 
 
 def test_a_horizon_of_nothing_is_refused() -> None:
-    """It would never end."""
     with pytest.raises(ValueError, match="at least 1"):
         run_episode(Counting([3], []), Scripted(1, []), horizon=0)

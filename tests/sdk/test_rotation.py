@@ -18,13 +18,11 @@ _HALF_TURN = np.array([0.0, 0.6, 0.0, -0.8])
 
 
 def _same(first: Any, second: Any, tolerance: float = 1e-7) -> bool:
-    """Compare rotations, not quaternions: q and -q are equal."""
     return float(rotation.angle_between(first, second)) < tolerance
 
 
 @given(_quaternions, _quaternions, _quaternions)
 def test_multiplication_is_associative_and_keeps_length(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
-    """Composition does not depend on brackets, and stays on the unit sphere."""
     left = rotation.multiply(rotation.multiply(a, b), c)
     assert np.allclose(left, rotation.multiply(a, rotation.multiply(b, c)), atol=1e-12)
     assert math.isclose(float(np.sum(left * left)), 1.0, rel_tol=1e-12)
@@ -32,7 +30,6 @@ def test_multiplication_is_associative_and_keeps_length(a: np.ndarray, b: np.nda
 
 @given(_quaternions, _vectors)
 def test_rotating_agrees_with_the_matrix(q: np.ndarray, v: np.ndarray) -> None:
-    """Both ways to turn a vector give the same, and keep its length."""
     turned = rotation.rotate(q, v)
     assert np.allclose(turned, rotation.to_matrix(q) @ v, atol=1e-12)
     assert math.isclose(float(np.sum(turned**2)), float(np.sum(v**2)), rel_tol=1e-9, abs_tol=1e-12)
@@ -43,7 +40,6 @@ def test_rotating_agrees_with_the_matrix(q: np.ndarray, v: np.ndarray) -> None:
 @example(np.array([0.0, 0.0, 1.0, 0.0]))
 @example(np.array([1e-9, 1.0, 0.0, 0.0]))
 def test_matrix_round_trip(q: np.ndarray) -> None:
-    """A matrix gives back the rotation it came from, whichever component is large."""
     assert _same(rotation.from_matrix(rotation.to_matrix(q)), q)
 
 
@@ -52,28 +48,24 @@ def test_matrix_round_trip(q: np.ndarray) -> None:
 @example(np.array([1.0, 0.0, 0.0, 0.0]))
 @example(np.array([-1.0, 1e-12, 0.0, 0.0]))
 def test_axis_angle_round_trip(q: np.ndarray) -> None:
-    """The rotation vector gives back the rotation, and is never longer than a half turn."""
     vector = rotation.to_axis_angle(q)
     assert math.sqrt(float(np.sum(vector**2))) <= math.pi + 1e-12
     assert _same(rotation.from_axis_angle(vector), q)
 
 
 def test_half_turn_is_exact() -> None:
-    """A turn by exactly pi keeps its axis and its angle."""
     assert np.allclose(rotation.to_axis_angle(_HALF_TURN), math.pi * _HALF_TURN[1:], atol=1e-15)
     assert np.allclose(rotation.from_axis_angle([0.0, math.pi, 0.0]), [0.0, 0.0, 1.0, 0.0], atol=1e-15)
 
 
 @given(st.floats(1e-300, 1e-5))
 def test_small_turns_keep_relative_precision(angle: float) -> None:
-    """Tiny angles do not vanish in rounding."""
     vector = rotation.to_axis_angle(rotation.from_axis_angle([0.0, angle, 0.0]))
     assert math.isclose(float(vector[1]), angle, rel_tol=1e-9)
 
 
 @given(_quaternions, _quaternions, st.floats(0.0, 1.0))
 def test_antipodal_quaternions_are_the_same_rotation(a: np.ndarray, b: np.ndarray, fraction: float) -> None:
-    """The sign of a quaternion changes neither logarithm, angle nor interpolation, half turns between them aside."""
     angle = float(rotation.angle_between(a, b))
     assert math.isclose(angle, float(rotation.angle_between(-a, b)), abs_tol=1e-9)
     if angle < math.pi - 1e-3:
@@ -82,7 +74,6 @@ def test_antipodal_quaternions_are_the_same_rotation(a: np.ndarray, b: np.ndarra
 
 @given(_quaternions, _quaternions, st.floats(0.0, 1.0))
 def test_slerp_has_constant_speed(a: np.ndarray, b: np.ndarray, fraction: float) -> None:
-    """The way covered is the fraction of the whole angle; both ends are met."""
     whole = float(rotation.angle_between(a, b))
     middle = rotation.slerp(a, b, fraction)
     assert math.isclose(float(rotation.angle_between(a, middle)), fraction * whole, abs_tol=1e-7)
@@ -90,7 +81,6 @@ def test_slerp_has_constant_speed(a: np.ndarray, b: np.ndarray, fraction: float)
 
 
 def test_rpy_is_urdfs_order() -> None:
-    """Roll acts first, about the fixed x axis, yaw last."""
     turned = rotation.rotate(rotation.from_rpy([math.pi / 2, 0.0, math.pi / 2]), [0.0, 1.0, 0.0])
     assert np.allclose(turned, [0.0, 0.0, 1.0], atol=1e-15)
     turned = rotation.rotate(rotation.from_rpy([math.pi / 2, 0.0, math.pi / 2]), [1.0, 0.0, 0.0])
@@ -98,7 +88,6 @@ def test_rpy_is_urdfs_order() -> None:
 
 
 def test_batches_equal_single_calls() -> None:
-    """Leading axes broadcast: a batch gives what its members give."""
     rng = np.random.default_rng(0)
     a, b = rotation.normalise(rng.normal(size=(5, 1, 4))), rotation.normalise(rng.normal(size=(3, 4)))
     vectors = rng.normal(size=(5, 3, 3))
@@ -114,6 +103,5 @@ def test_batches_equal_single_calls() -> None:
 
 @pytest.mark.parametrize("bad", [[0.0, 0.0, 0.0, 0.0], [math.nan, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 def test_what_is_no_rotation_is_refused(bad: Any) -> None:
-    """Zero, NaN and the wrong length are errors, not identities."""
     with pytest.raises(ValueError, match="a quaternion"):
         rotation.normalise(bad)

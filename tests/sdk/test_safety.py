@@ -26,7 +26,6 @@ POSE = [0.3, 0.1, 0.9, 1.0, 0.0, 0.0, 0.0]
 
 
 def _start(robot: str, control: str) -> dict[str, Any]:
-    """Return the first observation: joints in the middle of their range, grippers open."""
     state = {}
     for arm in get_embodiment(robot).arms:
         middle = np.zeros(arm.dof) if arm.lower is None or arm.upper is None else (arm.lower + arm.upper) / 2
@@ -54,7 +53,6 @@ def _supervisor(robot: str = "arx_x5", control: str = "joint", **options: Any) -
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("control", spec.ACTION_TYPES)
 def test_what_is_safe_passes_untouched(robot: str, control: str) -> None:
-    """The very same object comes back: nothing is rounded or copied on the way."""
     supervisor = _supervisor(robot, control)
     action = _hold(robot, control)
     verdict = supervisor.check(action)
@@ -68,7 +66,6 @@ def test_what_is_safe_passes_untouched(robot: str, control: str) -> None:
 @settings(max_examples=25, deadline=None)
 @given(data=st.data())
 def test_whatever_comes_what_is_executed_keeps_every_limit(robot: str, control: str, data: st.DataObject) -> None:
-    """Joints stay in range and speed, poses in speed, grippers in 0 to 1, and a correction is told for each change."""
     embodiment = get_embodiment(robot)
     supervisor = _supervisor(robot, control, first_steps=math.inf)
     before = pack(_hold(robot, control), embodiment, control).astype(np.float64)
@@ -100,7 +97,6 @@ def test_whatever_comes_what_is_executed_keeps_every_limit(robot: str, control: 
 
 
 def test_a_correction_says_what_where_and_how_far() -> None:
-    """The joint by its name, the amount past its limit in rad, or rad/s; a gripper past 1."""
     robot = get_embodiment("arx_x5")
     upper, speed = robot.arms[1].upper, robot.arms[1].velocity
     assert upper is not None
@@ -120,7 +116,6 @@ def test_a_correction_says_what_where_and_how_far() -> None:
 
 
 def test_a_quaternion_of_another_length_is_repaired_and_told() -> None:
-    """One without direction is refused, and nothing is executed."""
     supervisor = _supervisor("franka_single", "ee")
     action = {"ee_pose": np.array([*POSE[:3], 3.0, 0, 0, 0]), "ee_joint_state": [1.0]}
     verdict = supervisor.check(action)
@@ -133,7 +128,6 @@ def test_a_quaternion_of_another_length_is_repaired_and_told() -> None:
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("control", spec.ACTION_TYPES)
 def test_a_value_that_is_none_holds_the_pose_and_ends_the_episode(bad: float, control: str) -> None:
-    """What is held is the last command, not the observation of long ago."""
     supervisor = _supervisor("arx_x5", control)
     first = _hold("arx_x5", control)
     key = next(iter(first))
@@ -162,7 +156,6 @@ def test_a_first_action_far_from_the_pose_is_refused(control: str, key: str, ste
 
 
 def test_an_old_action_holds_the_pose_and_the_next_one_is_executed() -> None:
-    """Ten control steps by default; the limit can be another one."""
     action = _hold("arx_x5", "joint")
     for limit, age, held in (
         (None, 0.39, None),
@@ -184,13 +177,11 @@ def test_an_old_action_holds_the_pose_and_the_next_one_is_executed() -> None:
     ],
 )
 def test_a_malformed_action_is_an_error(change: dict[str, Any], said: str) -> None:
-    """It cannot be executed in part."""
     with pytest.raises(ActionError, match=said):
         _supervisor().check({**_hold("arx_x5", "joint"), **change})
 
 
 def test_a_supervisor_has_to_know_the_pose() -> None:
-    """Nothing is judged before the first observation, nor after one without the state."""
     robot = get_embodiment("arx_x5")
     with pytest.raises(RuntimeError, match="no episode has begun"):
         Supervisor(robot, "joint", RATE).check(_hold("arx_x5", "joint"))
@@ -213,22 +204,18 @@ class Arms:
         self._left = [steps] * count
 
     def clock(self) -> float:
-        """Tell the time, s."""
         return self.now
 
     def reset(self, seed: Sequence[int] | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Nothing to do: an object plays one episode."""
 
     def get_obs(self) -> dict[str, Any]:
-        """Return the observation of the first arm."""
         return self.get_obs_batch([0])[0]
 
     def get_obs_batch(self, env_idx_list: Sequence[int]) -> list[dict[str, Any]]:
-        """Return observations without an index."""
         return [{"state": dict(self._states[env])} for env in env_idx_list]
 
     def take_action_batch(self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]) -> None:
-        """Move at once."""
         self.now += PERIOD
         for env, action in zip(env_idx_list, actions, strict=True):
             self.told.append((env, float(action["arm_joint_state"][0])))
@@ -236,11 +223,9 @@ class Arms:
             self._left[env] -= 1
 
     def get_running_env_idx_list(self) -> list[int]:
-        """Return those that have steps left."""
         return [env for env, left in enumerate(self._left) if left > 0]
 
     def results(self) -> list[dict[str, Any]]:
-        """Return results with corrections of its own."""
         return [
             {"env_idx": env, "end_reason": "max_steps", "corrections": {"slip": 1}} for env in range(len(self._left))
         ]
@@ -260,7 +245,6 @@ class Planner:
         self._shown: dict[int, Any] = {}
 
     def call(self, func_name: str, obs: Any = None) -> Any:
-        """Run an operation."""
         self.calls.append(func_name)
         if func_name == "update_obs":
             self._shown[0] = obs
@@ -290,7 +274,6 @@ def _guarded(arms: Arms, **options: Any) -> GuardedEnv:
 
 
 def test_a_guarded_loop_does_what_is_safe_unchanged() -> None:
-    """Actions pass, results gain an empty record, and the horizon is this side's choice."""
     arms = Arms()
     policy = Planner(arms, chunk=4)
     result = run_episode(_guarded(arms), policy, horizon=2)
@@ -328,7 +311,6 @@ def test_the_steps_of_a_chunk_do_not_age_by_being_waited_for() -> None:
 
 
 def test_without_a_client_to_listen_to_age_counts_from_the_latest_observation() -> None:
-    """Any loop that observes and acts is guarded."""
     arms = Arms()
     env = _guarded(arms)
     obs = env.get_obs()
@@ -341,7 +323,6 @@ def test_without_a_client_to_listen_to_age_counts_from_the_latest_observation() 
 
 @pytest.mark.parametrize(("twist", "reason"), [(math.nan, "non_finite_action"), (1.0, "far_first_action")])
 def test_one_environment_is_stopped_and_the_others_go_on(twist: float, reason: str) -> None:
-    """The robot is told to hold, the running list shrinks, and the result says why."""
     arms = Arms(count=3, steps=4)
     policy = Planner(arms, chunk=2)
     policy.twist[1, 1] = twist
@@ -353,7 +334,6 @@ def test_one_environment_is_stopped_and_the_others_go_on(twist: float, reason: s
 
 
 def test_a_wild_step_is_limited_and_counted() -> None:
-    """The first joint asks for 10 rad at once, in the second chunk."""
     arms = Arms(steps=2)
     policy = Planner(arms, chunk=1)
     policy.twist[0, 2] = 10.0
@@ -366,7 +346,6 @@ def test_a_wild_step_is_limited_and_counted() -> None:
 
 
 def test_a_malformed_action_moves_nobody() -> None:
-    """All actions of a step are read before the first is executed."""
     arms = Arms(count=2)
     env = _guarded(arms)
     good = {key: values for key, values in _start("franka_single", "joint")["state"].items() if key != "ee_pose"}
@@ -376,7 +355,6 @@ def test_a_malformed_action_moves_nobody() -> None:
 
 
 def test_no_loop_of_ours_drives_what_nobody_guards() -> None:
-    """Neither alone nor in a batch; nothing was asked or executed."""
     arms = Arms()
     policy = Planner(arms)
     for run in (run_episode, run_batch):

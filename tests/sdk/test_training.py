@@ -66,7 +66,6 @@ def _set(folder: Path, case: Case, lengths: tuple[int, ...] = LENGTHS) -> Folder
 
 
 def _served(package: Path, config: Mapping[str, Any], demonstrations: Folder) -> list[dict[str, Any]]:
-    """Return the batch that `predict` was given at each control step, asked at each of them."""
     model = load_model_class(package)(config)
     for episode in demonstrations:
         model.reset()
@@ -86,7 +85,6 @@ def _equal(one: Any, other: Any) -> bool:
 
 @pytest.mark.parametrize("name", CASES)
 def test_inputs_are_those_that_are_served_bit_by_bit(tmp_path: Path, name: str) -> None:
-    """Images, states, histories with their padding and mask, texts; one row alone and several at once."""
     case = CASES[name]
     package, demonstrations = _package(tmp_path, PLAIN), _set(tmp_path / "set", case)
     windows = training.windows(package, _config(case), demonstrations)
@@ -103,7 +101,6 @@ def test_inputs_are_those_that_are_served_bit_by_bit(tmp_path: Path, name: str) 
 
 @pytest.mark.parametrize("name", CASES)
 def test_answers_decode_to_the_recorded_actions(tmp_path: Path, name: str) -> None:
-    """Each window's answer means the actions from its step on; after the end the last one is held."""
     case = CASES[name]
     package, demonstrations = _package(tmp_path, PLAIN), _set(tmp_path / "set", case)
     config = _config(case)
@@ -132,7 +129,6 @@ def _near(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def test_an_adapters_own_inputs_are_those_that_are_served(tmp_path: Path) -> None:
-    """What `encode` adds has the history, too; images stay bytes and become the same numbers."""
     image = {"input": "top", "cameras": ["cam_head"], "channels": "bgr", "layout": "chw", "dtype": "float32"}
     native = {
         "images": [{**image, "range": [0, 1], "mean": [0.4, 0.5, 0.6], "std": [0.2, 0.25, 0.3]}],
@@ -156,7 +152,6 @@ def test_an_adapters_own_inputs_are_those_that_are_served(tmp_path: Path) -> Non
 
 
 def test_images_that_are_no_bytes_before_their_numbers_are_kept_as_numbers(tmp_path: Path) -> None:
-    """A resize that keeps fractions of a step of colour."""
     case = CASES["two arms, joint deltas"]
     resize = {"resize": {"to": [9, 13], "filter": "bilinear", "as": "float32"}}
     image = {"input": "top", "cameras": ["cam_head"], "channels": "rgb", "layout": "hwc", "dtype": "float32"}
@@ -168,7 +163,6 @@ def test_images_that_are_no_bytes_before_their_numbers_are_kept_as_numbers(tmp_p
 
 
 def test_statistics_are_of_the_models_own_numbers(tmp_path: Path) -> None:
-    """Before normalisation, whose file is not there yet; an action counts once, and from where the answer begins."""
     case = CASES["two arms, joint deltas"]
     config = _config(case)
     action = config["manifest"]["native"]["action"]
@@ -196,7 +190,6 @@ def test_statistics_are_of_the_models_own_numbers(tmp_path: Path) -> None:
 
 
 def test_windows_begin_where_the_answer_does(tmp_path: Path) -> None:
-    """A model that also says what was done one step before, and one that looks further than it is executed."""
     case = CASES["two arms, joint deltas"]
     config = _config(case)
     config["manifest"]["native"]["action"]["reference"] = "absolute"
@@ -218,7 +211,6 @@ def test_windows_begin_where_the_answer_does(tmp_path: Path) -> None:
     ],
 )
 def test_a_set_that_does_not_fit_is_told(tmp_path: Path, change: dict[str, Any], text: str, told: str) -> None:
-    """Which file, what was expected, and what to do."""
     case = CASES["two arms, joint deltas"]
     parts = [
         {part: how}

@@ -23,7 +23,6 @@ _WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0
 
 @st.composite
 def _episodes(draw: Any) -> list[tuple[dict[str, Any], dict[str, Any], dict[str, Any]]]:
-    """Return steps, each with its observation, its action and its facts."""
     prefixes = sdk.ARM_PREFIXES[draw(st.sampled_from((1, 2)))]
     names = [prefix + name for prefix in prefixes for name in draw(st.sets(_SERIES, min_size=1))]
     shapes = {name: (draw(st.integers(0, 7)), draw(st.sampled_from(("<f4", "<f8", "<i8")))) for name in names}
@@ -69,7 +68,6 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def test_what_a_simulator_tells_is_kept_on_request_its_numbers_that_stay_in_form(tmp_path: Path) -> None:
-    """Words, answers and what comes and goes are left out, and the facts of the episode say so of each."""
     path = tmp_path / "episode_0000000.hdf5"
     told = [
         {
@@ -106,7 +104,6 @@ def test_what_a_simulator_tells_is_kept_on_request_its_numbers_that_stay_in_form
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(episode=_episodes(), form=st.sampled_from(("raw", "png")))
 def test_every_step_is_read_back_as_it_was(tmp_path: Path, episode: list[Any], form: str) -> None:
-    """Bit by bit and under the same names, whatever the robot, and what only some observations have."""
     path = tmp_path / "episode_0000000.hdf5"
     with Writer(path, images=form, episode={"seed": 3, "of": [1, None]}, subtasks=[{"start": 0}]) as writer:
         for obs, action, facts in episode:
@@ -139,7 +136,6 @@ def _written(path: Path, steps: int = 3, **options: Any) -> Path:
 
 @pytest.mark.parametrize(("form", "stored"), [("jpeg", (70,)), ("jpeg-padded", (70, ...))])
 def test_jpegs_are_standard_ones_in_both_forms(tmp_path: Path, form: str, stored: tuple[Any, ...]) -> None:
-    """Red stays red: within what JPEG loses, and stamped; more steps than are kept in memory."""
     path = _written(tmp_path / "a.hdf5", steps=70, images=form)
     with h5py.File(path) as file:
         data = file["vision/cam_head/colors"]
@@ -186,7 +182,6 @@ def test_files_of_the_field_are_read(tmp_path: Path) -> None:
 
 
 def test_nothing_is_left_of_an_episode_that_breaks_off(tmp_path: Path) -> None:
-    """Neither a file nor a part of one, and what was there before stays."""
     path = _written(tmp_path / "a.hdf5")
     before = path.read_bytes()
 
@@ -202,7 +197,6 @@ def test_nothing_is_left_of_an_episode_that_breaks_off(tmp_path: Path) -> None:
 
 
 def test_steps_that_differ_are_refused_with_what_was_expected(tmp_path: Path) -> None:
-    """A step that lacks something, has more, or has it in another shape."""
     state = {"arm_joint_state": np.zeros(6, np.float32)}
     for changed, told in (
         ({"state": state}, "step 1 lacks state/ee_joint_states"),
@@ -279,7 +273,6 @@ def _empty(tmp_path: Path) -> Path:
 
 
 def test_nothing_outside_of_the_file_is_read(tmp_path: Path) -> None:
-    """Links, and datasets whose bytes lie in other files, are refused before they are followed."""
     other = _written(tmp_path / "other.hdf5")
     (tmp_path / "secret").write_bytes(bytes(48))
     for number, plant in enumerate(
@@ -299,7 +292,6 @@ def test_nothing_outside_of_the_file_is_read(tmp_path: Path) -> None:
 
 
 def test_damage_is_told_with_its_dataset(tmp_path: Path) -> None:
-    """A series that is too short, an image that is none, a file that is no trajectory."""
     short = _written(tmp_path / "short.hdf5")
     with h5py.File(short, "r+") as file:
         file["action/ee_joint_states"].resize(2, axis=0)
@@ -316,7 +308,6 @@ def test_damage_is_told_with_its_dataset(tmp_path: Path) -> None:
 
 
 def test_without_h5py_one_sentence_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It names the interpreter and what to type."""
     path = _written(tmp_path / "a.hdf5")
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(ImportError, match="pip install h5py"):

@@ -110,7 +110,6 @@ ON = {"do": "go on"}
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the client file of an environment to which anything may happen."""
     path = tmp_path_factory.mktemp("misfortunes") / "client.py"
     path.write_text(textwrap.dedent(CLIENT), encoding="utf-8")
     return path
@@ -118,7 +117,6 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def start(client: Path) -> Iterator[Callable[..., VectorEnv]]:
-    """Return a function that starts environments, and check that no process of theirs is left."""
     mark = uuid.uuid4().hex
     os.environ[MARK] = mark
     try:
@@ -135,7 +133,6 @@ def start(client: Path) -> Iterator[Callable[..., VectorEnv]]:
 
 
 def test_workers_play_what_one_process_plays_bit_by_bit() -> None:
-    """Observations with pictures, reports and results of the physics are equal; so is what comes of a second reset."""
     pytest.importorskip("mujoco")
     path = room("envs") / "mujoco" / "client.py"
     config = {"task": "lift_cube", "embodiment": "arx_x5", "num_envs": 3, "cameras": [24, 32], "max_steps": 12}
@@ -174,20 +171,16 @@ def test_workers_play_what_one_process_plays_bit_by_bit() -> None:
 
 @given(st.integers(1, 40), st.integers(1, 40))
 def test_every_environment_is_somebodys(total: int, workers: int) -> None:
-    """Shares are in order, complete, and differ by one at most."""
     parts = shares(total, min(workers, total))
     assert [env for part in parts for env in part] == list(range(total))
     assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
 
 class Recorder:
-    """A policy that notes what it is shown and asked, and answers chunks of two."""
-
     def __init__(self) -> None:
         self.log: list[Any] = []
 
     def call(self, func_name: str, obs: Any = None) -> Any:
-        """Note a call; answer chunks that say what they answer."""
         if func_name == "update_obs_batch":
             obs = [(each["env_idx"], each["state"]["x"].tolist()) for each in obs]
         self.log.append((func_name, obs))
@@ -195,7 +188,6 @@ class Recorder:
 
 
 def test_indices_and_the_shrinking_list_are_those_of_one_process(client: Path) -> None:
-    """Whatever lengths the episodes have, a policy sees the same observations of the same environments in one order."""
     together = load_module(client).make({"num_envs": 5})
     with contextlib.closing(VectorEnv(client, {"num_envs": 5}, workers=3)) as apart:
 
@@ -251,7 +243,6 @@ def test_a_misfortune_spoils_its_own_episodes_and_no_others(
 
 
 def test_a_worker_killed_from_outside_is_replaced_at_the_next_reset(start: Callable[..., VectorEnv]) -> None:
-    """Options that an earlier reset asked for hold for the new one, too."""
     env = start({"num_envs": 2}, workers=2)
     env.reset([5, 5], {"colour": "red"})
     first, second = env.pids
@@ -266,7 +257,6 @@ def test_a_worker_killed_from_outside_is_replaced_at_the_next_reset(start: Calla
 
 
 def test_a_loop_goes_on_when_an_environment_is_lost(start: Callable[..., VectorEnv]) -> None:
-    """The policy is asked for those that still run."""
     env = start({"num_envs": 3}, workers=3)
     env.reset([6, 4, 5])
     victim = env.pids[1]
@@ -285,7 +275,6 @@ def test_a_loop_goes_on_when_an_environment_is_lost(start: Callable[..., VectorE
 
 
 def test_an_environment_lost_in_reset_never_runs(start: Callable[..., VectorEnv]) -> None:
-    """Without any observation of it, who asks for one is told."""
     env = start({"num_envs": 1})
     env.reset([3], {"misfortune": "die"})
     assert env.is_episode_end()
@@ -295,7 +284,6 @@ def test_an_environment_lost_in_reset_never_runs(start: Callable[..., VectorEnv]
 
 
 def test_a_refused_action_is_no_misfortune(start: Callable[..., VectorEnv]) -> None:
-    """It is the caller's, as in one process; the environment goes on."""
     env = start({"num_envs": 2}, workers=2)
     env.reset([5, 5])
     with pytest.raises(ActionError, match="no such action"):
@@ -305,7 +293,6 @@ def test_a_refused_action_is_no_misfortune(start: Callable[..., VectorEnv]) -> N
 
 
 def test_what_cannot_travel_is_sent_to_nobody(start: Callable[..., VectorEnv]) -> None:
-    """The other workers stay in step."""
     env = start({"num_envs": 2}, workers=2)
     env.reset([5, 5])
     with pytest.raises(ValueError, match="cannot be sent"):
@@ -327,14 +314,12 @@ def test_what_cannot_travel_is_sent_to_nobody(start: Callable[..., VectorEnv]) -
 def test_an_environment_that_cannot_be_made_leaves_nothing(
     start: Callable[..., VectorEnv], what: str, error: type[Exception], said: str
 ) -> None:
-    """The constructor says why, and its processes are gone."""
     with pytest.raises(error, match=said):
         start({"num_envs": 2, "misfortune": what}, workers=2, limits=Limits(start_s=2.0))
 
 
 @pytest.mark.parametrize(("count", "workers"), [(2, 3), (2, 0)])
 def test_more_workers_than_environments_are_refused(client: Path, count: int, workers: int) -> None:
-    """So are none."""
     with pytest.raises(ValueError, match="1 to 2 workers"):
         VectorEnv(client, {"num_envs": count}, workers=workers)
 
@@ -343,7 +328,6 @@ def test_more_workers_than_environments_are_refused(client: Path, count: int, wo
 
 
 def test_nothing_outlives_a_parent_that_is_killed(client: Path) -> None:
-    """Neither workers, one of which hangs in a step, nor what their environments started."""
     mark = uuid.uuid4().hex
     code = """
         import sys
@@ -384,13 +368,11 @@ def test_another_interpreter_needs_no_sdk_of_its_own(
 
 
 def test_an_environment_lives_in_an_old_python(start: Callable[..., VectorEnv], old_python: str) -> None:
-    """The worker needs 3.9 and numpy; values are the same."""
     env = start({"num_envs": 2}, workers=2, python=old_python)
     env.reset([2, 1])
     assert [result["steps"] for result in run_batch(env, Recorder())] == [2, 1]
 
 
 def test_an_interpreter_that_does_not_exist_is_named(client: Path) -> None:
-    """By the system's own error."""
     with pytest.raises(FileNotFoundError, match="/nowhere/python"):
         VectorEnv(client, {}, python="/nowhere/python")

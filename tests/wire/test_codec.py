@@ -23,18 +23,15 @@ VECTORS = ROOT / "conformance" / "vectors"
 
 
 def vectors(name: str, key: str = "vectors") -> list[Any]:
-    """Return the golden vectors of one file as test parameters."""
     entries = json.loads((VECTORS / f"{name}.json").read_text(encoding="utf-8"))[key]
     return [pytest.param(entry, id=entry["name"]) for entry in entries]
 
 
 def data_of(entry: dict[str, Any]) -> bytes:
-    """Return the bytes of a golden vector."""
     return b"".join(bytes.fromhex(piece) for piece, _ in entry["bytes"])
 
 
 def meant(value: Any) -> Any:  # noqa: PLR0911 - one for each kind of value
-    """Return the value that the JSON of a golden vector stands for."""
     if isinstance(value, list):
         return [meant(item) for item in value]
     if not isinstance(value, dict):
@@ -54,19 +51,16 @@ def meant(value: Any) -> Any:  # noqa: PLR0911 - one for each kind of value
 
 
 def meant_dtype(description: Any) -> np.dtype[Any]:
-    """Return the dtype of a golden vector."""
     if isinstance(description, str):
         return np.dtype(description)
     return np.dtype([(name, form, *map(tuple, shape)) for name, form, *shape in description])
 
 
 def meant_item(item: Any) -> Any:
-    """Return an item of an array: a structure is a tuple."""
     return tuple(meant(part) for part in item) if isinstance(item, list) else item
 
 
 def same(left: Any, right: Any) -> bool:
-    """Compare two values with arrays in them: types, shapes, and NaN equal to itself."""
     if isinstance(left, dict):
         return isinstance(right, dict) and left.keys() == right.keys() and all(same(left[k], right[k]) for k in left)
     if isinstance(left, (list, tuple)):
@@ -80,12 +74,10 @@ def same(left: Any, right: Any) -> bool:
 
 
 def sent(value: Any) -> Any:
-    """Return what arrives at the other side."""
     return codec.decode(codec.encode(Frame("call", "e", {"obs": value}))).payload["obs"]
 
 
 def raw(**changes: Any) -> bytes:
-    """Return the bytes of a frame that our encoder would not write."""
     fields = vars(Frame("infer", "e1", {}, message_id="m1"))
     return bytes(msgpack.packb({**fields, **changes}))
 
@@ -95,7 +87,6 @@ def raw(**changes: Any) -> bytes:
 
 @pytest.mark.parametrize("entry", vectors("values"))
 def test_values_are_written_and_read_as_the_wire_says(entry: dict[str, Any]) -> None:
-    """Bytes to value and value to bytes."""
     empty = codec.encode(Frame("call", "e", {}))
     decoded = codec.decode(empty[:-1] + b"\x81\xa1v" + data_of(entry)).payload["v"]
     assert same(meant(entry["value"]), decoded)
@@ -105,14 +96,12 @@ def test_values_are_written_and_read_as_the_wire_says(entry: dict[str, Any]) -> 
 
 @pytest.mark.parametrize("entry", vectors("lenient"))
 def test_what_peers_also_write_is_read(entry: dict[str, Any]) -> None:
-    """Bytes to value only."""
     empty = codec.encode(Frame("call", "e", {}))
     assert same(meant(entry["value"]), codec.decode(empty[:-1] + b"\x81\xa1v" + data_of(entry)).payload["v"])
 
 
 @pytest.mark.parametrize("entry", vectors("frames"))
 def test_frames_are_written_and_read_as_the_wire_says(entry: dict[str, Any]) -> None:
-    """Bytes to frame, and frame to bytes unless the writer of the vector differs from us."""
     frame = Frame(**meant(entry["value"]))
     decoded = codec.decode(data_of(entry))
     assert same(vars(frame), vars(decoded))
@@ -130,14 +119,12 @@ def test_bad_frames_are_refused_with_the_id_that_can_be_read(entry: dict[str, An
 
 @pytest.mark.parametrize("entry", vectors("packed"))
 def test_packed_values_are_written_and_read_as_documented(entry: dict[str, Any]) -> None:
-    """Bytes to value and value to bytes."""
     assert same(meant(entry["value"]), packed.decode(data_of(entry)))
     assert b"".join(packed.encode(meant(entry["value"]))) == data_of(entry)
 
 
 @pytest.mark.parametrize("entry", vectors("packed", "refused"))
 def test_bad_packed_values_are_refused(entry: dict[str, Any]) -> None:
-    """Before they cost anything."""
     with pytest.raises(packed.PackingError):
         packed.decode(data_of(entry))
 
@@ -146,7 +133,6 @@ def test_bad_packed_values_are_refused(entry: dict[str, Any]) -> None:
 
 
 def test_an_answer_repeats_the_identifiers() -> None:
-    """And nothing else."""
     request = Frame("infer", "e", {}, action_case_id="c", trial_id="t", repeat_index=2, step=7)
     answer = request.answer("infer_result", {"actions": []})
     for name in ("message_id", "evaluation_id", "action_case_id", "trial_id", "repeat_index", "step"):
@@ -155,7 +141,6 @@ def test_an_answer_repeats_the_identifiers() -> None:
 
 
 def test_an_unreadable_frame_still_tells_all_identifiers_that_are_right() -> None:
-    """A wrong one is left out, so that the answer is a frame of the wire."""
     with pytest.raises(WireError) as refusal:
         codec.decode(raw(trial_id=5, step=3, action_case_id="c"))
     assert refusal.value.identifiers == {
@@ -165,13 +150,11 @@ def test_an_unreadable_frame_still_tells_all_identifiers_that_are_right() -> Non
 
 @pytest.mark.parametrize("field", [{"trial_id": 5}, {"step": None}, {"repeat_index": True}, {"evaluation_id": None}])
 def test_an_envelope_that_peers_refuse_is_not_sent(field: dict[str, Any]) -> None:
-    """The mistake shows where it is made."""
     with pytest.raises(WireError, match=next(iter(field))):
         codec.encode(Frame(**{**vars(Frame("hello", "e")), **field}))
 
 
 def test_a_frame_without_optional_identifiers_is_read() -> None:
-    """What may be nil may be absent."""
     fields = vars(Frame("reset", "e"))
     kept = {name: fields[name] for name in fields if name not in ("action_case_id", "trial_id", "repeat_index")}
     assert codec.decode(msgpack.packb(kept)).trial_id is None
@@ -200,7 +183,6 @@ ARRAYS = (PLAIN | STRUCTURED).flatmap(
 
 
 def made(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> np.ndarray:
-    """Return an array of arbitrary bytes; text and flags only of valid ones."""
     array = np.zeros(shape, dtype)
     if not dtype.names and dtype.kind in "biufc" and data:
         array[...] = np.frombuffer(data, dtype).reshape(shape)
@@ -209,7 +191,6 @@ def made(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> np.ndarra
 
 @given(ARRAYS)
 def test_arrays_arrive_equal_contiguous_and_read_only(array: np.ndarray) -> None:
-    """Any shape, order, byte order and structure; a structure loses only its padding."""
     arrived = sent(array)
     assert arrived.shape == array.shape
     assert arrived.flags.c_contiguous
@@ -240,7 +221,6 @@ VALUES = st.recursive(
 
 @given(VALUES)
 def test_values_arrive_equal(value: Any) -> None:
-    """Text keys such as `nd` and `type` included, unless they make an array."""
     assert same(value, sent(value))
 
 
@@ -260,7 +240,6 @@ def test_values_arrive_equal(value: Any) -> None:
     ],
 )
 def test_what_changes_on_the_way_changes_as_documented(value: Any, arrives: Any) -> None:
-    """Tuples, keys, numpy's spellings of Python's types."""
     got = sent(value)
     assert same(arrives, got)
     assert type(got) is type(arrives)
@@ -278,19 +257,15 @@ class FakeTensor:
         self.values, self.dtype, self.device = values, dtype, device
 
     def detach(self) -> FakeTensor:
-        """Return the tensor without its graph."""
         return self
 
     def cpu(self) -> FakeTensor:
-        """Return the tensor in main memory."""
         return FakeTensor(self.values, self.dtype, "cpu")
 
     def float(self) -> FakeTensor:
-        """Return the tensor in float32."""
         return FakeTensor(self.values, "torch.float32", self.device)
 
     def numpy(self) -> np.ndarray:
-        """Return the array; refuses what torch refuses."""
         assert self.device == "cpu"
         if self.dtype == "torch.bfloat16":
             raise TypeError("Got unsupported ScalarType BFloat16")
@@ -299,7 +274,6 @@ class FakeTensor:
 
 @pytest.mark.parametrize("dtype", ["torch.float32", "torch.bfloat16"])
 def test_tensors_arrive_as_arrays(dtype: str) -> None:
-    """From any device; bfloat16, which numpy lacks, as float32."""
     assert same(np.ones(3, np.float32), sent(FakeTensor(np.ones(3, np.float32), dtype)))
 
 
@@ -322,13 +296,11 @@ def test_tensors_arrive_as_arrays(dtype: str) -> None:
     ],
 )
 def test_what_cannot_travel_is_refused_when_it_is_sent(value: Any) -> None:
-    """With the message type in the error."""
     with pytest.raises(WireError, match="call"):
         codec.encode(Frame("call", "e", {"obs": value}))
 
 
 def test_a_structure_that_contains_itself_is_refused() -> None:
-    """Not a crash."""
     loop: list[Any] = []
     loop.append(loop)
     with pytest.raises(WireError, match="nested"):
@@ -339,7 +311,6 @@ def test_a_structure_that_contains_itself_is_refused() -> None:
 
 
 def nested(levels: int) -> Any:
-    """Return lists and maps, `levels` deep, in turns."""
     value: Any = 0
     for level in range(levels):
         value = [value] if level % 2 else {"k": value}
@@ -347,7 +318,6 @@ def nested(levels: int) -> Any:
 
 
 def test_nesting_is_bounded_both_ways() -> None:
-    """The payload itself is the first level; arrays do not count."""
     most = spec.LIMITS["nesting"]
     fits = {"obs": nested(most - 1)}
     assert codec.depth(fits) == most
@@ -362,14 +332,12 @@ def test_nesting_is_bounded_both_ways() -> None:
 
 @pytest.mark.parametrize("opening", [b"\x91", b"\x81\xa1k"])
 def test_nesting_beyond_the_reader_is_refused_too(opening: bytes) -> None:
-    """Thousands of levels, which msgpack itself gives up on."""
     with pytest.raises(WireError) as refusal:
         codec.decode(raw()[:-1] + opening * 100_000)
     assert refusal.value.message_id == "m1"
 
 
 def test_frames_beyond_the_size_limit_are_refused_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The limit is lowered, so that the test needs no 256 MiB."""
     monkeypatch.setitem(spec.LIMITS, "frame_bytes", 1000)
     with pytest.raises(WireError, match="over the limit of 1000"):
         codec.encode(Frame("call", "e", {"obs": bytes(1000)}))
@@ -405,7 +373,6 @@ def test_a_small_frame_cannot_ask_for_much_memory(payload: bytes) -> None:
     ],
 )
 def test_a_declared_size_allocates_nothing(dtype: str, shape: list[int]) -> None:
-    """The data decide, not the shape."""
     array = {b"nd": True, b"type": dtype, b"kind": b"", b"shape": shape, b"data": b"" if 0 in shape else b"\0"}
     with pytest.raises(WireError):
         codec.decode(raw(payload={"v": array}))
@@ -424,7 +391,6 @@ HOSTILE = st.recursive(
 @settings(max_examples=examples(400))
 @given(HOSTILE)
 def test_hostile_values_are_refused_or_read_and_never_crash(value: Any) -> None:
-    """Whatever stands in the place of an array's keys; what was read can be sent again."""
     try:
         frame = codec.decode(raw(payload={"v": value}))
     except WireError as refusal:
@@ -455,7 +421,6 @@ def test_truncated_frames_are_refused(length: int) -> None:
 @settings(max_examples=examples(300))
 @given(st.lists(st.tuples(st.integers(0, len(GOOD) - 1), st.integers(0, 255)), min_size=1, max_size=4))
 def test_corrupt_frames_raise_nothing_else(changes: list[tuple[int, int]]) -> None:
-    """Decoded or refused."""
     data = bytearray(GOOD)
     for position, byte in changes:
         data[position] = byte
@@ -466,6 +431,5 @@ def test_corrupt_frames_raise_nothing_else(changes: list[tuple[int, int]]) -> No
 @settings(max_examples=examples(300))
 @given(st.binary(max_size=200))
 def test_noise_raises_nothing_else(data: bytes) -> None:
-    """Decoded or refused."""
     with pytest.raises(WireError):
         codec.decode(data)

@@ -50,7 +50,6 @@ PROCESSOR_S = 2.0
 
 
 def peak(action: Callable[[], object]) -> int:
-    """Return the most memory, in bytes, that was in use at a time during an action, which may not take long."""
     tracemalloc.start()
     began = time.process_time()
     try:
@@ -79,7 +78,6 @@ CHANGES = st.lists(
 
 
 def changed(data: bytes, changes: list[tuple[str, int, Any]]) -> bytes:
-    """Return bytes after some changes; positions wrap around."""
     for kind, position, what in changes:
         start = position % (len(data) + 1)
         if kind == "insert":
@@ -95,7 +93,6 @@ def changed(data: bytes, changes: list[tuple[str, int, Any]]) -> bytes:
 @bounded
 @given(st.sampled_from(SEEDS), CHANGES)
 def test_damaged_messages_are_read_or_refused(seed: tuple[int, bytes], changes: list[tuple[str, int, Any]]) -> None:
-    """By the one error that each reader has, in little time and memory."""
     target, data = seed[0], changed(seed[1], changes)
     assert peak(lambda: decoder.TARGETS[target](data)) < FACTOR * len(data) + SLACK
 
@@ -103,12 +100,10 @@ def test_damaged_messages_are_read_or_refused(seed: tuple[int, bytes], changes: 
 @bounded
 @given(st.sampled_from(decoder.TARGETS), st.binary(max_size=300))
 def test_noise_is_refused(target: Callable[[bytes], None], data: bytes) -> None:
-    """Likewise."""
     assert peak(lambda: target(data)) < FACTOR * len(data) + SLACK
 
 
 def packed_message(tree: Any, body: bytes = b"") -> bytes:
-    """Return a packed value that our encoder would not write."""
     header = json.dumps(tree).encode()
     return struct.pack("<4sIQ", b"XPL1", len(header), len(body)) + header + body
 
@@ -145,7 +140,6 @@ PICTURE = (np.arange(24 * 32 * 3) % 251).astype(np.uint8).reshape(24, 32, 3)
 
 
 def other_format(name: str) -> bytes:
-    """Return the picture in one of the other formats."""
     from PIL import Image
 
     target = io.BytesIO()
@@ -163,7 +157,6 @@ PICTURES = [
 @bounded
 @given(st.sampled_from(PICTURES), CHANGES)
 def test_damaged_images_are_decoded_or_refused(data: bytes, changes: list[tuple[str, int, Any]]) -> None:
-    """A picture of sensible size, or one clear error; nothing that the image library raises gets through."""
     with contextlib.suppress(ObservationError):
         image = images.decode(changed(data, changes))
         assert image.dtype == np.uint8
@@ -174,7 +167,6 @@ def test_damaged_images_are_decoded_or_refused(data: bytes, changes: list[tuple[
 @bounded
 @given(st.binary(max_size=300))
 def test_the_marker_is_looked_for_in_anything(data: bytes) -> None:
-    """Without an end in sight, too."""
     assert images.has_marker(b"\xff\xd8" + data) in (True, False)
 
 
@@ -204,7 +196,6 @@ class Sessions(RuleBasedStateMachine):
 
     @initialize(workers=st.integers(1, 2), shared=st.integers(1, 2))
     def start(self, workers: int, shared: int) -> None:
-        """Open the server."""
         self.places = Places(workers, shared, GRACE_S, clock=lambda: self.now)
 
     @rule(client=CLIENTS)
@@ -235,7 +226,6 @@ class Sessions(RuleBasedStateMachine):
     @precondition(lambda self: self.connections)
     @rule(data=st.data(), clean=st.booleans())
     def leave(self, data: st.DataObject, clean: bool) -> None:
-        """Say goodbye, or lose the connection."""
         client = data.draw(st.sampled_from(sorted(self.connections)))
         assert self.places.leave(self.connections.pop(client), clean=clean)
         self.until[client] = self.now if clean else self.now + GRACE_S
@@ -244,13 +234,11 @@ class Sessions(RuleBasedStateMachine):
 
     @rule(seconds=st.sampled_from([1.0, GRACE_S]))
     def wait(self, seconds: float) -> None:
-        """Let time pass."""
         self.now += seconds
 
     @precondition(lambda self: self.connections)
     @rule(data=st.data(), back=st.integers(0, REMEMBERED - 1), kind=st.sampled_from(["infer", "reset"]))
     def ask(self, data: st.DataObject, back: int, kind: str) -> None:
-        """Send a new request, or one of the newest again."""
         client = data.draw(st.sampled_from(sorted(self.connections)))
         place = self.places.of(self.connections[client])
         assert place is not None
@@ -266,7 +254,6 @@ class Sessions(RuleBasedStateMachine):
     @precondition(lambda self: self.running)
     @rule(data=st.data(), size=st.integers(0, 40))
     def answer(self, data: st.DataObject, size: int) -> None:
-        """Finish one of the requests that run, whoever still waits for it."""
         frame, place, entry = self.running.pop(data.draw(st.integers(0, len(self.running) - 1)))
         heard: list[bytes] = []
         entry.waiting.append(heard.append)
@@ -275,19 +262,16 @@ class Sessions(RuleBasedStateMachine):
 
     @invariant()
     def nothing_ran_twice(self) -> None:
-        """A repeated id never runs again."""
         assert all(count == 1 for count in self.runs.values()), self.runs
 
     @invariant()
     def every_connection_has_a_place_of_its_own(self) -> None:
-        """No two clients hold the same one."""
         held = [self.places.of(connection) for connection in self.connections.values()]
         assert None not in held
         assert len(set(map(id, held))) == len(held)
 
     @invariant()
     def memory_is_bounded(self) -> None:
-        """What is remembered is within the limits, apart from what still runs."""
         for connection in self.connections.values():
             place = self.places.of(connection)
             assert place is not None
@@ -298,7 +282,6 @@ class Sessions(RuleBasedStateMachine):
 
 @pytest.mark.usefixtures("small_memory")
 def test_sessions_hold_whatever_clients_do() -> None:
-    """See the machine above."""
     run_state_machine_as_test(
         Sessions, settings=settings(max_examples=examples(200), stateful_step_count=40, deadline=None)
     )
@@ -306,7 +289,6 @@ def test_sessions_hold_whatever_clients_do() -> None:
 
 @pytest.fixture
 def small_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have the memory of answers reach its limits soon."""
     monkeypatch.setitem(spec.LIMITS, "replay_entries", REMEMBERED)
     monkeypatch.setitem(spec.LIMITS, "replay_bytes", REMEMBERED * 40)
 
@@ -316,7 +298,6 @@ def small_memory(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_the_decoders_withstand_a_fuzzer_that_sees_their_branches(tmp_path: Path) -> None:
-    """For twenty seconds: no other error, no input that takes seconds, no more than a gigabyte."""
     if importlib.util.find_spec("atheris") is None:
         pytest.skip("not run: atheris is not installed")
     for number, (target, data) in enumerate(decoder.seeds()):

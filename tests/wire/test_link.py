@@ -21,19 +21,16 @@ from xpl.wire.frame import PackingError
 
 
 def message(header: int, body: int) -> bytes:
-    """Return a message of these lengths, with content that tells where it was."""
     content = (np.arange(header + body) % 251).astype(np.uint8).tobytes()
     return struct.pack("<4sIQ", b"XPL1", header, body) + content
 
 
 def sent(head: Any, *buffers: bytes) -> tuple[Any, list[bytes]]:
-    """Return what arrives at the other side."""
     got, views = link.decode(b"".join(link.encode(head, buffers)))
     return got, list(map(bytes, views))
 
 
 def peak(action: Callable[[], object]) -> int:
-    """Return the most bytes that an action holds at a time."""
     tracemalloc.start()
     try:
         action()
@@ -53,13 +50,11 @@ HEADS = st.recursive(
 
 @given(HEADS, st.lists(st.binary(max_size=40), max_size=5))
 def test_a_message_arrives_as_it_was_sent(head: Any, buffers: list[bytes]) -> None:
-    """Its head, and its buffers byte for byte."""
     assert sent(head, *buffers) == (head, buffers)
 
 
 @given(st.lists(st.binary(max_size=40), max_size=5))
 def test_buffers_are_views_at_multiples_of_16_bytes(buffers: list[bytes]) -> None:
-    """So that the arrays in them can be read where they are; nobody can write there."""
     whole = b"".join(link.encode("head", buffers))
     start = np.frombuffer(whole, np.uint8).ctypes.data
     for view in link.decode(whole)[1]:
@@ -70,7 +65,6 @@ def test_buffers_are_views_at_multiples_of_16_bytes(buffers: list[bytes]) -> Non
 
 
 def test_buffers_are_not_copied() -> None:
-    """However large they are."""
     buffers = [bytes(1 << 20), bytearray(100), memoryview(bytes(10))]
     assert [piece for piece in link.encode({}, buffers) if any(piece is buffer for buffer in buffers)] == buffers
 
@@ -79,13 +73,11 @@ def test_buffers_are_not_copied() -> None:
     "head", [object(), {1, 2}, b"bytes", np.zeros(3), np.float32(1), 10**5000], ids=lambda head: type(head).__name__
 )
 def test_a_head_that_json_does_not_know_cannot_be_sent(head: Any) -> None:
-    """Never a TypeError, which would end the server."""
     with pytest.raises(PackingError):
         link.encode([{"head": head}])
 
 
 def test_a_head_that_contains_itself_cannot_be_sent() -> None:
-    """Nor one that is too large."""
     loop: list[Any] = []
     loop.append(loop)
     with pytest.raises(PackingError):
@@ -93,14 +85,12 @@ def test_a_head_that_contains_itself_cannot_be_sent() -> None:
 
 
 def test_a_head_over_the_limit_cannot_be_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The other side would take it for a stream that is out of step."""
     monkeypatch.setattr(frame, "HEADER_LIMIT", 100)
     with pytest.raises(PackingError, match="over the limits"):
         link.encode("x" * 200)
 
 
 def headed(text: bytes, body: int = 0) -> bytes:
-    """Return a message with a header of our own making."""
     text += b" " * (-len(text) % 16)
     return struct.pack("<4sIQ", b"XPL1", len(text), body) + text + bytes(body)
 
@@ -116,7 +106,6 @@ def headed(text: bytes, body: int = 0) -> bytes:
     ids=lambda data: f"{len(data)} {data[16:32]!r}",
 )  # fmt: skip
 def test_what_is_no_message_is_refused(data: bytes) -> None:
-    """With the one error that the ends of a link know."""
     with pytest.raises(PackingError):
         link.decode(data)
 
@@ -125,7 +114,6 @@ def test_what_is_no_message_is_refused(data: bytes) -> None:
 
 
 def fed(inbox: Inbox, stream: bytes, sizes: Sequence[int]) -> Iterator[bytes]:
-    """Yield the messages that come out while a stream goes in, in reads of at most these sizes, again and again."""
     rest = memoryview(stream)
     for size in itertools.cycle(sizes):
         if not rest:
@@ -145,7 +133,6 @@ READS = st.lists(st.integers(1, 40) | st.integers(60_000, 300_000), min_size=1, 
 
 @given(st.lists(st.builds(message, st.integers(0, 64), BODIES), max_size=8), READS)
 def test_any_split_of_a_stream_gives_the_same_messages(messages: list[bytes], reads: list[int]) -> None:
-    """From messages of nothing to those far larger than one read."""
     # Bytes one by one are the slowest way to find nothing new in long bodies.
     reads = [*reads, 5000]
     assert list(fed(Inbox(), b"".join(messages), reads)) == messages
@@ -153,7 +140,6 @@ def test_any_split_of_a_stream_gives_the_same_messages(messages: list[bytes], re
 
 @pytest.mark.parametrize("body", [0, 1, 65_519, 65_520, 65_521, 70_000])
 def test_a_stream_of_single_bytes_is_cut_as_well(body: int) -> None:
-    """Also where the prefix itself comes in pieces."""
     messages = [message(0, 0), message(16, body), message(3, 5)]
     stream = b"".join(messages)
     reads = [1] * 40 + [max(1, len(stream) - 100)] + [1] * 200
@@ -161,7 +147,6 @@ def test_a_stream_of_single_bytes_is_cut_as_well(body: int) -> None:
 
 
 def test_messages_stay_as_they_are_while_more_is_read() -> None:
-    """An answer may be looked at long after the next one has come."""
     inbox = Inbox()
     first, second = message(16, 50), message(32, 100)
     kept = []
@@ -182,7 +167,6 @@ def test_messages_stay_as_they_are_while_more_is_read() -> None:
     ],
 )
 def test_a_stream_out_of_step_is_a_link_error(noise: bytes) -> None:
-    """Before anything of the size that it seems to announce is set aside."""
     inbox = Inbox()
 
     def read() -> None:
@@ -193,7 +177,6 @@ def test_a_stream_out_of_step_is_a_link_error(noise: bytes) -> None:
 
 
 def test_a_long_message_takes_memory_as_it_comes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not as it is announced; and it arrives whole."""
     monkeypatch.setattr(link, "_STEP", 1 << 17)
     inbox, announced = Inbox(), struct.pack("<4sIQ", b"XPL1", 16, frame.BODY_LIMIT)
     assert peak(lambda: list(fed(inbox, announced + bytes(200_000), [70_000]))) < 2_000_000
@@ -206,7 +189,6 @@ def test_a_long_message_takes_memory_as_it_comes(monkeypatch: pytest.MonkeyPatch
 
 @pytest.fixture
 def ends() -> Iterator[tuple[Channel, socket.socket]]:
-    """Return a worker's end of a link and the raw other one."""
     ours, theirs = socket.socketpair()
     with ours, theirs:
         yield Channel(theirs), ours
@@ -214,7 +196,6 @@ def ends() -> Iterator[tuple[Channel, socket.socket]]:
 
 @pytest.mark.parametrize("size", [0, 10, 100_000, 20_000_000])
 def test_what_one_channel_sends_the_other_receives(size: int) -> None:
-    """Also far more than the system keeps in between."""
     buffers = [bytes([7]) * size, b"", b"x" * 3]
     left, right = socket.socketpair()
     with left, right:
@@ -229,7 +210,6 @@ def test_what_one_channel_sends_the_other_receives(size: int) -> None:
 
 
 def test_messages_that_arrive_together_are_received_one_by_one(ends: tuple[Channel, socket.socket]) -> None:
-    """In their order, and then the end of the stream."""
     channel, other = ends
     other.sendall(b"".join(b"".join(link.encode(number)) for number in range(5)))
     other.close()
@@ -242,7 +222,6 @@ def test_messages_that_arrive_together_are_received_one_by_one(ends: tuple[Chann
 
 
 def test_a_stream_that_ends_inside_a_message_ends(ends: tuple[Channel, socket.socket]) -> None:
-    """Half a message is none."""
     channel, other = ends
     other.sendall(b"".join(link.encode("head", [bytes(100_000)]))[:90_000])
     other.close()
@@ -250,7 +229,6 @@ def test_a_stream_that_ends_inside_a_message_ends(ends: tuple[Channel, socket.so
 
 
 def test_a_link_that_was_reset_ends(ends: tuple[Channel, socket.socket]) -> None:
-    """As one that was closed in order."""
     channel, other = ends
     channel.send("never read")  # closing with something unread resets the connection
     other.close()
@@ -258,7 +236,6 @@ def test_a_link_that_was_reset_ends(ends: tuple[Channel, socket.socket]) -> None
 
 
 def test_noise_is_a_link_error(ends: tuple[Channel, socket.socket]) -> None:
-    """It is not waited for more."""
     channel, other = ends
     other.sendall(b"a print on the wrong descriptor\n")
     with pytest.raises(PackingError, match="out of step"):
@@ -266,7 +243,6 @@ def test_noise_is_a_link_error(ends: tuple[Channel, socket.socket]) -> None:
 
 
 def test_what_cannot_be_sent_leaves_the_link_as_it_was(ends: tuple[Channel, socket.socket]) -> None:
-    """Nothing of it was sent."""
     channel, other = ends
     with pytest.raises(PackingError):
         channel.send({"object": object()}, [bytes(100_000)])
@@ -275,7 +251,6 @@ def test_what_cannot_be_sent_leaves_the_link_as_it_was(ends: tuple[Channel, sock
 
 
 def test_sending_to_nobody_is_an_os_error(ends: tuple[Channel, socket.socket]) -> None:
-    """For the caller to decide on."""
     channel, other = ends
     other.close()
     with pytest.raises(OSError, match=os.strerror(32)):

@@ -24,24 +24,20 @@ MIB = 1 << 20
 
 
 def joined(value: Any) -> bytes:
-    """Return a value as one message."""
     return b"".join(packed.encode(value))
 
 
 def sent(value: Any) -> Any:
-    """Return what arrives at the other side."""
     return packed.decode(joined(value))
 
 
 def message(tree: Any, body: bytes = b"") -> bytes:
-    """Return a message with a header of our own making."""
     text = tree if isinstance(tree, bytes) else json.dumps(tree).encode()
     text += b" " * (-len(text) % 16)
     return struct.pack("<4sIQ", b"XPL1", len(text), len(body)) + text + body
 
 
 def same(one: Any, other: Any) -> bool:
-    """Tell whether two values are equal in types, shapes and bits."""
     if isinstance(one, (np.ndarray, np.generic)):
         alike = type(one) is type(other) and (one.dtype, one.shape) == (other.dtype, other.shape)
         return alike and one.tobytes() == other.tobytes()
@@ -53,7 +49,6 @@ def same(one: Any, other: Any) -> bool:
 
 
 def arrays_of(value: Any) -> Iterator[np.ndarray]:
-    """Yield all arrays in a value."""
     if isinstance(value, np.ndarray):
         yield value
     for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
@@ -84,7 +79,6 @@ KEYS = TEXT | st.sampled_from(["@", "@array", "@@bytes", "@rows", "@shared"])
 
 @st.composite
 def action_chunks(draw: st.DrawFn) -> list[dict[str, np.ndarray]]:
-    """Return maps of arrays that are alike, as action chunks are, or nearly alike."""
     kinds = draw(st.dictionaries(KEYS, st.tuples(PLAIN_DTYPES, hnp.array_shapes(max_dims=2)), min_size=1, max_size=3))
     steps = draw(st.integers(0, 4))
     chunk = [{key: draw(hnp.arrays(dtype, shape)) for key, (dtype, shape) in kinds.items()} for _ in range(steps)]
@@ -106,7 +100,6 @@ VALUES = st.recursive(
 @example([{"a": np.array(1)}, {"a": np.array(2)}])
 @example([{"a": np.zeros((0, 2))}, {"a": np.zeros((0, 2))}])
 def test_values_arrive_the_same(value: Any) -> None:
-    """Every text can be a key, also those that the format uses itself; NaN and infinity have no words in JSON."""
     assert same(sent(value), value)
 
 
@@ -123,7 +116,6 @@ def test_text_that_is_no_unicode_is_refused(value: Any) -> None:
 
 @given(VALUES)
 def test_arrays_arrive_read_only_and_aligned(value: Any) -> None:
-    """In the message's own memory: every array and every element can be read as its processor likes it best."""
     whole = joined(value)
     base = np.frombuffer(whole, np.uint8)
     for array in arrays_of(packed.decode(whole)):
@@ -135,7 +127,6 @@ def test_arrays_arrive_read_only_and_aligned(value: Any) -> None:
 
 
 def test_arrays_of_a_message_begin_at_multiples_of_16_bytes() -> None:
-    """Whatever lies before them."""
     arrays = {"a": np.zeros(3, np.uint8), "b": np.arange(5.0), "c": np.zeros(5000, np.int8), "d": np.ones(2, "c16")}
     for array in sent({"x": b"1", "y": {"z": b"123"}, **arrays}).values():
         assert not isinstance(array, np.ndarray) or array.ctypes.data % 16 == 0
@@ -157,7 +148,6 @@ def test_arrays_of_a_message_begin_at_multiples_of_16_bytes() -> None:
     ids=lambda array: f"{array.dtype.str}{array.shape}",
 )
 def test_arrays_of_any_layout_arrive_in_c_order(array: np.ndarray) -> None:
-    """As plain arrays."""
     arrived = sent(array)
     assert type(arrived) is np.ndarray
     assert (arrived.dtype, arrived.shape) == (array.dtype, array.shape)
@@ -196,7 +186,6 @@ def test_what_changes_on_the_way_changes_as_documented(value: Any, arrives: Any)
 
 
 def test_steps_of_a_chunk_cost_one_entry_together() -> None:
-    """A chunk of 50 steps is as quick to read as one step is."""
     chunk = [{"arm": np.full(7, step, np.float32), "gripper": np.full(1, step, np.float32)} for step in range(50)]
     pieces = packed.encode(chunk)
     assert len(pieces) <= 5
@@ -208,7 +197,6 @@ def test_steps_of_a_chunk_cost_one_entry_together() -> None:
 
 
 def test_large_contiguous_arrays_are_not_copied() -> None:
-    """The pieces are views of them."""
     array = np.arange(100_000)
     image = np.zeros((1000, 10, 3), np.uint8)[100:900]
     tracemalloc.start()
@@ -229,7 +217,6 @@ def test_small_arrays_are_copied_before_encode_returns() -> None:
 
 
 def test_large_arrays_may_lie_in_shared_memory() -> None:
-    """Those that are worth it and find room; all others travel in the message."""
     threshold = spec.LIMITS["shared_array"]
     shelf: list[np.ndarray] = []
 
@@ -266,7 +253,6 @@ def test_packed_entries_of_a_frame_arrive_among_the_others() -> None:
 
 @pytest.mark.parametrize("entry", ["text", 3, b"", b"XPL1", joined([1]), joined({})[:-1]])
 def test_packed_entries_that_are_none_are_refused(entry: Any) -> None:
-    """With the error that the format has."""
     with pytest.raises(PackingError):
         codec.unpacked({spec.Payload.PACKED: entry})
 
@@ -275,7 +261,6 @@ def test_packed_entries_that_are_none_are_refused(entry: Any) -> None:
 
 
 def looped() -> list[Any]:
-    """Return a list that contains itself."""
     loop: list[Any] = []
     loop.append(loop)
     return loop
@@ -289,13 +274,11 @@ def looped() -> list[Any]:
          "huge number", "rows of objects"],
 )  # fmt: skip
 def test_what_cannot_travel_is_a_packing_error(value: Any) -> None:
-    """Never a RecursionError or a TypeError, which would end the worker."""
     with pytest.raises(PackingError):
         packed.encode({"a": [value]})
 
 
 def test_a_header_beyond_the_limit_is_not_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The other side would take it for a stream that is out of step."""
     monkeypatch.setattr(frame, "HEADER_LIMIT", 100)
     with pytest.raises(PackingError, match="use arrays"):
         packed.encode(list(range(100)))
@@ -316,7 +299,6 @@ def test_a_header_beyond_the_limit_is_not_sent(monkeypatch: pytest.MonkeyPatch) 
     ],
 )
 def test_a_prefix_that_is_none_is_refused(prefix: bytes, says: str) -> None:
-    """Before anything is read on its word."""
     with pytest.raises(PackingError, match=says):
         packed.lengths(prefix)
     with pytest.raises(PackingError):
@@ -324,7 +306,6 @@ def test_a_prefix_that_is_none_is_refused(prefix: bytes, says: str) -> None:
 
 
 def test_a_message_that_is_not_whole_is_refused() -> None:
-    """A byte less, and a byte more."""
     whole = joined({"a": np.arange(3)})
     for data in (whole[:-1], whole + b"\0", whole[:16]):
         with pytest.raises(PackingError, match="was announced"):
@@ -370,7 +351,6 @@ def test_a_message_that_is_not_whole_is_refused() -> None:
     ids=lambda data: repr(data[16:56]),
 )
 def test_header_and_body_that_do_not_fit_are_refused(data: bytes) -> None:
-    """Quickly, and with no more memory than the message has."""
     tracemalloc.start()
     with pytest.raises(PackingError):
         packed.decode(data)
@@ -380,7 +360,6 @@ def test_header_and_body_that_do_not_fit_are_refused(data: bytes) -> None:
 
 
 def bombs() -> Iterator[tuple[str, bytes]]:
-    """Yield short messages that ask for much."""
     for shape in ([10**9, 0], [10**6, 0], [2**40, 0, 3], [10**9]):
         yield f"rows without content {shape}", message({"@rows": {"a": [0, "|u1", shape]}})
     column = [0, "|u1", [200_000, 1]]
@@ -391,7 +370,6 @@ def bombs() -> Iterator[tuple[str, bytes]]:
 
 @pytest.mark.parametrize(("name", "data"), list(bombs()), ids=[name for name, _ in bombs()])
 def test_a_short_message_cannot_ask_for_much(name: str, data: bytes) -> None:
-    """Neither memory nor time: what a message makes grows with what was sent."""
     tracemalloc.start()
     begun = time.process_time()
     with contextlib.suppress(PackingError):
@@ -409,7 +387,6 @@ GOOD = {
 
 
 def flipped(data: st.DataObject) -> bytes:
-    """Return a good message with a few wrong bytes."""
     good = bytearray(joined(GOOD))
     for _ in range(data.draw(st.integers(1, 4))):
         good[data.draw(st.integers(0, len(good) - 1))] = data.draw(st.integers(0, 255))
@@ -417,7 +394,6 @@ def flipped(data: st.DataObject) -> bytes:
 
 
 def reshaped(data: st.DataObject) -> bytes:
-    """Return a message whose header is well-formed and means nothing."""
     numbers = st.integers(-2, 40) | st.sampled_from([2**31, 2**63, 2**64, True, None, 1.5])
     dtypes = st.sampled_from(["|u1", "<f4", "<U3", "|V0", "|O", "<M8[s]", "f4,f4", [["a", "<f4"]], [["a", "<f4", [2]]]])
     entries = st.lists(numbers | dtypes | st.lists(numbers, max_size=3), max_size=5)
@@ -430,6 +406,5 @@ def reshaped(data: st.DataObject) -> bytes:
 @pytest.mark.parametrize("damage", [flipped, reshaped], ids=lambda damage: damage.__name__)
 @given(data=st.data())
 def test_damaged_messages_are_read_or_refused(damage: Callable[[st.DataObject], bytes], data: st.DataObject) -> None:
-    """Nothing but a PackingError comes out of it."""
     with contextlib.suppress(PackingError):
         packed.decode(damage(data))

@@ -29,25 +29,20 @@ ROOM = 100_000
 
 
 class Sides(NamedTuple):
-    """The three who share a segment."""
-
     server: Segment
     client: Arena
     worker: Window
 
     def close(self) -> None:
-        """Let go of it."""
         self.client.close()
         self.server.close()
 
     def states(self) -> set[int]:
-        """Return the states that occur among the blocks."""
         memory = self.worker._map
         return set(memory[S["states_at"] : S["states_at"] + S["blocks"]])
 
 
 def shared(room: int = ROOM) -> Sides:
-    """Return a small segment that all three have opened."""
     server = Segment(S["data_at"] + room)
     client = Arena(str(server.path), server.size)
     worker = Window(str(server.path), server.size)
@@ -67,14 +62,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture
 def sides(folder: Path) -> Iterator[Sides]:
-    """Return a small segment that all three have opened."""
     opened = shared()
     yield opened
     opened.close()
 
 
 def passed_on(sides: Sides, array: np.ndarray) -> np.ndarray:
-    """Return an array as the worker sees it."""
     placed = sides.client.place(array)
     assert placed is not None
     return sides.worker.find(*placed, array.dtype, array.shape)
@@ -84,7 +77,6 @@ def passed_on(sides: Sides, array: np.ndarray) -> np.ndarray:
 
 
 def test_segments_lie_in_memory_where_the_system_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where it has none, among the temporary files."""
     monkeypatch.undo()
     assert segment.folder() == Path("/dev/shm")  # noqa: S108
     monkeypatch.setattr(os, "access", lambda *_: False)
@@ -93,7 +85,6 @@ def test_segments_lie_in_memory_where_the_system_has_it(monkeypatch: pytest.Monk
 
 
 def test_a_segment_is_closed_to_others(folder: Path) -> None:
-    """Under any umask; nothing of its size is taken before it is used."""
     before = os.umask(0)
     try:
         made = Segment()
@@ -109,7 +100,6 @@ def test_a_segment_is_closed_to_others(folder: Path) -> None:
 
 
 def test_both_sides_prove_that_they_see_the_same_memory(folder: Path) -> None:
-    """The client reads what the server wrote there, and the server what the client wrote."""
     first, second = Segment(), Segment()
     arena = Arena(str(first.path), first.size)
     assert arena.token == first.token != second.token
@@ -123,7 +113,6 @@ def test_both_sides_prove_that_they_see_the_same_memory(folder: Path) -> None:
 
 
 def test_the_memory_lives_on_without_its_name(folder: Path) -> None:
-    """Nothing can be left behind from then on, and arrays still cross."""
     sides = shared()
     assert list(folder.iterdir()) == []
     sides.server.close()
@@ -133,7 +122,6 @@ def test_the_memory_lives_on_without_its_name(folder: Path) -> None:
 
 
 def foreign(kind: str, folder: Path) -> Path:
-    """Return the path of something that a client must not open."""
     path = folder / "xpl-0"
     if kind == "missing":
         return path
@@ -169,7 +157,6 @@ def test_what_is_no_segment_of_ours_is_refused(folder: Path, kind: str) -> None:
 
 
 def test_a_segment_of_another_user_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Even if its mode lets us in."""
     made = Segment(2 * S["data_at"])
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
     with pytest.raises(SegmentError, match="of this user"):
@@ -188,7 +175,6 @@ def test_a_size_that_is_not_the_files_is_refused(folder: Path, size: int) -> Non
 
 
 def test_a_worker_that_finds_no_file_says_so(folder: Path) -> None:
-    """With the path."""
     with pytest.raises(SegmentError, match="xpl-gone"):
         Window(str(folder / "xpl-gone"), 100)
     made = Segment(2 * S["data_at"])
@@ -214,7 +200,6 @@ def test_a_worker_that_finds_no_file_says_so(folder: Path) -> None:
     ids=lambda array: f"{array.dtype.kind}{array.shape}",
 )
 def test_an_array_is_found_as_it_was_placed(sides: Sides, array: np.ndarray) -> None:
-    """Read-only, at a multiple of 64 bytes."""
     found = passed_on(sides, array)
     assert (found.dtype, found.shape, found.tobytes()) == (array.dtype, array.shape, array.tobytes())
     assert not found.flags.writeable
@@ -224,7 +209,6 @@ def test_an_array_is_found_as_it_was_placed(sides: Sides, array: np.ndarray) -> 
 
 
 def test_a_value_crosses_with_its_arrays(sides: Sides) -> None:
-    """The message holds where they are."""
     value = {"image": np.arange(30_000, dtype=np.uint8), "state": np.arange(7.0), "text": "t"}
     message = b"".join(packed.encode(value, sides.client.place))
     assert len(message) < 1000
@@ -252,7 +236,6 @@ VIEWS: dict[str, Callable[[np.ndarray], Any]] = {
 
 @pytest.mark.parametrize("name", VIEWS)
 def test_a_block_is_free_when_the_last_view_is_gone(sides: Sides, name: str) -> None:
-    """Not before, and at once: no collector has to run."""
     gc.disable()
     try:
         found = passed_on(sides, np.arange(100))
@@ -267,7 +250,6 @@ def test_a_block_is_free_when_the_last_view_is_gone(sides: Sides, name: str) -> 
 
 
 def test_views_outlive_everyone_but_the_adapter(folder: Path) -> None:
-    """The client is gone, the file, and the worker's own mapping."""
     sides = shared()
     view = passed_on(sides, np.arange(100))[10:12]
     sides.close()
@@ -304,7 +286,6 @@ def test_a_child_that_the_adapter_forked_frees_nothing(folder: Path) -> None:
 
 
 def test_nothing_else_is_found(sides: Sides) -> None:
-    """A block is read once, and only where an array lies."""
     uint8 = np.dtype(np.uint8)
     placed = sides.client.place(np.zeros(100, np.uint8))
     assert placed is not None
@@ -334,7 +315,6 @@ def test_nothing_else_is_found(sides: Sides) -> None:
 
 
 def test_without_room_an_array_is_not_placed(sides: Sides) -> None:
-    """It travels in the message; what is there stays, and smaller ones still fit."""
     assert sides.client.place(np.zeros(ROOM + 1, np.uint8)) is None
     whole = passed_on(sides, np.zeros(ROOM, np.uint8))
     assert sides.client.place(np.zeros(1, np.uint8)) is None
@@ -346,7 +326,6 @@ def test_without_room_an_array_is_not_placed(sides: Sides) -> None:
 
 
 def test_without_a_block_an_array_is_not_placed(sides: Sides) -> None:
-    """There are as many as the states have room for."""
     held = [passed_on(sides, np.full(1, number % 251, np.uint8)) for number in range(S["blocks"])]
     assert sides.client.place(np.zeros(1, np.uint8)) is None
     assert [int(one[0]) for one in held] == [number % 251 for number in range(S["blocks"])]
@@ -355,7 +334,6 @@ def test_without_a_block_an_array_is_not_placed(sides: Sides) -> None:
 
 
 def test_the_same_memory_is_used_again(sides: Sides) -> None:
-    """An episode that keeps nothing stays where it is."""
     places = set()
     for _ in range(5):
         placed = sides.client.place(np.zeros(1000, np.uint8))
@@ -366,7 +344,6 @@ def test_the_same_memory_is_used_again(sides: Sides) -> None:
 
 
 def full(*_: Any) -> NoReturn:
-    """Be a system without memory."""
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
@@ -383,7 +360,6 @@ def test_a_system_without_memory_is_no_end(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_segment_that_finds_no_memory_leaves_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The server goes on without it."""
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(SegmentError, match="no room for shared memory"):
         Segment()
@@ -391,7 +367,6 @@ def test_a_segment_that_finds_no_memory_leaves_nothing(folder: Path, monkeypatch
 
 
 def test_a_segment_that_cannot_be_made_says_where(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And why."""
     monkeypatch.setattr(segment, "folder", lambda: folder / "gone")
     with pytest.raises(SegmentError, match="gone: No such file"):
         Segment()
@@ -487,7 +462,6 @@ class Sharing(RuleBasedStateMachine):
 
     @rule(size=st.integers(1, 8000))
     def place(self, size: int) -> None:
-        """Send an array; without room for it, nothing is noted."""
         self.count += 1
         array = np.random.default_rng(self.count).integers(0, 256, size, np.uint8)
         placed = self.sides.client.place(array)
@@ -498,7 +472,6 @@ class Sharing(RuleBasedStateMachine):
     @precondition(lambda self: self.sent)
     @rule(data=st.data())
     def take(self, data: st.DataObject) -> None:
-        """Let the worker read one; its answer comes later."""
         array, placed, ticket = self.sent.pop(data.draw(st.integers(0, len(self.sent) - 1)))
         found = self.sides.worker.find(*placed, array.dtype, array.shape)
         start = data.draw(st.integers(0, array.size - 1))
@@ -508,26 +481,22 @@ class Sharing(RuleBasedStateMachine):
     @precondition(lambda self: self.kept)
     @rule(data=st.data())
     def drop(self, data: st.DataObject) -> None:
-        """Let the adapter forget one."""
         del self.kept[data.draw(st.integers(0, len(self.kept) - 1))]
 
     @precondition(lambda self: self.answers)
     @rule()
     def answer(self) -> None:
-        """Read all answers that have come."""
         self.sides.client.answered(self.answers)
         self.answers.clear()
 
     @precondition(lambda self: self.sent)
     @rule()
     def refuse(self) -> None:
-        """Answer a request that the worker never read."""
         _, _, ticket = self.sent.pop()
         self.sides.client.answered([ticket])
 
     @invariant()
     def nothing_has_changed(self) -> None:
-        """Neither what is kept, nor what is under way."""
         for array, view in self.kept:
             assert np.array_equal(array, view)
         data = self.sides.worker._data
@@ -535,7 +504,6 @@ class Sharing(RuleBasedStateMachine):
             assert data[offset : offset + array.size] == array.tobytes()
 
     def teardown(self) -> None:
-        """Drop everything: all blocks are free, and all the room is there again."""
         self.sent, (self.kept, sent) = [], ([], self.sent)
         self.sides.client.answered([ticket for _, _, ticket in sent])
         assert self.sides.states() == {S["free"]}

@@ -59,7 +59,6 @@ NO_HUB = "Can't load tokenizer for 'x'. If you were trying to load it from 'http
     ],
 )
 def test_what_lacks_is_told_by_its_kind(tmp_path: Path, error: BaseException, kind: str | None) -> None:
-    """And what is a mistake of the adapter's is not taken for it."""
     (tmp_path / "helpers.py").write_text("")
     (tmp_path / "setup_eval_policy_server.sh").write_text('run --overrides ckpt_path="${ckpt_path}"')
     found = lacking(error, tmp_path, {"ckpt_name": None})
@@ -67,7 +66,6 @@ def test_what_lacks_is_told_by_its_kind(tmp_path: Path, error: BaseException, ki
 
 
 def test_a_checkpoint_that_is_there_does_not_excuse(tmp_path: Path) -> None:
-    """Words about weights say nothing then."""
     config: dict[str, Any] = {"ckpt_name": "run"}
     error = RuntimeError("missing keys in the checkpoint")
     assert lacking(error, tmp_path, config) is not None

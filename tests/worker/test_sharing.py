@@ -25,18 +25,15 @@ class Stochastic(Policy):
     """Answers by its history and a random number, and fails on request, early or late."""
 
     def load(self, config: Mapping[str, Any]) -> None:
-        """Start the records."""
         self.batches: list[list[int]] = []
         self.forgotten: list[int] = []
 
     def encode(self, obs: Mapping[str, Any], env: int) -> dict[str, Any]:
-        """Return what the observation tells."""
         if obs.get("fail") == "encode":
             raise ValueError("no image")
         return {"n": obs["n"], "fail": obs.get("fail")}
 
     def predict(self, inputs: list[Any], envs: list[int]) -> np.ndarray:
-        """Return rows of [oldest, newest, random numbers...]."""
         self.batches.append(list(envs))
         raw = np.zeros((len(envs), 3, 8))
         for row, frames, env in zip(raw, inputs, envs, strict=True):
@@ -49,22 +46,18 @@ class Stochastic(Policy):
         return raw
 
     def reset_env(self, env: int) -> None:
-        """Note the call."""
         self.forgotten.append(env)
 
 
 def model() -> Stochastic:
-    """Return a fresh model."""
     return Stochastic({"env_cfg_type": "franka_single", "seed": 5, "manifest": {"temporal": TEMPORAL}})
 
 
 def observed(number: float, env: int | None = None, **more: Any) -> dict[str, Any]:
-    """Return an observation."""
     return {"n": number, **more} if env is None else {"n": number, "env_idx": env, **more}
 
 
 def plain(result: Any) -> Any:
-    """Return a result in a form that can be compared."""
     if isinstance(result, BaseException):
         return type(result).__name__, str(result)
     if isinstance(result, np.ndarray):
@@ -110,7 +103,6 @@ ROUNDS = st.lists(st.dictionaries(st.integers(0, 3), OPERATIONS, min_size=1), ma
 @settings(max_examples=examples(150), deadline=None)
 @given(ROUNDS)
 def test_interleaved_clients_get_what_each_alone_would_get(rounds: list[dict[int, tuple[str, Any]]]) -> None:
-    """Chunks of a stochastic policy with history and ensembling, over resets, whoever fails beside them."""
     together = SharedModel(model())
     own: dict[int, Stochastic] = {}
     for operations in rounds:
@@ -124,7 +116,6 @@ def test_interleaved_clients_get_what_each_alone_would_get(rounds: list[dict[int
 
 
 def test_those_who_ask_at_once_are_answered_by_one_forward_pass() -> None:
-    """In the adapter's numbers: each client has a range of its own."""
     policy = model()
     shared = SharedModel(policy)
     shared.run([Request(client, "update_obs", observed(client)) for client in range(3)])
@@ -142,7 +133,6 @@ def test_those_who_ask_at_once_are_answered_by_one_forward_pass() -> None:
 
 
 def test_the_number_of_an_environment_is_all_that_changes_in_an_observation() -> None:
-    """And it changes in a copy."""
     policy = model()
     given_one = observed(3, 1)
     SharedModel(policy).run([Request(2, "update_obs", given_one)])
@@ -155,7 +145,6 @@ def test_the_number_of_an_environment_is_all_that_changes_in_an_observation() ->
 @pytest.mark.parametrize("first", [True, False], ids=["first", "last"])
 @pytest.mark.parametrize("fail", ["encode", "nan", "exit"])
 def test_a_failure_belongs_to_the_client_that_caused_it(fail: str, first: bool) -> None:
-    """The others' chunks are the same, random numbers included, and so are the following ones."""
     shared, own = SharedModel(model()), model()
     for number in range(3):
         bad = Request(1, "infer", observed(number, fail=fail if number == 1 else None))
@@ -166,15 +155,12 @@ def test_a_failure_belongs_to_the_client_that_caused_it(fail: str, first: bool) 
 
 
 class Wayward:
-    """A plain class that returns what it likes."""
-
     answer: Any = None
 
     def update_obs_batch(self, obs_list: Sequence[Any]) -> None:
         """Look at nothing."""
 
     def get_action_batch(self, env_idx_list: Sequence[int]) -> Any:
-        """Return what it was told to."""
         return self.answer
 
     def reset_envs(self, env_idx_list: Sequence[int]) -> None:
@@ -185,7 +171,6 @@ class Wayward:
     ("answer", "says"), [([["a"]], "1 chunks for 2 environments"), (None, "not iterable"), (3, "not iterable")]
 )
 def test_a_batch_of_another_length_is_an_error(answer: Any, says: str) -> None:
-    """Nobody gets a chunk that was meant for someone else."""
     wayward = Wayward()
     wayward.answer = answer
     shared = SharedModel(wayward)
@@ -195,7 +180,6 @@ def test_a_batch_of_another_length_is_an_error(answer: Any, says: str) -> None:
 
 
 def test_any_iterable_of_chunks_is_taken() -> None:
-    """As it is in a batch of one client."""
     wayward = Wayward()
     wayward.answer = (chunk for chunk in ["a", "b"])
     shared = SharedModel(wayward)
@@ -219,7 +203,6 @@ def test_any_iterable_of_chunks_is_taken() -> None:
     ],
 )
 def test_what_has_no_answer_is_an_error(method: str, argument: Any, error: type[Exception], says: str) -> None:
-    """In the client's own numbers, and whatever its neighbours have observed."""
     shared = SharedModel(model())
     shared.run([Request(0, "update_obs_batch", [observed(0, env) for env in range(3)])])
     (result,) = shared.run([Request(1, method, argument)])
@@ -228,7 +211,6 @@ def test_what_has_no_answer_is_an_error(method: str, argument: Any, error: type[
 
 
 def test_environments_are_told_in_the_clients_own_numbers() -> None:
-    """A repeated one, an unknown one, and a batch where one was asked for."""
     shared = SharedModel(model())
     shared.run([Request(3, "update_obs_batch", [observed(0, 4), observed(1, 5)])])
     for method, argument, says in [
@@ -245,7 +227,6 @@ def test_environments_are_told_in_the_clients_own_numbers() -> None:
 
 
 def test_a_reset_is_that_of_one_client() -> None:
-    """The others go on in the middle of their episodes."""
     policy = model()
     shared = SharedModel(policy)
     for client in range(2):

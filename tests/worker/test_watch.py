@@ -20,8 +20,6 @@ class _Network:
 
 
 class _Model:
-    """Keeps the newest observation and holds the pose."""
-
     def __init__(self) -> None:
         self.network = _Network()
         self.obs: dict[str, Any] = {}
@@ -60,14 +58,12 @@ def _watched(model: _Model) -> Watched:
 
 
 def test_a_careful_model_leaves_no_note() -> None:
-    """Reading, keeping and copying observations is what models are for."""
     watched = _watched(_Model())
     assert watched.watched_break_reset() == ["network.reset"]
     assert watched.watched_notes() == []
 
 
 def test_changes_are_noted_by_operation_and_key() -> None:
-    """A value that is overwritten and a key that is gone, once each however often it happens."""
     notes = [note for note in _watched(_Careless()).watched_notes() if note["what"] == CHANGED]
     assert [(note["method"], note["key"]) for note in notes] == [
         ("get_action", "instruction"),
@@ -76,8 +72,6 @@ def test_changes_are_noted_by_operation_and_key() -> None:
 
 
 def test_a_change_to_an_earlier_observation_is_noted() -> None:
-    """Models with a history still read what was shown before."""
-
     class Late(_Model):
         def update_obs(self, obs: dict[str, Any]) -> None:
             if self.obs:
@@ -91,13 +85,11 @@ def test_a_change_to_an_earlier_observation_is_noted() -> None:
 
 
 def test_shared_memory_is_noted_also_through_a_view() -> None:
-    """The action is a slice of the observation's own array."""
     (note,) = [note for note in _watched(_Careless()).watched_notes() if note["what"] == SHARED]
     assert (note["key"], note["with"]) == ("[0].pose", "state.pose")
 
 
 def test_a_swallowed_failure_of_a_reset_is_noted_and_undone() -> None:
-    """The broken part works again afterwards, and the model was reset with it."""
     model = _Careless()
     watched = _watched(model)
     before = model.network.resets
@@ -108,8 +100,6 @@ def test_a_swallowed_failure_of_a_reset_is_noted_and_undone() -> None:
 
 
 def test_parts_that_reset_does_not_call_prove_nothing() -> None:
-    """Their failure cannot be swallowed by a reset that leaves them alone."""
-
     class Forgetful(_Model):
         def reset(self) -> None:
             self.obs = {}
@@ -120,6 +110,5 @@ def test_parts_that_reset_does_not_call_prove_nothing() -> None:
 
 
 def test_what_a_model_lacks_its_watched_form_lacks() -> None:
-    """Whether an operation is offered is found out by asking for it."""
     with pytest.raises(AttributeError):
         Watched(_Model()).get_action_batch  # noqa: B018

@@ -55,8 +55,6 @@ ECHO = """
 
 
 class Process:
-    """A worker's process and our end of its link."""
-
     def __init__(self, python: str, cwd: Path, mark: str) -> None:
         self.channel, theirs = socket.socketpair()
         with theirs:
@@ -68,33 +66,27 @@ class Process:
         self._link = Channel(self.channel)
 
     def send(self, *buffers: bytes, **head: Any) -> None:
-        """Send a message."""
         self._link.send(head, buffers)
 
     def receive(self) -> tuple[Any, list[Any]]:
-        """Return the next answer, with its packed values read."""
         answer = self._link.receive()
         assert answer is not None, "the worker has ended"
         head, buffers = link.decode(answer)
         return head, [packed.decode(buffer) for buffer in buffers]
 
     def ask(self, **head: Any) -> Any:
-        """Send a message that is no request and return the answer."""
         self.send(**head)
         answer, buffers = self.receive()
         assert buffers == []
         return answer
 
     def load(self, folder: Path, **manifest: Any) -> Any:
-        """Load an adapter."""
         return self.ask(op="load", policy_dir=str(folder), config={"b": 1, "a": None}, manifest=manifest)
 
     def start(self, *requests: Request) -> None:
-        """Send several requests at once."""
         self.send(*(one.payload for one in requests), op="run", requests=[one[:4] for one in requests])
 
     def answers(self) -> list[dict[str, Any]]:
-        """Return the answers to requests: `ok` with the entries, or `error`."""
         head, results = self.receive()
         entries = iter(results)
         answers = [{"ok": next(entries)} if error is None else {"error": error} for error in head["answers"]]
@@ -102,18 +94,15 @@ class Process:
         return answers
 
     def run(self, *requests: Request) -> list[dict[str, Any]]:
-        """Send several requests at once and return their answers."""
         self.start(*requests)
         return self.answers()
 
     def call(self, method: str, *obs: Any) -> Any:
-        """Call a method and return its result."""
         (answer,) = self.run(request(method, *obs))
         assert "error" not in answer, answer["error"]["traceback"]
         return answer["ok"].get("result")
 
     def fails(self, method: str, *obs: Any) -> Any:
-        """Call a method that fails and return the error."""
         (answer,) = self.run(request(method, *obs))
         return answer["error"]
 
@@ -133,13 +122,11 @@ def raw(
     segment: int | None = None,
     optional: bool = False,
 ) -> Request:
-    """Return a request with a payload as it is."""
     return Request(client, method, segment, optional, b"".join(packed.encode(payload, place)))
 
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Process]]:
-    """Return a function that starts a worker; its end is certain."""
     mark = uuid.uuid4().hex
     started: list[Process] = []
 
@@ -158,7 +145,6 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Process]]:
 
 @pytest.fixture(scope="module")
 def echo(write_adapter: Callable[..., Path]) -> Path:
-    """Return an adapter with a second module; its __init__.py must not run."""
     folder = write_adapter(ECHO)
     (folder / "sibling.py").write_text("NAME = 'sibling'\n", encoding="utf-8")
     (folder / "__init__.py").write_text("raise RuntimeError('the package itself was imported')\n", encoding="utf-8")
@@ -172,7 +158,6 @@ def test_loading_tells_the_methods_that_may_be_called(start: Callable[..., Proce
 
 
 def test_an_adapter_sees_its_own_folder_and_nothing_of_the_tool(start: Callable[..., Process], echo: Path) -> None:
-    """Relative imports work; no folder was put on the path, least of all that of the tool."""
     process = start()
     process.load(echo, methods=["about"])
     about = process.call("about")
@@ -185,7 +170,6 @@ def test_an_adapter_sees_its_own_folder_and_nothing_of_the_tool(start: Callable[
 
 
 def test_observations_arrive_read_only_and_maps_are_the_adapters_own(start: Callable[..., Process], echo: Path) -> None:
-    """Writing into an array is an error, not a change that others see."""
     process = start()
     process.load(echo, methods=["frozen", "changed"])
     error = process.fails("frozen", {"array": np.zeros(3)})
@@ -197,7 +181,6 @@ def test_observations_arrive_read_only_and_maps_are_the_adapters_own(start: Call
 def test_an_adapter_inside_a_checkout_of_the_ecosystem_imports_it(
     start: Callable[..., Process], tmp_path: Path
 ) -> None:
-    """As the ecosystem's own server would let it."""
     root = tmp_path / "Ecosystem"
     folder = root / "policy" / "Subject"
     folder.mkdir(parents=True)
@@ -219,7 +202,6 @@ def test_an_adapter_inside_a_checkout_of_the_ecosystem_imports_it(
 
 
 def test_requests_of_one_message_run_in_their_order(start: Callable[..., Process], write_adapter: Any) -> None:
-    """Each has its own answer, whatever the others come to."""
     folder = write_adapter("""
         class Model:
             def __init__(self, config): self.seen = []
@@ -271,7 +253,6 @@ def test_the_answer_holds_the_entries_of_the_wire(start: Callable[..., Process],
 
 
 def test_a_failure_is_described_without_our_own_frames(start: Callable[..., Process], write_adapter: Any) -> None:
-    """Type, message, traceback; the next request is answered."""
     folder = write_adapter("""
         class Model:
             def __init__(self, config): pass
@@ -319,7 +300,6 @@ def test_a_request_that_is_wrong_is_refused(
 
 @pytest.mark.parametrize("result", ["object()", "{1: {2}}", "np.array(['2026'], 'M8[D]')", "loop"])
 def test_a_result_that_cannot_travel_is_marked(start: Callable[..., Process], write_adapter: Any, result: str) -> None:
-    """It is neither the request's fault nor a failure of the call."""
     folder = write_adapter(f"""
         import numpy as np
 
@@ -340,7 +320,6 @@ def test_a_result_that_cannot_travel_is_marked(start: Callable[..., Process], wr
 
 
 def test_hooks_are_optional_and_get_the_payload(start: Callable[..., Process], write_adapter: Any) -> None:
-    """An adapter without one answers nothing, and is not disturbed."""
     folder = write_adapter("""
         class Model:
             def __init__(self, config): pass
@@ -373,7 +352,6 @@ KEEPER = """
 
 @pytest.fixture
 def memory() -> Iterator[tuple[Segment, Arena]]:
-    """Return a segment and the client's side of it."""
     segment = Segment(1 << 22)
     arena = Arena(str(segment.path), segment.size)
     yield segment, arena
@@ -382,20 +360,17 @@ def memory() -> Iterator[tuple[Segment, Arena]]:
 
 
 def states(arena: Arena) -> set[int]:
-    """Return the states that occur among the blocks."""
     start = spec.SHARED_MEMORY["states_at"]
     return set(arena._map[start : start + spec.SHARED_MEMORY["blocks"]])
 
 
 def image(value: int) -> dict[str, Any]:
-    """Return an observation with an array that is worth sharing."""
     return {"image": np.full(50_000, value, np.uint8)}
 
 
 def test_arrays_of_requests_may_lie_in_shared_memory(
     start: Callable[..., Process], write_adapter: Any, memory: tuple[Segment, Arena]
 ) -> None:
-    """They stay as they are while the adapter keeps them, beyond the client's end, and are free once it does not."""
     segment, arena = memory
     process = start()
     process.load(write_adapter(KEEPER))
@@ -422,7 +397,6 @@ def test_arrays_of_requests_may_lie_in_shared_memory(
 def test_a_request_that_fails_keeps_no_shared_memory(
     start: Callable[..., Process], write_adapter: Any, memory: tuple[Segment, Arena], shared: bool
 ) -> None:
-    """The block is free by the time the error arrives, not when a collector runs."""
     segment, arena = memory
     folder = write_adapter("""
         import gc
@@ -444,7 +418,6 @@ def test_a_request_that_fails_keeps_no_shared_memory(
 
 
 def test_a_segment_that_cannot_be_mapped_is_an_error(start: Callable[..., Process], echo: Path, tmp_path: Path) -> None:
-    """And the worker goes on."""
     process = start()
     answer = process.ask(op="map", segment=1, path=str(tmp_path / "xpl-gone"), size=100)
     assert answer["error"]["type"] == "SegmentError"
@@ -508,7 +481,6 @@ def test_a_shared_model_answers_clients_together(start: Callable[..., Process], 
 def test_a_model_that_cannot_tell_its_clients_apart_is_not_shared(
     start: Callable[..., Process], write_adapter: Any, body: str, methods: list[str], says: str
 ) -> None:
-    """It is refused while it loads, before any client has suffered."""
     base = "Policy" if "tell" in says else "object"
     folder = write_adapter(f"from xpl import Policy\nclass Model({base}):\n    {body}\n")
     answer = start().load(folder, serving={"shared": True}, methods=methods)
@@ -520,7 +492,6 @@ def test_a_model_that_cannot_tell_its_clients_apart_is_not_shared(
 
 
 def test_a_signal_shows_where_the_worker_is(start: Callable[..., Process], write_adapter: Any, tmp_path: Path) -> None:
-    """Also while it hangs; it goes on afterwards."""
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
     folder = write_adapter("""
@@ -549,7 +520,6 @@ def test_a_signal_shows_where_the_worker_is(start: Callable[..., Process], write
 
 @pytest.mark.parametrize("noise", [b"\xff" * 16, b"Traceback (most recent call last)"], ids=["bytes", "text"])
 def test_a_link_out_of_step_ends_the_worker(start: Callable[..., Process], noise: bytes) -> None:
-    """It cannot be mended, and a silent worker would be waited for."""
     process = start()
     process.channel.sendall(noise)
     process.process.wait(DEADLINE_S)
@@ -560,7 +530,6 @@ def test_a_link_out_of_step_ends_the_worker(start: Callable[..., Process], noise
 def test_a_worker_ends_with_the_front_end_even_while_it_computes(
     start: Callable[..., Process], write_adapter: Any, tmp_path: Path
 ) -> None:
-    """The link's end is enough."""
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
     folder = write_adapter("""
@@ -579,7 +548,6 @@ def test_a_worker_ends_with_the_front_end_even_while_it_computes(
 def test_the_worker_runs_in_the_oldest_supported_python(
     start: Callable[..., Process], write_adapter: Any, old_python: str
 ) -> None:
-    """With numpy alone installed there, and every module that a worker imports."""
     folder = write_adapter("""
         import sys
         import numpy as np

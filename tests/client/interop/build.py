@@ -35,7 +35,6 @@ class NotBuiltError(Exception):
 
 
 def interpreter(name: str, *, locks: Path = LOCKS, peers: Path = PEERS) -> Path | None:
-    """Return the interpreter of an environment, or None if it was not built from the present lock."""
     try:
         built_from = (peers / name / "built-from").read_text(encoding="utf-8")
     except OSError:
@@ -63,7 +62,6 @@ def build(name: str, *, locks: Path = LOCKS, peers: Path = PEERS) -> None:
 
 
 def main(locks: Path = LOCKS, peers: Path = PEERS) -> int:
-    """Build what is not there yet; return the exit code, which is 0 even if that fails."""
     peers.mkdir(exist_ok=True)
     held = os.open(peers, os.O_RDONLY)
     fcntl.flock(held, fcntl.LOCK_EX)  # one builder at a time; the lock ends with the process at the latest
@@ -90,7 +88,6 @@ def _tell(sentence: str) -> None:
 
 
 def _source(lock: Path) -> str:
-    """Return all that an environment depends on, as text."""
     return f"{sys.version}\n{sys.base_prefix}\n{lock.read_text(encoding='utf-8')}"
 
 

@@ -20,8 +20,6 @@ IMAGE = (24, 32, 3)
 
 
 class Awaited:
-    """The asynchronous client, with every operation awaited to its end."""
-
     def __init__(self, url: str, config: dict[str, Any]) -> None:
         self.loop = asyncio.new_event_loop()
         self.client = AsyncClient(url, config=config)
@@ -29,7 +27,6 @@ class Awaited:
 
     @property
     def server_instance_id(self) -> str | None:
-        """What the server calls itself."""
         return self.client.server_instance_id
 
     def __getattr__(self, operation: str) -> Callable[..., Any]:
@@ -40,22 +37,17 @@ CLIENTS = {"Client": Client, "AsyncClient": Awaited}
 
 
 class Session:
-    """One client, and observations that are all different."""
-
     def __init__(self) -> None:
         self.rng = np.random.default_rng(0)
 
     def versions(self) -> dict[str, str]:
-        """Return the versions of what the client uses."""
         return {name: metadata.version(name) for name in ("websockets", "msgpack", "numpy")}
 
     def open(self, kind: str, url: str, **config: Any) -> str | None:
-        """Connect; return what the server calls itself."""
         self.client = CLIENTS[kind](url, config=config)
         return self.client.server_instance_id
 
     def observation(self, env: int) -> dict[str, Any]:
-        """Return the next observation of one robot arm."""
         return {
             "env_idx": env,
             "vision": {"cam_head": {"color": self.rng.integers(0, 256, IMAGE, dtype=np.uint8)}},
@@ -95,19 +87,15 @@ class Session:
         return checked
 
     def infer(self) -> int:
-        """Ask with the observation in one request; return the length of the chunk."""
         return len(self.client.infer(self.observation(0)))
 
     def call(self, func_name: str) -> Any:
-        """Call an operation by name."""
         return self.client.call(func_name)
 
     def heartbeat(self) -> None:
-        """Ask for a sign of life."""
         self.client.heartbeat()
 
     def close(self) -> None:
-        """Close."""
         self.client.close()
 
 

@@ -20,7 +20,6 @@ Start = Callable[..., Driver]
 
 @pytest.fixture(params=[environment(name) for name in build.NAMES])
 def peers(request: pytest.FixtureRequest) -> Path:
-    """Return the interpreter of each environment."""
     python = build.interpreter(request.param)
     assert python is not None
     return python
@@ -28,7 +27,6 @@ def peers(request: pytest.FixtureRequest) -> Path:
 
 @pytest.fixture
 def start() -> Iterator[Start]:
-    """Return a function that starts a driver, which is gone when the test ends; `extra` goes into its environment."""
     with contextlib.ExitStack() as stack:
         clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
 
@@ -40,8 +38,6 @@ def start() -> Iterator[Start]:
 
 @pytest.fixture
 def plugin(peers: Path, start: Start) -> Callable[..., Driver]:
-    """Return a function that starts inspect-robots with a policy of its plugin at an address."""
-
     def opened(url: str, **options: Any) -> Driver:
         driver = start(peers, "inspect_robots_driver.py")
         driver.ask("open", url=url, **{**OPTIONS, **options})
@@ -52,15 +48,12 @@ def plugin(peers: Path, start: Start) -> Callable[..., Driver]:
 
 @pytest.fixture
 def journal(write_adapter: Callable[..., Path], tmp_path: Path) -> Journal:
-    """Return a served adapter that takes notes."""
     folder = write_adapter(ADAPTER, temporal={"kind": "chunk", "chunk": CHUNK})
     return Journal(folder, tmp_path / "journal.jsonl")
 
 
 @pytest.fixture(params=["Client", "AsyncClient"])
 def client(request: pytest.FixtureRequest, peers: Path, start: Start) -> Callable[..., Driver]:
-    """Return a function that connects either of our clients, from the checkout, in each environment."""
-
     def opened(url: str, **config: Any) -> Driver:
         driver = start(peers, "client_driver.py", PYTHONPATH=str(build.ROOT))
         assert driver.ask("open", kind=request.param, url=url, **config)

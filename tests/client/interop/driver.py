@@ -19,7 +19,6 @@ END_S = 10.0
 
 
 def environment(name: str) -> Any:
-    """Return an environment as a parameter of tests, which are skipped where it was not built."""
     missing = f"not run: there is no environment made from {name}{build.SUFFIX}; `./dev peers` makes it"
     return pytest.param(name, marks=[] if build.interpreter(name) else [pytest.mark.skip(reason=missing)])
 
@@ -39,8 +38,6 @@ class PeerError(Exception):
 
 
 class Driver:
-    """A driver script in a process and an interpreter of its own."""
-
     def __init__(self, python: Path, script: str, environment: Mapping[str, str]) -> None:
         # `-s`: packages of the user would mix with the locked ones.
         self.process = subprocess.Popen(
@@ -52,20 +49,17 @@ class Driver:
         )
 
     def send(self, message: Mapping[str, Any]) -> None:
-        """Write one line."""
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps(message) + "\n")
         self.process.stdin.flush()
 
     def receive(self) -> dict[str, Any]:
-        """Read one line."""
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         assert line, f"the driver ended with exit code {self.process.wait()}; its standard error tells why"
         return dict(json.loads(line))
 
     def start(self, operation: str, **arguments: Any) -> None:
-        """Ask for an operation."""
         self.send({"do": operation, **arguments})
 
     def result(self) -> Any:
@@ -80,12 +74,10 @@ class Driver:
         return answer["result"]
 
     def ask(self, operation: str, **arguments: Any) -> Any:
-        """Ask for an operation and return its result."""
         self.start(operation, **arguments)
         return self.result()
 
     def end(self) -> int:
-        """Let the driver come to its end, as a script does that has no more to do; return the exit code."""
         assert self.process.stdin is not None
         self.process.stdin.close()
         return self.process.wait(END_S)

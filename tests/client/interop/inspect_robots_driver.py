@@ -67,13 +67,11 @@ class Arms(EmbodimentBase):
         )
 
     def reset(self, scene: Scene, *, seed: int | None = None) -> Observation:
-        """Begin a trial."""
         self.trials.append({"scene": scene.id, "instruction": scene.instruction, "observations": [], "actions": []})
         self.rng = np.random.default_rng(seed)
         return self.observe()
 
     def step(self, action: Action) -> StepResult:
-        """Note the action; the next observation owes nothing to it."""
         trial = self.trials[-1]
         if self.pause == [len(self.trials) - 1, len(trial["actions"])]:
             tell({"paused": self.pause})
@@ -82,7 +80,6 @@ class Arms(EmbodimentBase):
         return StepResult(observation=self.observe())
 
     def observe(self) -> Observation:
-        """Return a random observation and note its digest."""
         state = {}
         for prefix in self.prefixes:
             turn = self.rng.normal(size=4)
@@ -99,7 +96,6 @@ class Arms(EmbodimentBase):
 
 
 def digest(arrays: list[np.ndarray]) -> str:
-    """Return a digest of arrays: types, shapes and bytes."""
     total = hashlib.sha256()
     for array in arrays:
         total.update(f"{array.dtype.str}{array.shape}".encode() + array.tobytes())
@@ -107,15 +103,11 @@ def digest(arrays: list[np.ndarray]) -> str:
 
 
 class Session:
-    """One policy of the plugin, found by the name under which it registers."""
-
     def open(self, **options: Any) -> int:
-        """Make the policy; return the length of its actions."""
         self.policy = registry.resolve("policy", "xpolicylab", **options)
         return int(self.policy.info.action_space.dim)
 
     def evaluate(self, scenes: list[str], steps: int, epochs: int = 1, **arms: Any) -> dict[str, Any]:
-        """Run whole episodes, one scene for each instruction; return what the arms and the framework recorded."""
         body = Arms(**arms)
         listed = [Scene(id=f"scene-{index}", instruction=text) for index, text in enumerate(scenes)]
         task = Task(name="interop", scenes=listed, scorer="episode_length", max_steps=steps, epochs=epochs)
@@ -125,16 +117,13 @@ class Session:
         return {"status": log.status, "scenes": outcomes, "trials": body.trials, "steps": log.stats.total_steps}
 
     def reset(self, scene: str = "alone", instruction: str = "hold") -> None:
-        """Begin a trial without the framework."""
         self.policy.reset(Scene(id=scene, instruction=instruction))
 
     def act(self, prefixes: list[str], dof: int, action_type: str) -> list[list[float]]:
-        """Ask for one chunk."""
         first = Arms(prefixes, dof, action_type).reset(Scene(id="alone", instruction="hold"))
         return [action.data.tolist() for action in self.policy.act(first).actions]
 
     def close(self) -> None:
-        """End the trial and the connection."""
         self.policy.close()
 
 

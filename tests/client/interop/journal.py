@@ -54,16 +54,12 @@ ADAPTER = '''
 
 
 class Journal:
-    """A served adapter that notes what it gets and gives."""
-
     def __init__(self, folder: Path, notes: Path) -> None:
         self.folder, self.notes = folder, notes
         self.overrides = {"journal": str(notes)}
 
     def read(self) -> list[dict[str, Any]]:
-        """Return the notes."""
         return [json.loads(line) for line in self.notes.read_text(encoding="utf-8").splitlines()]
 
     def events(self) -> list[str]:
-        """Return what happened, in order."""
         return [entry["event"] for entry in self.read()]

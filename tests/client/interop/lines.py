@@ -16,12 +16,10 @@ _OUT = os.fdopen(os.dup(1), "w", encoding="utf-8", buffering=1)
 
 
 def tell(message: Mapping[str, Any]) -> None:
-    """Write one line."""
     _OUT.write(json.dumps(message) + "\n")
 
 
 def hear() -> dict[str, Any] | None:
-    """Read one line; None at the end."""
     line = sys.stdin.readline()
     return dict(json.loads(line)) if line else None
 

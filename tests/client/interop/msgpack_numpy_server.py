@@ -26,7 +26,6 @@ ANSWERS = {
 
 
 def describe(value: Any) -> list[Any]:
-    """Return type, dtype, shape and bytes of what was decoded."""
     if isinstance(value, (np.ndarray, np.generic)):
         kind = "array" if isinstance(value, np.ndarray) else "scalar"
         return [kind, value.dtype.str, list(value.shape), value.tobytes().hex()]
@@ -50,7 +49,6 @@ def attend(connection: ServerConnection) -> None:
 
 
 def start() -> str:
-    """Begin to serve; return the address."""
     server = listen(attend, "127.0.0.1", 0)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     return f"ws://127.0.0.1:{server.socket.getsockname()[1]}"

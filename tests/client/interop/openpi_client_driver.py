@@ -15,7 +15,6 @@ _open: dict[str, WebsocketClientPolicy] = {}
 
 
 def connect(host: str, port: int, api_key: str | None = None) -> dict[str, Any]:
-    """Connect as openpi's examples do; return the metadata."""
     _open["policy"] = WebsocketClientPolicy(host, port, api_key)
     return dict(_open["policy"].get_server_metadata())
 
@@ -32,14 +31,12 @@ def observation(image: int) -> dict[str, Any]:
 
 
 def infer(image: int, **others: Any) -> dict[str, Any]:
-    """Ask for actions; return them as lists."""
     result = _open["policy"].infer({**observation(image), **others})
     actions = result["actions"]
     return {"actions": actions.tolist(), "dtype": str(actions.dtype), "timing": sorted(result["server_timing"])}
 
 
 def close() -> None:
-    """Close the connection, which openpi's client leaves open."""
     _open.pop("policy")._ws.close()  # it offers no other way
 
 

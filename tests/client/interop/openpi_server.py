@@ -20,7 +20,6 @@ _seen: list[dict[str, Any]] = []
 
 
 def infer(obs: dict[str, Any]) -> dict[str, Any]:
-    """Return a chunk that holds the state, and note what came."""
     _seen.append({name: [str(np.asarray(value).dtype), list(np.shape(value))] for name, value in obs.items()})
     if obs["prompt"] == "fall over":
         raise ValueError("the gripper is unhappy")
@@ -29,7 +28,6 @@ def infer(obs: dict[str, Any]) -> dict[str, Any]:
 
 
 def attend(connection: ServerConnection) -> None:
-    """Send the metadata, then answer each observation; an error is its traceback, and the end."""
     packer = msgpack_numpy.Packer()
     connection.send(packer.pack({"action_horizon": np.int64(2)}))
     while True:
@@ -46,7 +44,6 @@ def attend(connection: ServerConnection) -> None:
 
 
 def start() -> str:
-    """Begin to serve; return the address."""
     server = listen(attend, "127.0.0.1", 0, compression=None, max_size=None)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     return f"ws://127.0.0.1:{server.socket.getsockname()[1]}"

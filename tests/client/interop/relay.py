@@ -29,7 +29,6 @@ class Relay:
         self._acceptor.start()
 
     def cut(self) -> None:
-        """Cut every connection, without a word of any protocol."""
         for side in list(self._open):
             with contextlib.suppress(OSError):
                 side.shutdown(socket.SHUT_RDWR)

@@ -12,7 +12,6 @@ from tests.client.interop import build
 
 @pytest.fixture
 def locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder for locks, with no network for whoever builds from them."""
     for name, value in {"PIP_NO_INDEX": "1", "UV_OFFLINE": "1", "UV_NO_INDEX": "1"}.items():
         monkeypatch.setenv(name, value)
     monkeypatch.delenv("PIP_FIND_LINKS", raising=False)
@@ -48,7 +47,6 @@ def test_an_environment_is_built_once_for_each_state_of_its_lock(
 def test_what_cannot_be_built_is_reported_as_not_run(
     locks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One line, exit code 0, nothing half done left behind; another environment is built all the same."""
     where = {"locks": locks, "peers": tmp_path / ".peers"}
     (locks / "broken.lock.txt").write_text("no-such-package==1.0\n", encoding="utf-8")
     (locks / "fine.lock.txt").write_text("", encoding="utf-8")

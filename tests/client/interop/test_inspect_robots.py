@@ -58,7 +58,6 @@ def test_whole_episodes_of_inspect_robots_carry_every_bit(serve: Serve, plugin: 
 def test_inspect_robots_plays_the_demo_policy(
     serve: Serve, plugin: Connect, robot: str, prefixes: list[str], action_type: str
 ) -> None:
-    """Action keys, their order and their lengths fit, for one arm and two and for either action type."""
     dof = get_embodiment(robot).arms[0].dof
     server = serve(ROOT / "policy/demo_policy", overrides={"env_cfg_type": robot, "action_type": action_type})
     theirs = {"arm_joint_state": "joint_pos", "ee_joint_state": "gripper", "ee_pose": "eef_pose"}
@@ -83,7 +82,6 @@ def test_inspect_robots_plays_the_demo_policy(
 
 @pytest.mark.sampled(1)
 def test_an_error_of_the_policy_is_an_error_of_that_trial_only(serve: Serve, plugin: Connect, journal: Journal) -> None:
-    """The sentence reaches the log of inspect-robots, without a traceback, and the next trial is played."""
     peer = plugin(serve(journal.folder, overrides=journal.overrides).url)
     log = peer.ask("evaluate", scenes=["pick", "break", "place"], steps=4, **ONE_ARM)
     assert [scene["status"] for scene in log["scenes"]] == ["success", "error", "success"]
@@ -146,7 +144,6 @@ def test_a_restart_amid_an_episode_is_refused(serve: Serve, plugin: Connect, jou
 def test_our_client_waits_while_a_third_party_has_the_server(
     serve: Serve, client: Connect, plugin: Connect, journal: Journal
 ) -> None:
-    """Busy is an answer to hello: our client asks again until the peer has left."""
     url = serve(journal.folder, overrides=journal.overrides).url
     theirs = plugin(url)
     theirs.ask("reset")
@@ -177,7 +174,6 @@ def test_a_peer_that_ends_without_goodbye_leaves_the_server_free(
 
 @pytest.mark.sampled(1)
 def test_a_cut_costs_inspect_robots_one_trial(serve: Serve, plugin: Connect, journal: Journal) -> None:
-    """The trial ends loudly, the plugin comes back within the grace, and no step is played twice."""
     with Relay(serve(journal.folder, overrides=journal.overrides).url) as relay:
         peer = plugin(relay.url)
         peer.start("evaluate", scenes=["pick", "place", "stack"], steps=6, pause=[1, CHUNK - 1], **ONE_ARM)
@@ -195,7 +191,6 @@ def test_a_cut_costs_inspect_robots_one_trial(serve: Serve, plugin: Connect, jou
 
 @pytest.mark.slow
 def test_a_restarted_server_costs_inspect_robots_one_trial(serve: Serve, plugin: Connect, journal: Journal) -> None:
-    """The plugin finds the new server by itself and begins the next trial there with a reset."""
     old = serve(journal.folder, overrides=journal.overrides)
     with Relay(old.url) as relay:
         peer = plugin(relay.url)

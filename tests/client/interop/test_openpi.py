@@ -25,7 +25,6 @@ pytestmark = pytest.mark.parametrize("peers", [environment("oldest")], indirect=
 def test_openpis_client_drives_a_leased_worker(
     peers: Path, start: Start, serve: Callable[..., RunningServer], write_adapter: Callable[..., Path], tmp_path: Path
 ) -> None:
-    """Metadata, chunks, an error that is quoted and survived, and a new episode with each connection; with its key."""
     file = tmp_path / "token"
     file.touch(0o600)
     file.write_text(TOKEN)
@@ -54,7 +53,6 @@ def test_openpis_client_drives_a_leased_worker(
 
 
 def test_our_client_asks_a_server_of_openpis_kind(peers: Path, start: Start) -> None:
-    """Names, types and scale are openpi's there; an error is quoted, and the next question is answered."""
     server = start(peers, "openpi_server.py")
     config: dict[str, Any] = {"wire": "openpi", **DROID, "env_cfg_type": "franka_single", "max_connect_attempts": 1}
     url = server.ask("start")

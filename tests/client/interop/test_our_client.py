@@ -49,7 +49,6 @@ def test_the_oldest_environment_has_the_oldest_websockets(peers: Path, start: Co
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("envs", [1, 3])
 def test_our_client_plays_whole_episodes(serve: Serve, client: Connect, envs: int) -> None:
-    """Blocking or asynchronous, on old libraries or new: every action is the one that the policy computed."""
     overrides = {"env_cfg_type": "franka_single"}
     ours = client(serve(ROOT / "policy/demo_policy", overrides=overrides).url)
     assert ours.ask("play", episodes=3, steps=4, envs=envs) == 3 * 4 * 16 * envs
@@ -63,7 +62,6 @@ def test_our_client_plays_whole_episodes(serve: Serve, client: Connect, envs: in
 
 @pytest.mark.sampled(1)
 def test_our_client_survives_a_cut(serve: Serve, client: Connect) -> None:
-    """It comes back to the same server, and the episode goes on."""
     server = serve(ROOT / "policy/demo_policy", overrides={"env_cfg_type": "franka_single"})
     with Relay(server.url) as relay:
         ours = client(relay.url)
@@ -77,7 +75,6 @@ def test_our_client_survives_a_cut(serve: Serve, client: Connect) -> None:
 
 @pytest.mark.sampled(1)
 def test_our_client_notices_a_restart(serve: Serve, client: Connect) -> None:
-    """Another server answers at the address: the trial ends loudly."""
     overrides = {"env_cfg_type": "franka_single"}
     with Relay(serve(ROOT / "policy/demo_policy", overrides=overrides).url) as relay:
         ours = client(relay.url)
@@ -100,7 +97,6 @@ def test_a_script_that_forgets_close_ends(serve: Serve, client: Connect) -> None
 
 
 def test_every_array_crosses_to_msgpack_numpy_and_back(peers: Path, start: Connect) -> None:
-    """What our client writes, msgpack-numpy reads, and the other way round: type, shape and every byte."""
     server = start(peers, "msgpack_numpy_server.py")
     with Client(server.ask("start")) as ours:
         assert ours.server_instance_id is None  # of the first generation
@@ -115,7 +111,6 @@ def test_every_array_crosses_to_msgpack_numpy_and_back(peers: Path, start: Conne
 
 
 def assert_same(got: Any, sent: Any) -> None:
-    """Check that a value came back as it was sent."""
     if isinstance(sent, (np.ndarray, np.generic)):
         assert type(got) is type(sent)
         assert got.dtype == sent.dtype

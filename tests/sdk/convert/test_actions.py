@@ -25,12 +25,10 @@ def _action(parts: list[Any], kind: str = "joint", robot: str = "franka_single",
 
 
 def _joints(reference: str, **more: Any) -> tuple[Any, np.ndarray]:
-    """Return an action of joints and gripper, and three steps that each move every joint by 0.1."""
     return _action([JOINTS, GRIPPER], reference=reference, **more), np.full((3, 8), 0.1)
 
 
 def _arm(steps: list[dict[str, np.ndarray]]) -> list[float]:
-    """Return how far the first joint was moved, by step."""
     return [round(float(step["arm_joint_state"][0] - HOME[0]), 5) for step in steps]
 
 
@@ -56,7 +54,6 @@ def test_each_reference(reference: str, moved: list[float]) -> None:
     [("delta_state", [0.1, 0.1]), ("cumulative", [0.2, 0.3]), ("delta_command", [0.2, 0.3]), ("absolute", [0, 0])],
 )
 def test_steps_before_the_first_count_and_are_not_handed_on(reference: str, moved: list[float]) -> None:
-    """What is counted up includes the steps that are left out."""
     action, raw = _joints(reference, first=1, steps=2)
     assert _arm(action.decode(raw, STATE)) == moved
 
@@ -71,7 +68,6 @@ def test_only_one_reference_goes_on_over_chunks(reference: str, second: float) -
 
 
 def test_a_gripper_is_a_delta_if_it_says_so() -> None:
-    """0.25 open, and 0.1 more."""
     action = _action([JOINTS, {"gripper": {**GRIPPER["gripper"], "reference": "delta_state"}}])
     (step,) = action.decode(np.full((1, 8), 0.1), STATE)
     assert step["ee_joint_state"] == pytest.approx([0.35])
@@ -126,7 +122,6 @@ def test_gripper_words(how: dict[str, Any], native: list[float], opening: float)
     ],
 )
 def test_where_a_change_of_pose_is_applied(applied: str, place: list[float], turn: list[float]) -> None:
-    """One step of 0.1 along x, and 90 degrees about x, of a flange that is turned about z."""
     state = {**STATE, "ee_pose": np.array([0.4, 0, 0.3, *QUARTER])}
     parts: list[Any] = [
         {"position": {"arm": "single", "applied": applied}},
@@ -159,7 +154,6 @@ def test_a_rotation_may_change_number_by_number() -> None:
 
 
 def test_in_the_moving_frame_steps_that_add_up_turn_with_it() -> None:
-    """Two steps of 0.1 ahead and a quarter turn each: ahead, then aside."""
     parts: list[Any] = [
         {"position": {"arm": "single", "applied": "body"}},
         {"rotation": {"arm": "single", "form": "axis_angle", "applied": "body"}},
@@ -210,7 +204,6 @@ def test_position_and_rotation_may_be_of_different_points() -> None:
 
 
 def test_what_no_part_says_of_a_pose_stays() -> None:
-    """A model that turns the fingertips only leaves them where they are."""
     parts: list[Any] = [
         {"rotation": {"arm": "single", "point": "tcp", "form": "axis_angle", "applied": "body"}},
         GRIPPER,
@@ -223,7 +216,6 @@ def test_what_no_part_says_of_a_pose_stays() -> None:
 
 
 def test_units_of_lengths() -> None:
-    """A millimetre is a thousandth."""
     for unit, factor in (("m", 1), ("cm", 100), ("mm", 1000)):
         action = _action([{"position": {"arm": "single", "unit": unit}}, GRIPPER], "ee", reference="delta_state")
         (step,) = action.decode(np.array([[0.1 * factor, 0, 0, 1.0]]), STATE)
@@ -231,7 +223,6 @@ def test_units_of_lengths() -> None:
 
 
 def test_padding_means_nothing() -> None:
-    """Neither do numbers in the middle, whatever the model puts there."""
     action = _action([JOINTS, {"fill": {"width": 2}}, GRIPPER], pad=32)
     raw = np.full((1, 32), np.nan)
     raw[0, :10] = [*HOME, 9.0, 9.0, 1.0]

@@ -43,7 +43,6 @@ OPEN: dict[str, Any] = {
 
 
 def test_all_that_is_open_is_named_in_one_sentence() -> None:
-    """With its place and its reason; what no conversion reads does not stop it."""
     assert len(gaps(OPEN)) == 11
     with pytest.raises(NativeError) as raised:
         compile_interface(OPEN, ROBOT, "joint")
@@ -57,7 +56,6 @@ def test_all_that_is_open_is_named_in_one_sentence() -> None:
 
 
 def test_the_rest_of_an_open_block_converts() -> None:
-    """An observation goes in, and commands come out as they were given."""
     interface = compile_interface(filled(OPEN, ROBOT, "joint"), ROBOT, "joint")
     obs = observation("franka_single")
     inputs = interface.encode(obs)
@@ -72,7 +70,6 @@ VALID = jsonschema.Draft202012Validator(spec.schema("native"))
 
 
 def opened(native: dict[str, Any], path: tuple[Any, ...]) -> dict[str, Any]:
-    """Return a copy of a block with one value open."""
     block: dict[str, Any] = copy.deepcopy(native)
     inner: Any = block
     for part in path[:-1]:
@@ -82,7 +79,6 @@ def opened(native: dict[str, Any], path: tuple[Any, ...]) -> dict[str, Any]:
 
 
 def places(native: dict[str, Any], value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Yield the places of a block that may be open by the schema."""
     for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
         yield from places(native, item, (*path, key))
         if isinstance(key, str) and VALID.is_valid(opened(native, (*path, key))):
@@ -92,7 +88,6 @@ def places(native: dict[str, Any], value: Any, path: tuple[Any, ...] = ()) -> It
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", CASES)
 def test_a_block_converts_with_any_one_value_open(name: str) -> None:
-    """Each is refused, told with its place, and can be tried without."""
     case = CASES[name]
     obs = observation(case.robot)
     turns = np.random.default_rng(0)
@@ -112,7 +107,6 @@ def test_a_block_converts_with_any_one_value_open(name: str) -> None:
 
 
 def test_statistics_that_are_not_there_are_told_once(tmp_path: Path) -> None:
-    """And left out of what is tried."""
     normalize = {"rule": "mean_std", "file": "stats.json"}
     vector = {"parts": [{"joints": {"arm": "single"}}, {"gripper": {"arm": "single", "closed": 0.0, "open": 1.0}}]}
     native = {

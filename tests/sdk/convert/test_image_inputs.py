@@ -36,19 +36,16 @@ def _obs(**images: np.ndarray) -> dict[str, Any]:
     ],
 )
 def test_turned_and_mirrored(step: dict[str, Any], upper_left: tuple[int, int, int]) -> None:
-    """Turns are counter-clockwise."""
     assert tuple(_input(step).view(CORNERS)[0, 0]) == upper_left
 
 
 def test_colours_and_axes() -> None:
-    """Red is first or last; channels are the last axis or the first."""
     assert _input(channels="bgr").view(CORNERS)[0, 0].tolist() == [0, 0, 255]
     assert _input(layout="chw").view(CORNERS)[0].tolist() == [[255, 0], [0, 9]]
     assert _input(channels="bgr", layout="chw").view(CORNERS)[2].tolist() == [[255, 0], [0, 9]]
 
 
 def test_numbers() -> None:
-    """0..1 by default; a range of its own; mean and std by channel in the model's order."""
     assert _input(dtype="float32").view(CORNERS)[0, 0].tolist() == [1, 0, 0]
     assert _input(dtype="float32", range=[-1, 1]).view(CORNERS)[0, 0].tolist() == [1, -1, -1]
     assert _input(dtype="float32", range=[0, 255]).view(CORNERS)[1, 1].tolist() == [9, 9, 9]
@@ -58,7 +55,6 @@ def test_numbers() -> None:
 
 
 def test_stacks() -> None:
-    """Several cameras on a new axis, side by side, or one after the other on the channels."""
     obs = _obs(cam_head=CORNERS, cam_left_wrist=CORNERS[::-1])
     both = ("cam_head", "cam_left_wrist")
     assert _input(cameras=both, stack="views").encode(obs).shape == (2, 2, 2, 3)
@@ -85,7 +81,6 @@ def test_stacks() -> None:
 def test_a_letterbox_is_as_its_authors_wrote_it(
     size: tuple[int, int], to: tuple[int, int], box: tuple[int, ...]
 ) -> None:
-    """The scaled size, and the smaller half of an odd rest above and to the left."""
     top, left, rows, columns = box
     white = np.full((*size, 3), 255, np.uint8)
     frame = _input({"letterbox": {"to": list(to), "filter": "bilinear", "fill": 7}}).view(white)
@@ -126,13 +121,11 @@ def test_openpis_client_gives_the_same_picture() -> None:
     ],
 )
 def test_crops(how: dict[str, Any], rows: tuple[int, int], columns: tuple[int, int]) -> None:
-    """The centre; an odd rest has its smaller half above."""
     image = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
     assert (_input({"crop": how}).view(image) == image[slice(*rows), slice(*columns)]).all()
 
 
 def test_steps_are_done_in_their_order() -> None:
-    """To crop and to shrink is another thing than to shrink and to crop."""
     image = np.random.default_rng(1).integers(0, 256, (16, 16, 3), dtype=np.uint8)
     crop, shrink = {"crop": {"to": [8, 8]}}, {"resize": {"to": [8, 8], "filter": "area"}}
     assert (_input(crop, shrink).view(image) == image[4:12, 4:12]).all()
@@ -158,7 +151,6 @@ def test_numbers_that_are_not_rounded() -> None:
     ],
 )
 def test_a_block_that_means_nothing_is_refused(more: dict[str, Any], told: str) -> None:
-    """Before a picture is there."""
     with pytest.raises(NativeError, match=told):
         _input(**more)
 
@@ -172,7 +164,6 @@ def test_a_block_that_means_nothing_is_refused(more: dict[str, Any], told: str) 
     ],
 )
 def test_a_step_that_does_not_fit_the_picture(step: dict[str, Any], told: str | None) -> None:
-    """Says which input, which camera, and what to do."""
     made = _input(step)
     if told is None:
         assert made.encode(_obs(cam_head=CORNERS)).shape == (1, 1, 3)
@@ -182,7 +173,6 @@ def test_a_step_that_does_not_fit_the_picture(step: dict[str, Any], told: str | 
 
 
 def test_views_of_different_sizes_are_no_input() -> None:
-    """A resize makes them one size."""
     obs = _obs(cam_head=CORNERS, cam_left_wrist=CORNERS[:1])
     with pytest.raises(NativeError, match=r"native.images image: views of one input have one size"):
         _input(cameras=("cam_head", "cam_left_wrist"), stack="views").encode(obs)

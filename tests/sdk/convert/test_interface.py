@@ -56,13 +56,11 @@ def test_histories_are_oldest_first(history: dict[str, Any], shown: int, numbers
 
 
 def test_zeros_stand_for_what_was_not_seen() -> None:
-    """Zeros, not the first one."""
     interface = _interface(state=[JOINTS], history={"length": 2, "pad": "zeros"})
     assert interface.batch([[interface.encode(_at(5))]])["q"][0, :, 0].tolist() == [0, 5]
 
 
 def test_what_has_no_history_shows_the_newest() -> None:
-    """Only the inputs that `of` names get an axis of time."""
     image = {"input": "i", "cameras": ["cam_head"], "channels": "rgb", "layout": "hwc", "dtype": "uint8"}
     interface = _interface(state=[JOINTS], images=[image], history={"length": 2, "of": ["images"]})
     frames = [interface.encode(_at(number)) for number in range(2)]
@@ -92,20 +90,17 @@ def test_what_has_no_history_shows_the_newest() -> None:
     ],
 )
 def test_instructions(how: dict[str, Any], text: str, wanted: str) -> None:
-    """Stripped, in small letters, in the template: in this order."""
     interface = _interface(instruction={"input": "prompt", **how})
     encoded = interface.encode(observation("franka_single", instruction=text))
     assert interface.batch([[encoded], [encoded]]) == {"prompt": [wanted, wanted]}
 
 
 def test_a_model_that_needs_an_instruction_refuses_none() -> None:
-    """An empty text is a wrong answer that nobody sees."""
     with pytest.raises(ObservationError, match="no instruction"):
         _interface(instruction={"input": "prompt"}).encode(observation("franka_single", instruction=""))
 
 
 def test_texts_are_taken_apart_again() -> None:
-    """What a template put around an instruction is no part of it."""
     interface = _interface(instruction={"input": "prompt", "template": "do: {instruction}\n"})
     obs = observation("franka_single", instruction="Fold it.")
     assert (
@@ -133,7 +128,6 @@ def test_continuous_signs_follow_the_step_before() -> None:
 
 @pytest.mark.parametrize(("sign", "first"), [("any", -0.6), ("positive_w", 0.6)])
 def test_signs_of_quaternions(sign: str, first: float) -> None:
-    """As it comes, or with w >= 0."""
     part = {"rotation": {"arm": "single", "form": "quaternion_xyzw", "sign": sign}}
     obs = observation("franka_single")
     obs["state"]["ee_pose"] = np.array([0, 0, 0, -0.6, 0.8, 0, 0])
@@ -209,13 +203,11 @@ UNFIT: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("block", "told"), UNFIT)
 def test_a_block_that_does_not_fit_is_refused(block: dict[str, Any], told: str) -> None:
-    """Where, what was expected, what is there, and what to do."""
     with pytest.raises(NativeError, match=told):
         _interface(chunk=8, **block)
 
 
 def test_a_hand_is_no_gripper_and_what_is_not_known_is_no_frame() -> None:
-    """Robots of which the standard knows dimensions only."""
     gripper = {"gripper": {"arm": "left", "closed": 0, "open": 1}}
     hand = get_embodiment("tianji_marvin_wuji")
     for parts, told in (
@@ -239,7 +231,6 @@ def test_a_hand_is_no_gripper_and_what_is_not_known_is_no_frame() -> None:
 
 
 def test_a_change_in_the_moving_frame_needs_the_rotation() -> None:
-    """Of the same point in the same frame."""
     position = {"position": {"arm": "single", "applied": "body"}}
     with pytest.raises(NativeError, match=r"native.action, position single: applied: body needs the arm's rotation"):
         _interface("ee", action={"reference": "delta_state", "parts": [position, GRIPPER]})
@@ -258,7 +249,6 @@ def test_a_change_in_the_moving_frame_needs_the_rotation() -> None:
     ],
 )
 def test_an_answer_that_does_not_fit_is_refused(raw: np.ndarray, told: str) -> None:
-    """A number that is not finite is no closed gripper."""
     action = copy.deepcopy(ACTION)
     action["parts"][1]["gripper"]["threshold"] = 0.5
     with pytest.raises(NativeError, match=f"native.action: {told}"):
@@ -266,7 +256,6 @@ def test_an_answer_that_does_not_fit_is_refused(raw: np.ndarray, told: str) -> N
 
 
 def test_what_is_no_rotation_names_its_part() -> None:
-    """Zeros have no direction; a gripper in metres that says it opens to one is beyond repair."""
     parts = [{"rotation": {"arm": "single", "form": "rot6d_rows"}}, GRIPPER]
     interface = _interface("ee", action={"reference": "absolute", "parts": parts})
     with pytest.raises(NativeError, match=r"native.action, rotation single: .* no rotation"):
@@ -276,7 +265,6 @@ def test_what_is_no_rotation_names_its_part() -> None:
 
 
 def test_an_observation_that_lacks_something_is_refused() -> None:
-    """A missing field, a wrong width, a number that is not finite."""
     interface = _interface(state=[JOINTS])
     for state, told in (
         ({}, "no 'arm_joint_state', which the native block reads"),

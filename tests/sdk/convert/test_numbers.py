@@ -40,7 +40,6 @@ AUTHORS = {
 
 @pytest.mark.parametrize(("rule", "epsilon", "wanted"), AUTHORS.values(), ids=AUTHORS)
 def test_the_authors_formulas(rule: str, epsilon: float, wanted: np.ndarray) -> None:
-    """To the last digit but one; the inverse leads back."""
     numbers = _rule(rule, epsilon=epsilon)
     assert np.allclose(numbers.encode(X), wanted, rtol=1e-13, atol=1e-13)
     assert np.allclose(numbers.decode(wanted), X, rtol=1e-12)
@@ -53,7 +52,6 @@ def test_the_authors_formulas(rule: str, epsilon: float, wanted: np.ndarray) -> 
     st.lists(st.floats(-9, 9), min_size=3, max_size=3),
 )
 def test_the_inverse_leads_back(rule: str, epsilon: float, values: list[float]) -> None:
-    """Without clipping nothing is lost."""
     numbers = _rule(rule, epsilon=epsilon)
     assert np.allclose(numbers.decode(numbers.encode(np.array(values))), values, atol=1e-9)
 
@@ -76,7 +74,6 @@ def test_a_mask_leaves_numbers_as_they_are() -> None:
 
 
 def test_clipping_goes_both_ways() -> None:
-    """Beyond the quantiles there is nothing."""
     numbers = _rule("quantiles", clip=[-1, 1])
     assert numbers.encode(np.array([-5.0, 0.5, 9.0])).tolist() == [-1, 0, 1]
     assert numbers.decode(np.array([-5.0, 0.0, 9.0])).tolist() == [-1, 0.5, 4.5]
@@ -127,7 +124,6 @@ def _files(folder: Path) -> None:
 
 @pytest.mark.parametrize("file", ["stats.json", "stats.npz", "stats.safetensors"])
 def test_numbers_are_read_from_files(file: str, tmp_path: Path) -> None:
-    """Each kind of file that training leaves behind, by the file's own names."""
     _files(tmp_path)
     how = {"rule": "quantiles", "file": file, "key": "norm_stats/state", "names": {"low": "q01", "high": "q99"}}
     numbers = Normalization(how, 2, [tmp_path / "nowhere", tmp_path])
@@ -156,7 +152,6 @@ def test_numbers_are_read_from_files(file: str, tmp_path: Path) -> None:
     ],
 )
 def test_numbers_that_cannot_be_had(how: dict[str, Any], told: str, tmp_path: Path) -> None:
-    """Where, what was expected, and what is there."""
     _files(tmp_path)
     (tmp_path / "deep.json").write_text("[" * 100_000)
     with zipfile.ZipFile(tmp_path / "large.npz", "w", zipfile.ZIP_DEFLATED) as archive:

@@ -18,15 +18,11 @@ STEP = 0.1
 
 
 class Native(Policy):
-    """Moves every joint by 0.1 per step, and keeps what it was given."""
-
     def load(self, config: Mapping[str, Any]) -> None:
-        """Remember nothing."""
         self.given: list[dict[str, Any]] = []
         self.fails = False
 
     def predict(self, inputs: Any, envs: list[int]) -> np.ndarray:
-        """Return (B, 2, 8) deltas."""
         if self.fails:
             raise RuntimeError("out of memory")
         self.given.append(inputs)
@@ -54,7 +50,6 @@ def _first(chunk: list[dict[str, np.ndarray]]) -> list[float]:
 
 
 def test_inputs_arrive_batched_under_the_models_names() -> None:
-    """In the order of the environments that were asked for."""
     policy = _policy(instruction={"input": "prompt"})
     policy.update_obs_batch([_obs(0, 0.1), _obs(1, 0.2), _obs(2, 0.3)])
     policy.get_action_batch([2, 0])
@@ -78,7 +73,6 @@ def test_a_history_is_kept_for_each_environment() -> None:
 
 
 def test_commands_go_on_over_chunks_and_not_over_episodes() -> None:
-    """The command before is that of the last answer, of the same environment and episode."""
     policy = _policy()
     policy.update_obs(_obs(0, 1.0))
     assert _first(policy.get_action()) == [1.1, 1.2]
@@ -92,7 +86,6 @@ def test_commands_go_on_over_chunks_and_not_over_episodes() -> None:
 
 
 def test_a_question_put_twice_has_one_answer() -> None:
-    """Also the first one of an episode; commands advance once per observation."""
     policy = _policy()
     for wanted in ([1.1, 1.2], [1.3, 1.4]):
         policy.update_obs(_obs(0, 1.0))
@@ -100,7 +93,6 @@ def test_a_question_put_twice_has_one_answer() -> None:
 
 
 def test_a_question_that_fails_changes_nothing() -> None:
-    """The next one counts from the same command."""
     policy = _policy()
     policy.update_obs(_obs(0, 1.0))
     policy.get_action()
@@ -113,7 +105,6 @@ def test_a_question_that_fails_changes_nothing() -> None:
 
 
 def test_observations_that_nobody_asked_about_do_not_move_the_command() -> None:
-    """It was given once, however long it takes to carry out."""
     policy = _policy()
     for shown in (1, 3):
         for _ in range(shown):
@@ -123,7 +114,6 @@ def test_observations_that_nobody_asked_about_do_not_move_the_command() -> None:
 
 
 def test_the_state_at_the_call_is_the_newest_observation() -> None:
-    """Not the oldest of its history."""
     policy = _policy(reference="delta_state", history={"length": 3})
     for number in (1.0, 2.0, 3.0):
         policy.update_obs(_obs(0, number))
@@ -165,7 +155,6 @@ def test_an_encode_of_ones_own_is_given_as_ever() -> None:
 
 
 def test_a_block_that_does_not_fit_stops_the_start() -> None:
-    """Before weights are loaded."""
     gripper = {"gripper": {"arm": "single", "closed": 0, "open": 1}}
     action = {"reference": "absolute", "steps": 5, "parts": [{"joints": {"arm": "single"}}, gripper]}
     manifest = {"temporal": {"chunk": 2}, "native": {"action": action}}

@@ -72,7 +72,6 @@ def test_on_numbers_it_is_opencvs_too(kind: str, before: tuple[int, int], after:
 @pytest.mark.parametrize("antialias", [False, True])
 @pytest.mark.parametrize("kind", TORCH)
 def test_on_numbers_it_is_torchs(kind: str, antialias: bool, before: tuple[int, int], after: tuple[int, int]) -> None:
-    """Where torch is there to be asked."""
     torch: Any = pytest.importorskip("torch")
     image = IMAGES[before].astype(np.float32)
     tensor = torch.from_numpy(image).permute(2, 0, 1)[None]
@@ -93,7 +92,6 @@ def test_the_nearest_pixel_is_the_libraries_also_between_two() -> None:
 @pytest.mark.parametrize("kind", ["nearest", "area", "bilinear", "bicubic", "lanczos"])
 @pytest.mark.parametrize("antialias", [False, True])
 def test_weights_add_up_to_one(kind: str, antialias: bool) -> None:
-    """An even picture stays what it is, its edges included."""
     for before, after in ((64, 22), (22, 64), (31, 31), (5, 3), (1, 4)):
         index, weight = taps(before, after, kind, antialias=antialias)
         assert np.allclose(weight.sum(1), 1, atol=1e-6)
@@ -103,7 +101,6 @@ def test_weights_add_up_to_one(kind: str, antialias: bool) -> None:
 
 
 def test_a_hand_computed_row() -> None:
-    """Four pixels to two, in each way."""
     row = np.array([[0, 10, 20, 100]], np.float32)[..., None]
     made = {
         (kind, antialias): resize(row, (1, 2), kind, antialias=antialias, as_bytes=False)[0, :, 0].tolist()
@@ -118,7 +115,6 @@ def test_a_hand_computed_row() -> None:
 
 
 def test_a_batch_is_converted_as_its_images_are() -> None:
-    """Leading axes are axes of a batch."""
     image = IMAGES[48, 64]
     both = resize(np.stack([image, image[::-1]]), (22, 22), "bicubic", antialias=True)
     assert (both[0] == resize(image, (22, 22), "bicubic", antialias=True)).all()

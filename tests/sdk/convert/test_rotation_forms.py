@@ -27,14 +27,12 @@ FORMS = {
 
 @pytest.mark.parametrize(("form", "wanted"), FORMS.items(), ids=FORMS)
 def test_a_form_is_scipys(form: str, wanted: np.ndarray) -> None:
-    """Both ways, for 64 rotations at once."""
     assert np.allclose(rotations.encode(WXYZ, form), wanted, atol=1e-12)
     assert rotation.angle_between(rotations.decode(wanted, form), WXYZ).max() < 1e-7
 
 
 @pytest.mark.parametrize("order", [*ORDERS, *map(str.upper, ORDERS)])
 def test_euler_angles_are_scipys(order: str) -> None:
-    """All twelve orders about fixed axes, and all twelve about moving ones."""
     assert np.allclose(rotations.encode(WXYZ, "euler", order), TURNS.as_euler(order), atol=1e-9)
     angles = np.random.default_rng(3).uniform(-3, 3, (32, 3))
     wanted = Rotation.from_euler(order, angles).as_quat(scalar_first=True)
@@ -58,7 +56,6 @@ def test_roll_pitch_yaw_of_a_robots_description_is_small_xyz() -> None:
 
 @pytest.mark.parametrize("form", ["rot6d_rows", "rot6d_columns", "matrix", "quaternion_wxyz", "quaternion_xyzw"])
 def test_what_a_model_regresses_becomes_a_rotation(form: str) -> None:
-    """Numbers that are a little off give a rotation that is a little off."""
     noisy = rotations.encode(WXYZ, form) * 1.3 + np.random.default_rng(0).normal(0, 0.01, (64, rotations.WIDTHS[form]))
     found = rotations.decode(noisy, form)
     assert np.allclose(np.linalg.norm(found, axis=-1), 1)
@@ -75,13 +72,11 @@ def test_what_a_model_regresses_becomes_a_rotation(form: str) -> None:
     ],
 )
 def test_what_is_no_rotation_is_refused(form: str, numbers: list[float]) -> None:
-    """Zeros and parallel vectors have no direction."""
     with pytest.raises(NativeError, match="no rotation"):
         rotations.decode(np.array(numbers, float), form)
 
 
 def test_a_half_turn_keeps_its_axis() -> None:
-    """The rotation vector of a half turn has the length pi."""
     half = np.array([0.0, 0.6, 0.0, -0.8])
     assert np.allclose(np.abs(rotations.encode(half, "axis_angle")), np.pi * np.array([0.6, 0, 0.8]))
     assert np.allclose(rotations.encode(np.array([1.0, 0, 0, 0]), "axis_angle"), 0)

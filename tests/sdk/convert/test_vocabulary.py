@@ -22,27 +22,23 @@ FEW = settings(max_examples=8, derandomize=True, deadline=None)
 
 
 def test_no_word_is_left_out() -> None:
-    """A word that is added to the schema needs a case; a case with a word that is gone is not valid."""
     used = {word for case in CASES.values() for word in words(SCHEMA, case.native, SCHEMA)}
     assert vocabulary(SCHEMA) - used == set()
 
 
 @NAMES
 def test_the_cases_are_valid(case: Case) -> None:
-    """What is converted here is what a manifest may say."""
     jsonschema.Draft202012Validator(SCHEMA).validate(case.native)
 
 
 @NAMES
 def test_a_state_is_the_same_there_and_back(case: Case) -> None:
-    """Encoded, shown to another observation and read again, each field that the model sees is what it was."""
     _state_round_trip(case, 3)
 
 
 @FEW
 @given(st.sampled_from(sorted(CASES)), SEEDS)
 def test_every_state_is_the_same_there_and_back(name: str, seed: int) -> None:
-    """For any joints, poses and openings."""
     _state_round_trip(CASES[name], seed)
 
 
@@ -62,7 +58,6 @@ def _state_round_trip(case: Case, seed: int) -> None:
 
 @NAMES
 def test_an_image_is_the_same_there_and_back(case: Case) -> None:
-    """The picture that is made of the model's input gives that input again, but for what filters blur."""
     interface = case.compiled()
     inputs = interface.encode(observation(case.robot, 5), {})
     for item in interface.images:
@@ -77,7 +72,6 @@ def test_an_image_is_the_same_there_and_back(case: Case) -> None:
 @FEW
 @given(st.sampled_from(sorted(CASES)), SEEDS, st.integers(1, 4))
 def test_commands_are_the_same_there_and_back(name: str, seed: int, count: int) -> None:
-    """Steps of the standard, said in the model's words and read again, over two chunks of one episode."""
     case = CASES[name]
     interface, rng = case.compiled(), np.random.default_rng(seed)
     interface.action.steps = count
@@ -97,7 +91,6 @@ def test_commands_are_the_same_there_and_back(name: str, seed: int, count: int) 
 @FEW
 @given(st.sampled_from(["two arms, joint deltas", "one arm, cumulative poses", "rows", "hands, absolute"]), SEEDS)
 def test_answers_are_the_same_there_and_back(name: str, seed: int) -> None:
-    """What a model answered, read and said again, means the same."""
     case = CASES[name]
     interface, rng = case.compiled(), np.random.default_rng(seed)
     state = observation(case.robot, seed)["state"]

@@ -15,7 +15,6 @@ from tests.support.places import ROOT
 
 
 def read_frame(data: bytes) -> None:
-    """Read a frame of the wire, its packed entries too; what was read can be sent again."""
     from xpl.wire import codec, packed
 
     with contextlib.suppress(codec.WireError, packed.PackingError):
@@ -64,7 +63,6 @@ def read_hello(data: bytes) -> None:
 
 
 def read_image_header(data: bytes) -> None:
-    """Read the size of an encoded image."""
     from xpl import images
     from xpl.observation import ObservationError
 
@@ -77,7 +75,6 @@ TARGETS: tuple[Callable[[bytes], None], ...] = (read_frame, read_packed, read_st
 
 
 def seeds() -> Iterator[tuple[int, bytes]]:
-    """Yield the number of a target and bytes for it: the golden vectors, packed values, messages to a worker."""
     import numpy as np
 
     from xpl import images
@@ -106,13 +103,11 @@ def seeds() -> Iterator[tuple[int, bytes]]:
 
 
 def one_input(data: bytes) -> None:
-    """Run the target that the first byte names on the rest."""
     if data:
         TARGETS[data[0] % len(TARGETS)](data[1:])
 
 
 def main() -> None:
-    """Fuzz until the time given on the command line is over."""
     import atheris
 
     sys.path.insert(0, str(ROOT))

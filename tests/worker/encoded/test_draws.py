@@ -26,16 +26,12 @@ CALLS = [
 
 
 class Drawing(Policy):
-    """Answers what it draws."""
-
     draw: Callable[[Policy, int, list[int]], Any]
 
     def encode(self, obs: Mapping[str, Any], env: int) -> Any:
-        """Return the joints."""
         return obs["state"]["arm_joint_state"]
 
     def predict(self, inputs: list[Any], envs: list[int]) -> Any:
-        """Return one step for each environment."""
         return [np.asarray(type(self).draw(self, number, envs)) * 0.1 for number in range(len(envs))]
 
 
@@ -70,7 +66,6 @@ RIGHT = _joints(_answers(_right, "own"))
     ids=["constant", "global", "older", "scaled", "first"],
 )
 def test_each_draws_from_its_own(draw: Callable[[Policy, int, list[int]], Any]) -> None:
-    """Whatever generator the adapter asks; the generators of the process are back afterwards."""
     kept = np.random.standard_normal, np.random.default_rng
     found = _answers(draw, "own")
     assert found["draws"] == 3
@@ -79,7 +74,6 @@ def test_each_draws_from_its_own(draw: Callable[[Policy, int, list[int]], Any]) 
 
 
 def test_all_at_once() -> None:
-    """The first axis counts the environments."""
     drawn: list[Any] = []
 
     def draw(model: Policy, number: int, envs: list[int]) -> Any:
@@ -91,8 +85,6 @@ def test_all_at_once() -> None:
 
 
 def test_another_precision() -> None:
-    """Of the adapter, where the model draws in double."""
-
     def draw(model: Policy, number: int, envs: list[int]) -> Any:
         return model.rng(envs[number]).standard_normal((1, 8), dtype=np.float32)
 
@@ -101,8 +93,6 @@ def test_another_precision() -> None:
 
 
 def test_generators_of_others_are_theirs() -> None:
-    """A model that makes its weights late makes the same."""
-
     def draw(_model: Policy, _number: int, _envs: list[int]) -> Any:
         return eval("numpy.random.default_rng(3).random((1, 8))", {"numpy": np, "__name__": "network"})  # noqa: S307
 
@@ -111,5 +101,4 @@ def test_generators_of_others_are_theirs() -> None:
 
 
 def test_nothing_is_drawn() -> None:
-    """That is told."""
     assert _answers(lambda _model, _number, _envs: np.zeros((1, 8)), "own")["draws"] == 0

@@ -25,24 +25,19 @@ RNG = np.random.default_rng(0)
 
 
 class Tensor:
-    """What torch has of a tensor."""
-
     def __init__(self, array: np.ndarray) -> None:
         self.array = array
         self.shape, self.ndim, self.dtype = array.shape, array.ndim, array.dtype
 
     def detach(self) -> Any:
-        """Return itself."""
         return self
 
     cpu = detach
 
     def numpy(self) -> np.ndarray:
-        """Return its numbers."""
         return self.array
 
     def new_tensor(self, array: np.ndarray) -> Any:
-        """Return another."""
         return Tensor(np.asarray(array))
 
 
@@ -50,7 +45,6 @@ Pair = namedtuple("Pair", "one other")  # noqa: PYI024 - of any types
 
 
 def test_all_that_encode_may_return_is_walked_through() -> None:
-    """Arrays, tensors, lists of numbers, texts, in maps, lists and named tuples; other things stay."""
     value = {
         "a": np.ones(4, np.float32),
         "b": [Tensor(np.ones(3)), "text"],
@@ -69,7 +63,6 @@ def test_all_that_encode_may_return_is_walked_through() -> None:
 
 
 def test_black_and_white_become_others() -> None:
-    """By channel, in both layouts; pictures that cannot be of these numbers are left."""
     of = [[0, 0, 0], [1, 1, 1]]
     to = [[-1, -2, -3], [1, 2, 3]]
     image = RNG.uniform(0, 1, (24, 32, 3)).astype(np.float32)
@@ -82,7 +75,6 @@ def test_black_and_white_become_others() -> None:
 
 
 def test_axes_and_colours_are_exchanged() -> None:
-    """Of single pictures, and of several in one array."""
     views = RNG.uniform(0, 1, (2, 24, 32, 3))
     assert (pictures.colours(views, {}) == views[..., ::-1]).all()
     assert pictures.layout(views, {"to": "chw"}).shape == (2, 3, 24, 32)
@@ -108,7 +100,6 @@ STRETCH = {"resize": {"to": [18, 18], "filter": "bicubic", "antialias": True}}
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("own", [[BOX], [STRETCH], [CUT, STRETCH], []])
 def test_pictures_get_their_size_before_the_adapter(own: list[Any], turned: bool) -> None:
-    """Whether it letterboxes, stretches, cuts or turns them: what it gets has the model's size already."""
     obs = observation("franka_single", 3, (48, 64))
     if not own:
         obs = observation("franka_single", 3, (18, 18))
@@ -125,7 +116,6 @@ def test_pictures_get_their_size_before_the_adapter(own: list[Any], turned: bool
 
 
 def test_an_adapter_without_pictures_or_with_ways_of_its_own_is_left() -> None:
-    """Nothing would be known of what it does."""
     obs = observation("franka_single", 3, (48, 64))
     with pytest.raises(UnfitError, match="no pictures"):
         pictures.Resized(lambda _: np.ones(3), obs)
@@ -143,7 +133,6 @@ def test_an_adapter_without_pictures_or_with_ways_of_its_own_is_left() -> None:
     ],
 )
 def test_the_instruction_within_a_prompt(written: Any, how: dict[str, Any], wanted: str) -> None:
-    """However the adapter wrote it, as far as that can be seen; what stands around it stays."""
     obs = observation("franka_single", instruction="  Fold IT. ")
     assert texts.text({"p": written("  Fold IT. "), "n": np.ones(3)}, how, obs)["p"] == wanted
     with pytest.raises(UnfitError, match="no text"):
@@ -151,7 +140,6 @@ def test_the_instruction_within_a_prompt(written: Any, how: dict[str, Any], want
 
 
 def test_orders_of_vectors() -> None:
-    """Of one width, also in several at once; pictures and others stay."""
     value = {"q": np.arange(4.0), "h": np.arange(8.0).reshape(2, 4), "i": np.zeros((24, 32, 3)), "r": np.arange(3.0)}
     result = vectors.ordered(value, {"order": [3, 0, 1, 2]})
     assert result["q"].tolist() == [3, 0, 1, 2]
@@ -176,7 +164,6 @@ def _rotations(count: int = 5) -> np.ndarray:
     ids=["columns", "rows", "interleaved", "apart"],
 )
 def test_two_vectors_are_written_otherwise(turn: str, written: Any, wanted: Any) -> None:
-    """Wherever they lie among other numbers; the third follows from them."""
     matrices = rotation.to_matrix(_rotations())
     encoded = [{"s": np.concatenate(([0.3, 0.2 * place], written(one), [0.9]))} for place, one in enumerate(matrices)]
     change = turns.Turned(encoded, {"turn": turn})
@@ -212,7 +199,6 @@ def test_quaternions_are_written_otherwise(turn: str, wanted: Any) -> None:
 
 
 def test_some_numbers_are_scaled() -> None:
-    """In vectors of the width that is meant, and in histories of them."""
     how = {"width": 5, "places": [1, 4], "scale": 100.0, "offset": -1.0}
     result = vectors.linear({"a": np.ones((2, 5)), "b": np.ones(6)}, how)
     assert result["a"].tolist() == [[1.0, 99.0, 1.0, 1.0, 99.0]] * 2
@@ -222,14 +208,10 @@ def test_some_numbers_are_scaled() -> None:
 
 
 class Small(Policy):
-    """Joints and gripper as they are, though it has their range; answers what it reads, stretched."""
-
     def load(self, config: Mapping[str, Any]) -> None:
-        """Keep numbers that it does not use."""
         self.stats = {"low": LOW.tolist(), "high": HIGH}
 
     def encode(self, obs: Mapping[str, Any], env: int) -> Any:
-        """Return the numbers of the state, and what is said."""
         state = obs["state"]
         return {
             "state": np.concatenate((state["arm_joint_state"], state["ee_joint_state"])),
@@ -237,12 +219,10 @@ class Small(Policy):
         }
 
     def predict(self, inputs: list[Any], envs: list[int]) -> Any:
-        """Return one step for each."""
         return [np.tanh(item["state"])[None] * 0.4 + 0.01 * len(item["text"]) for item in inputs]
 
 
 def test_changes_are_played_one_after_another() -> None:
-    """With the numbers that the adapter has; what has no meaning is an error, and the adapter's own encode is back."""
     model = Small({"env_cfg_type": "franka_single", "action_type": "joint"})
     shown = [{**observation("franka_single", seed), "env_idx": 0} for seed in (1, 2)]
     calls = [{"reset": True}, {"show": [[0, shown[0]]]}, {"ask": [0]}, {"show": [[0, shown[1]]]}, {"ask": [0]}]
@@ -274,7 +254,6 @@ def test_changes_are_played_one_after_another() -> None:
 
 
 def test_time_that_is_over_ends_it() -> None:
-    """What was answered counts."""
     model = Small({"env_cfg_type": "franka_single", "action_type": "joint"})
     calls = [{"show": [[0, observation("franka_single")]]}, {"ask": [0]}]
     assert list(play.changes(model, [{"kind": "colours"}], {"calls": calls, "seconds": -1.0})) == []

@@ -30,13 +30,10 @@ def _right(camera: str, size: tuple[int, int] = SIZE) -> np.ndarray:
 
 
 def _cut(obs: Any, camera: str) -> np.ndarray:
-    """A corner at places that no other size has."""
     return np.asarray(resize(_image(obs, camera)[:40, 4:44], SIZE, "nearest"))
 
 
 def test_numbers_colours_and_orientation_stay() -> None:
-    """Whatever they are; the size comes otherwise."""
-
     def encode(obs: Any) -> Any:
         head = _cut(obs, "cam_head")[..., ::-1].astype(np.float32) / 127.5 - 1
         wrist = _cut(obs, "cam_wrist")[::-1].transpose(2, 0, 1).astype(np.float32) / 255
@@ -50,8 +47,6 @@ def test_numbers_colours_and_orientation_stay() -> None:
 
 
 def test_two_in_one_and_bytes() -> None:
-    """Beside each other, turned."""
-
     def encode(obs: Any) -> Any:
         return np.hstack([_cut(obs, camera)[::-1, ::-1] for camera in CAMERAS[::-1]])
 
@@ -63,8 +58,6 @@ def test_two_in_one_and_bytes() -> None:
 
 
 def test_height_and_width_exchanged() -> None:
-    """Of pictures that are stacked."""
-
     def encode(obs: Any) -> Any:
         return np.stack([_cut(obs, camera).transpose(2, 0, 1) for camera in CAMERAS])
 
@@ -73,7 +66,6 @@ def test_height_and_width_exchanged() -> None:
 
 
 def test_what_sees_nothing_is_left() -> None:
-    """An adapter without pictures, and one that shows always the same."""
     for made in (np.ones(7), np.ones((*SIZE, 3))):
         with pytest.raises(UnfitError):
             Rebuilt(lambda _obs, made=made: made, OBS)

@@ -31,7 +31,6 @@ def _encoded(obs: Mapping[str, Any], *, half: bool, turned: bool) -> np.ndarray:
 
 @pytest.mark.parametrize(("half", "turned"), [(True, False), (False, True)])
 def test_a_part_is_normalised_otherwise(*, half: bool, turned: bool) -> None:
-    """Wherever it lies, as often as it is there; what is no such part stays."""
     model = type("Model", (Policy,), {"__module__": __name__})(
         {"env_cfg_type": "franka_single", "action_type": "joint"}
     )
