@@ -139,6 +139,8 @@ def test_many_problems_are_bounded_for_people_and_not_for_programs(tmp_path: Pat
         ("a: 1\nb: 2\na: 3\n", (3, 1), "the key 'a' is given twice, first in line 1"),
         ("", (1, 1), "the file is empty"),
         ("- 1\n", (1, 1), "expected a map"),
+        ("3", (1, 1), "expected a map"),
+        ("a: !!python/x 1", (1, 4), "tag"),
     ],
 )
 def test_what_is_no_manifest_is_told_in_plain_words(
