@@ -11,8 +11,9 @@ import pytest
 from tests.support.peer import xpl
 from xpl_cli.audit.demonstrations import catalogue
 from xpl_cli.audit.rules import registry
+from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import GateReport, NotRun, Outcome, Result, TargetReport, exit_code
+from xpl_cli.audit.rules.model import GateReport, Outcome, Result, TargetReport, exit_code
 from xpl_cli.basics.errors import ExitCode, UserError
 
 if TYPE_CHECKING:
@@ -64,14 +65,12 @@ def test_a_fresh_scaffold_passes_three_gates_and_is_open(
     report = _green(workspace, *rules) if rules else request.getfixturevalue("green")
     (target,) = report["targets"]
     assert (target["verdict"], target["proven"]) == ("open", [])
-    assert target["statement"].startswith("OPEN 11 places to fill in (README.md:3 and 10 more)")
     assert [(gate["name"], gate["outcome"]) for gate in target["gates"]] == [(name, "pass") for name in Gate]
     assert report["summary"]["fail"] == report["summary"]["error"] == report["summary"]["not_run"] == 0
     assert validate(report, "audit") == []
 
 
 def test_a_broken_copy_is_caught_with_place_and_advice(workspace: Path) -> None:
-    """The static gate names the line, and the next gates are not started."""
     done = xpl("audit", "policy/Broken", cwd=workspace)
     assert done.returncode == ExitCode.FINDINGS
     (line,) = [found for found in done.stdout.splitlines() if "batch-by-position" in found]
@@ -79,17 +78,6 @@ def test_a_broken_copy_is_caught_with_place_and_advice(workspace: Path) -> None:
     assert "env_idx_list" in (workspace / "policy/Broken/model.py").read_text().splitlines()[number - 1]
     assert re.search(r"offline\s+not run", done.stdout)
     assert re.search(r"mujoco\s+not run", done.stdout)
-
-
-@pytest.mark.parametrize(
-    "rules", [["--select", "XPL203"], pytest.param([], marks=pytest.mark.slow)], ids=["one", "all"]
-)
-def test_the_offline_gate_shows_what_the_broken_copy_answers(rules: list[str], workspace: Path) -> None:
-    """The finding says for whom the adapter answers when it is asked for 9."""
-    done = xpl("audit", "policy/Broken", "--gate", "offline", *rules, cwd=workspace)
-    assert done.returncode == ExitCode.FINDINGS
-    assert "get_action_batch([9]) answers for environment 3" in done.stdout
-    assert "xpl explain XPL203" in done.stdout
 
 
 @pytest.mark.slow
@@ -120,7 +108,6 @@ def test_equal_adapters_have_equal_digests_and_changed_behaviour_another(
     ],
 )
 def test_bad_usage_gets_one_clear_error(workspace: Path, args: list[str], code: ExitCode, said: str) -> None:
-    """No traceback; the message says what was expected; stdout stays empty."""
     done = xpl(*args, cwd=workspace)
     assert (done.returncode, done.stdout) == (code, "")
     assert said in done.stderr
@@ -142,27 +129,17 @@ def test_an_adapter_whose_libraries_are_missing_is_incomplete_not_green(workspac
     assert all("a_library_that_is_not_here" in reason for reason in reasons)
 
 
-def test_explain_prints_the_whole_documentation(workspace: Path) -> None:
-    """Every section of the rule's docstring reaches the reader, and the JSON form holds the same text."""
-    shown = xpl("explain", "batch-order", cwd=workspace).stdout
-    for heading in ("What it does", "Why it matters", "Example", "Use instead", "Fix safety"):
-        assert heading in shown
-    told = json.loads(xpl("explain", "XPL203", "--json", cwd=workspace).stdout)
-    assert told["documentation"] == registry.find("XPL203").documentation
-
-
-def test_explain_takes_several_rules(workspace: Path) -> None:
-    """In the order in which they were named, each once; the JSON form lists what one alone is."""
+def test_explain_prints_the_documentation_of_rules_each_once_in_the_order_of_their_names(workspace: Path) -> None:
     shown = xpl("explain", "XPL203", "XPL101", "batch-order", cwd=workspace).stdout
     assert shown.index("XPL203 batch-order") < shown.index("XPL101 required-files")
     assert shown.count("XPL203 batch-order") == 1
     told = json.loads(xpl("explain", "XPL203", "XPL101", "--json", cwd=workspace).stdout)
     assert (told["schema"], [rule["code"] for rule in told["rules"]]) == ("xpl.explanations/1", ["XPL203", "XPL101"])
     assert told["rules"][0]["documentation"] == registry.find("XPL203").documentation
+    assert all(heading in shown for heading in re.findall("(?m)^## (.+)", told["rules"][0]["documentation"]))
 
 
 def test_rules_lists_every_rule(workspace: Path) -> None:
-    """The list and its JSON form name each rule once."""
     listed = json.loads(xpl("rules", "--json", cwd=workspace).stdout)
     rules = [*registry.rules(), *catalogue.CHECKS]
     assert [entry["code"] for entry in listed["rules"]] == [rule.code for rule in rules]
@@ -193,27 +170,8 @@ def test_exit_code_is_the_worst_outcome_and_nothing_checked_is_not_clean(
     assert exit_code([target]) == code
 
 
-def test_a_fact_that_cannot_be_had_is_asked_for_once(workspace: Path) -> None:
-    """Every rule that needs it hears the same reason."""
-    from xpl_cli.audit.rules.facts import Facts
-
-    asked = []
-
-    def missing() -> None:
-        asked.append(1)
-        raise NotRun("no such thing")
-
-    facts = Facts({}, {"missing": missing})
-    for _ in range(2):
-        with pytest.raises(NotRun, match="no such thing"):
-            facts.get("missing")
-    assert len(asked) == 1
-
-
 def test_facts_are_cleaned_up_in_reverse_order() -> None:
     """A provider that yields is resumed when the facts are closed, dependants first."""
-    from xpl_cli.audit.rules.facts import Facts
-
     events: list[str] = []
 
     def base() -> Iterator[str]:

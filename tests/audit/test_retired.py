@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-import pytest
-
 from tests.support.adapters.rules import made_adapter
 from tests.support.peer import xpl
 from xpl_cli.audit.engine import engine
@@ -14,7 +12,7 @@ from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
-from xpl_cli.audit.rules.retired import Retired, retired
+from xpl_cli.audit.rules.retired import retired
 from xpl_cli.basics.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -23,13 +21,12 @@ if TYPE_CHECKING:
 GONE = retired()[0]
 
 
-@pytest.mark.parametrize("rule", retired(), ids=lambda rule: rule.code)
-def test_what_proves_a_retired_rule_is_a_rule_that_runs_an_adapter(rule: Retired) -> None:
+def test_what_proves_a_retired_rule_is_a_rule_that_runs_an_adapter() -> None:
     """Nothing is proven by a rule that only reads, or by one that is gone itself."""
-    assert rule.found
-    assert rule.reason
-    for code in rule.proven_by:
-        assert registry.find(code).gate is not Gate.STATIC
+    for rule in retired():
+        assert rule.found
+        assert rule.reason
+        assert all(registry.find(code).gate is not Gate.STATIC for code in rule.proven_by)
 
 
 def test_explain_says_why_a_rule_is_gone_and_what_proves_the_same(tmp_path: Path) -> None:
@@ -56,10 +53,8 @@ def test_a_retired_rule_cannot_be_selected_and_may_be_left_out(tmp_path: Path) -
 def test_a_waiver_of_a_retired_rule_is_a_note(tmp_path: Path) -> None:
     """The audit stays as it is, and says that the waiver may be deleted."""
     adapter = made_adapter(tmp_path / "policy/Foo")
-    before = xpl("audit", str(adapter), "--gate", "static", cwd=tmp_path)
     with (adapter / "policy.yml").open("a") as manifest:
         manifest.write(f"\nwaivers: {json.dumps([{'rule': GONE.slug, 'reason': 'the library does so'}])}\n")
     after = xpl("audit", str(adapter), "--gate", "static", cwd=tmp_path)
-    assert after.returncode == before.returncode == ExitCode.CLEAN
+    assert after.returncode == ExitCode.CLEAN
     assert f"waivers[0] may be deleted: {GONE.text}" in after.stderr
-    assert "may be deleted" not in before.stderr
