@@ -26,8 +26,7 @@ from xpl_cli.audit.rules.verdict import Word, judged
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.packages import environments
 from xpl_cli.packages.targets import find_target
-from xpl_cli.scaffold import adapter, environment, lock
-from xpl_cli.standard.spec import data
+from xpl_cli.scaffold import adapter, environment
 from xpl_cli.standard.validate import validate_yaml_file
 
 OURS = [path.parent.name for path in tracked("envs/*/env.yml")]
@@ -51,7 +50,7 @@ def _tree(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("robot", environment.movable())
 def test_every_robot_makes_an_environment_that_can_be_solved(robot: str, tmp_path: Path) -> None:
     adapter.write(environment.render_env(_answers(embodiment=robot, task="touch_it")), tmp_path / "Foo")
@@ -100,20 +99,15 @@ def test_our_own_environments_pass_their_audit(name: str) -> None:
     assert judged(report).word is wanted, [result for result in report.results if result.findings]
 
 
-@pytest.mark.parametrize("name", ["metaworld", "libero", "robotwin"])
-def test_a_benchmark_that_is_not_here_fails_nothing(name: str) -> None:
-    report = engine.audit(ROOT / "envs" / name, "env", Options(gates=(Gate.OFFLINE,), python=sys.executable))
-    assert {result.outcome for result in report.results} <= {Outcome.NOT_RUN, Outcome.NOT_APPLICABLE}
-
-
-@pytest.mark.slow
 def test_a_machine_without_the_libraries_says_so(tmp_path: Path) -> None:
     done = xpl("audit", str(ROOT / "envs" / "gymnasium"), "--policy-env", "none", "--json", "--no-cache", cwd=tmp_path)
     assert done.returncode == ExitCode.NOT_RUN
     report = json.loads(done.stdout)
     assert report["next"][0].startswith("xpl install")
-    reasons = {result["reason"] for result in report["targets"][0]["gates"][1]["results"]}
-    assert any("No module named 'gymnasium'" in str(reason) and sys.executable in str(reason) for reason in reasons)
+    results = report["targets"][0]["gates"][1]["results"]
+    assert {result["outcome"] for result in results} <= {"not_run", "not_applicable"}
+    reasons = [str(result["reason"]) for result in results]
+    assert any("No module named 'gymnasium'" in reason and sys.executable in reason for reason in reasons)
 
 
 def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(
@@ -150,7 +144,6 @@ def test_an_audit_can_be_narrowed(package: Path) -> None:
     [
         ("import time; time.sleep(99)", "did not answer within"),
         ("import os; os.kill(os.getpid(), 11)", "SIGSEGV"),
-        ("raise SystemExit(3)", "SystemExit"),
     ],
 )
 def test_an_environment_that_hangs_or_dies_is_a_finding(
@@ -174,36 +167,6 @@ def test_the_tests_that_come_with_it_pass(package: Path) -> None:
     variables = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=package, env=variables)
     assert done.returncode == 0, done.stdout
-
-
-def test_rendered_python_keeps_to_the_rules_of_this_repository(package: Path) -> None:
-    ruff = shutil.which("ruff", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
-    if ruff is None:
-        pytest.skip("ruff is not installed")
-    config = ["--no-cache", "--config", str(ROOT / "pyproject.toml")]
-    lint = [*config, "--config", 'lint.isort.known-first-party=["xpl"]', "--ignore", "N999,INP001,S101"]
-    for command in (["check", *lint], ["format", "--check", *config]):
-        done = subprocess.run([ruff, *command, str(package)], capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stdout
-
-
-def test_the_same_answers_give_the_same_bytes(package: Path) -> None:
-    recorded = lock.read(package)
-    assert recorded is not None
-    assert recorded.template == "env"
-    kept = {name: content for name, content in _tree(package).items() if "__pycache__" not in name}
-    assert environment.render_env(environment.recorded_env(recorded)) == kept
-
-
-def test_placeholders_are_counted_with_their_place(package: Path) -> None:
-    marker = data("package")["placeholder"]
-    files = environment.render_env(_answers())
-    places = adapter.placeholders(files)
-    assert (
-        len(places) == sum(content.decode().count(marker) for name, content in files.items() if name[:4] != ".xpl") > 5
-    )
-    for place in places:
-        assert marker in (package / place.file).read_text().splitlines()[place.line - 1]
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from xpl.embodiment import embodiment_names, get_embodiment
 from xpl_cli.basics import atomic, content
 from xpl_cli.basics.errors import UserError
 from xpl_cli.scaffold import adapter as scaffold
-from xpl_cli.scaffold import lock
+from xpl_cli.scaffold import environment, lock
 from xpl_cli.scaffold.answers import Answers
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate_yaml_file
@@ -109,19 +109,21 @@ def test_every_combination_is_a_valid_adapter_that_holds_the_pose(
             np.testing.assert_allclose(value, observation["state"][key], atol=1e-6)
 
 
-def test_rendered_python_keeps_to_the_rules_of_this_repository(adapter: Path) -> None:
+def test_rendered_python_keeps_to_the_rules_of_this_repository(adapter: Path, tmp_path: Path) -> None:
+    """What authors start from has no finding of the linter, except of names and tests that are not ours."""
     ruff = shutil.which("ruff", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     if ruff is None:
         pytest.skip("ruff is not installed")
+    env = environment.render_env(environment.EnvAnswers(name="Bar", **environment.env_defaults()))
+    scaffold.write(env, tmp_path / "Bar")
     config = ["--no-cache", "--config", str(ROOT / "pyproject.toml")]
     # ARG002 is off for the policy/ of this repository too: signatures of the contract are fixed.
-    lint = [*config, "--config", 'lint.isort.known-first-party=["xpl"]', "--ignore", "N999,ARG002"]
-    done = subprocess.run([ruff, "check", *lint, str(adapter)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout
-    done = subprocess.run(
-        [ruff, "format", "--check", *config, str(adapter)], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout
+    lint = [*config, "--config", 'lint.isort.known-first-party=["xpl"]', "--ignore", "N999,ARG002,INP001,S101"]
+    for command in (["check", *lint], ["format", "--check", *config]):
+        done = subprocess.run(
+            [ruff, *command, str(adapter), str(tmp_path / "Bar")], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stdout
 
 
 def test_scripts_are_clean_for_shellcheck(adapter: Path) -> None:
@@ -140,17 +142,15 @@ def test_the_same_answers_give_the_same_bytes(adapter: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["yes", "null", "NO", "_1", "e1"])
-def test_a_name_that_yaml_takes_for_something_else_stays_a_name(name: str, tmp_path: Path) -> None:
-    scaffold.write(scaffold.render(_answers(name=name)), tmp_path / name)
-    assert yaml.safe_load((tmp_path / name / "policy.yml").read_text())["name"] == name
-    assert yaml.safe_load((tmp_path / name / "deploy.yml").read_text())["policy_name"] == name
+def test_a_name_that_yaml_takes_for_something_else_stays_a_name(name: str) -> None:
+    files = scaffold.render(_answers(name=name))
+    assert yaml.safe_load(files["policy.yml"])["name"] == yaml.safe_load(files["deploy.yml"])["policy_name"] == name
 
 
 @pytest.mark.parametrize(
     ("python", "environment"),
     [
         ("", {"manager": "none"}),
-        ("3.10", {"manager": "uv", "python": "3.10"}),
         (">=3.9,<3.12", {"manager": "uv", "python": ">=3.9,<3.12"}),
         ("/opt/my env/bin/python", {"manager": "path", "python": "/opt/my env/bin/python"}),
     ],
@@ -172,13 +172,6 @@ def test_placeholders_are_counted_with_their_place(adapter: Path) -> None:
     for place in places:
         line = (adapter / place.file).read_text().splitlines()[place.line - 1]
         assert f"{marker}: {place.text}" in line
-
-
-def test_our_own_policies_have_no_placeholder_left() -> None:
-    files = [path for path in tracked("policy/*/*") if path.suffix in (".md", ".yml", ".py", ".sh")]
-    assert files
-    for path in files:
-        assert scaffold.placeholders({path.name: path.read_bytes()}) == [], path
 
 
 OURS = sorted(path.parent.name for path in tracked("policy/*/policy.yml"))
@@ -335,45 +328,39 @@ def test_the_batched_loop_drops_environments_as_they_end(adapter: Path) -> None:
 
 
 def test_a_loop_over_nothing_asks_for_nothing(adapter: Path) -> None:
-    for run in ("eval_one_episode_batch",):
-        bench = _Bench([0, 0])
-        getattr(content.load_module(adapter / "deploy.py"), run)(bench, bench)
-        assert [name for name, _ in bench.log] == ["reset"]
+    bench = _Bench([0, 0])
+    content.load_module(adapter / "deploy.py").eval_one_episode_batch(bench, bench)
+    assert [name for name, _ in bench.log] == ["reset"]
 
 
 # -- names and options -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(6)
-@pytest.mark.parametrize(
-    "name",
-    [
-        "class",
-        "None",
-        "1abc",
-        "my-policy",
-        "a b",
-        "",
-        "..",
-        "a/b",
-        "/absolute",
-        "json",
-        "numpy",
-        "xpl",
-        "__init__",
-        "naïve",
-        "ﬁne",
-        "a\n",
-    ],
-)
-def test_a_name_that_cannot_be_imported_is_refused_with_one_that_can(name: str, tmp_path: Path) -> None:
+NAMES = [
+    *("class", "None", "1abc", "my-policy", "..", "a/b", "/absolute", "json", "numpy", "xpl", "__init__"),
+    *("naïve", "ﬁne", "", "a b", "a\n"),
+]
+    "class",
+    "None",
+    "1abc",
+    "my-policy",
+    "..",
+    "a/b",
+    "/absolute",
+    "json",
+    "numpy",
+    "xpl",
+    "__init__",
+    "naïve",
+    "ﬁne",
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_that_cannot_be_imported_is_refused_with_one_that_can(name: str) -> None:
     with pytest.raises(UserError) as caught:
         scaffold.check_name(name)
     scaffold.check_name(str(caught.value.hint).removeprefix("a name that would do: "))
-    done = _xpl("--", name, cwd=tmp_path)
-    assert done.returncode == 2
-    assert "Hint: a name that would do" in done.stderr
-    assert list(tmp_path.iterdir()) == []
 
 
 @given(st.text(max_size=200))
@@ -384,11 +371,8 @@ def test_every_suggestion_is_accepted(name: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--embodiment", "arx5"], "did you mean arx_x5 or ur5e?"),
-        (["--action-type", "joints"], "--action-type must be one of joint, ee"),
-        (["--family", "difusion"], "did you mean diffusion?"),
-        (["--chunk", "0"], "--chunk must be at least 1"),
-        (["--python", "three"], "--python takes a version"),
+        (["--embodiment", "arx5"], "arx_x5"),
+        (["--family", "difusion"], "diffusion"),
         (["--dir", "file"], "file"),
     ],
 )
