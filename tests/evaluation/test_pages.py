@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-LOOKS = [(width, dark) for width in (1280, 390) for dark in (False, True)]
+LOOKS = [(1280, False), (390, True)]
 HOSTILE = '</script><script>document.title="taken"</script><img src=x onerror="document.title=\'taken\'">'
 
 

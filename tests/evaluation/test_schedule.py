@@ -116,23 +116,6 @@ def test_a_spoilt_attempt_is_played_again_after_others_and_within_a_bound(plan: 
     assert (run.finals[1].failure, run.finals[1].success) == ("infrastructure", None)
 
 
-def test_attempts_before_an_interruption_count(plan: Plan, tmp_path: Path) -> None:
-    spoilt = 0
-
-    def answer(job: Job) -> list[Outcome]:
-        nonlocal spoilt
-        spoilt += 1
-        if spoilt == 3:
-            raise Killed
-        return [lost(job, "gone")]
-
-    with pytest.raises(Killed):
-        _play(tmp_path, plan, Script(1, answer, _first))
-    backend = Script(1, _good, _first)
-    _play(tmp_path, plan, backend)
-    assert [(job.index, job.attempt) for job in backend.played][:3] == [(0, 2), (1, 2), (2, 1)]
-
-
 def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: Plan, tmp_path: Path) -> None:
     """Nothing can be played: the run stops, nearly all stays open, and resuming plays it."""
     cells = [replace(cell, seeds=list(range(20))) for cell in plan.cells]
@@ -158,21 +141,6 @@ def test_many_lanes_that_are_lost_at_once_are_no_outage(plan: Plan, tmp_path: Pa
     run = _play(tmp_path, replace(plan, cells=cells).named(), Script(17, answer, _first))
     assert len(run.finals) == 80
     assert not any(line.failure for line in run.finals.values())
-
-
-def test_an_outcome_that_comes_again_or_too_late_is_dropped(plan: Plan, tmp_path: Path) -> None:
-    """Of each attempt the first counts, and a lost one that comes back counts no more."""
-    late: list[Outcome] = []
-
-    def answer(job: Job) -> list[Outcome]:
-        if job.index == 0 and job.attempt == 1:
-            late.extend(_good(job))
-            return [lost(job, "gone")]
-        return [*late, *_good(job), *_good(job)]
-
-    run = _play(tmp_path, plan, Script(2, answer, _first))
-    assert [line.index for line in run.attempts].count(0) == 2
-    assert (run.finals[0].attempt, len(run.finals), len(run.attempts)) == (2, 6, 7)
 
 
 def test_a_backend_may_have_nothing_to_tell(plan: Plan, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from tests.support.recordings.runs import episode, synthetic
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.evaluation.leaderboard import export, field, trees
-from xpl_cli.evaluation.records import records, stand_ins
+from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.report import markdown
 from xpl_cli.evaluation.runs.outcome import Evaluation, Played
 from xpl_cli.evaluation.statistics.comparison import compare
@@ -81,9 +81,3 @@ def test_it_is_not_submitted(tmp_path: Path) -> None:
     request = prepare.Request(SimpleNamespace(name="Foo"), (run.folder,), tmp_path / "bundle")  # type: ignore[arg-type]
     with pytest.raises(UserError, match="is not submitted"):
         prepare.submit(request)
-
-
-def test_only_names_that_say_so_are_such_settings() -> None:
-    assert stand_ins.is_one("stand_in_robot")
-    assert not stand_ins.is_one("clean_stand_in")
-    assert stand_ins.sentence("x", ["clean"]) is None

@@ -144,12 +144,6 @@ def test_resampling_depends_on_the_values_only() -> None:
     assert first.low < np.mean(scores) < first.high
 
 
-def test_resampling_gives_about_what_normal_theory_gives_for_many_values() -> None:
-    scores = np.random.default_rng(1).beta(2, 1, size=1000)
-    half = 1.96 * scores.std() / math.sqrt(len(scores))
-    assert bootstrap(scores) == pytest.approx((scores.mean() - half, scores.mean() + half), abs=half / 10)
-
-
 @pytest.mark.parametrize("scores", [[1.0] * 30, [0.5] * 30, [0.0, 1.0], [0.7]])
 def test_values_without_a_spread_are_not_resampled(scores: list[float]) -> None:
     """Thirty perfect episodes do not prove that each is: an interval without width would say so."""

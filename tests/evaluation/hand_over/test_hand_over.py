@@ -50,15 +50,9 @@ def workspace(tmp_path: Path) -> Path:
     (place / "scripts").mkdir()
     names = {"told": place / "told", "fails": place / "fails", "result": place / "result.json"}
     (place / "scripts" / "eval_policy.sh").write_text(SCRIPT.format(**names))
-    _write(place, DETAILS)
+    told = {"success_rate": 0.5, "eval_time": 2, "score": 57.5, "details": DETAILS}
+    (place / "result.json").write_text(json.dumps(told))
     return place
-
-
-def _write(workspace: Path, details: Any, **more: Any) -> None:
-    count = len(details)
-    won = sum(entry["success"] for entry in details.values())
-    told = {"success_rate": won / count, "eval_time": count, "score": 57.5, "details": details, **more}
-    (workspace / "result.json").write_text(json.dumps(told))
 
 
 def _call(*words: str | Path) -> Any:
@@ -127,7 +121,11 @@ def test_a_run_that_broke_off_goes_on_under_its_name(workspace: Path, tmp_path: 
     assert len(records.read(out).finals) == 2
 
 
-def test_the_environment_variable_names_a_workspace_too(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_names_a_workspace_too_and_a_dry_run_starts_nothing(
+    workspace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ROBODOJO_ROOT", raising=False)
+    assert _call("--dry-run").code == 3
     monkeypatch.setenv("ROBODOJO_ROOT", str(workspace))
     ended = _call("--dry-run")
     assert ended.code == 0, ended.stderr
@@ -143,14 +141,6 @@ def test_a_folder_that_is_no_workspace_is_told(workspace: Path, missing: str) ->
     assert problem(ended) is None
     assert missing in ended.stderr
     assert ("link" in ended.stderr) == ("demo_policy" in missing)
-
-
-def test_without_a_workspace_the_ways_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("ROBODOJO_ROOT", raising=False)
-    ended = _call()
-    assert ended.code == 3
-    for way in ("--workspace", "ROBODOJO_ROOT", "--rehearse"):
-        assert way in ended.stderr
 
 
 @pytest.mark.sampled(1)
@@ -177,6 +167,7 @@ WRONG = {
     "a layout that is a text": {"0": {"layout_id": "0", "success": True, "score": 1.0}},
     "success with nothing": {"0": {"layout_id": 0, "success": True, "score": 0}},
     "no score": {"0": {"layout_id": 0, "success": True}},
+    "a rate that contradicts its layouts": json.dumps({"success_rate": 0.9, "details": DETAILS}),
     "NaN": '{"details": {"0": {"layout_id": 0, "success": false, "score": NaN}}}',
     "deep": '{"details": ' + "[" * 100_000,
 }
@@ -188,13 +179,6 @@ def test_a_result_that_cannot_be_relied_on_is_refused(tmp_path: Path, content: A
     file.write_text(content if isinstance(content, str) else json.dumps({"details": content}))
     with pytest.raises(UserError, match="_result"):
         results.layouts(file)
-
-
-def test_a_rate_that_contradicts_its_layouts_is_refused(workspace: Path) -> None:
-    _write(workspace, DETAILS, success_rate=0.9)
-    ended = _call("--workspace", workspace)
-    assert ended.code == 4
-    assert "contradicts itself" in ended.stderr
 
 
 @pytest.mark.parametrize(("text", "value"), [("Timestamp: x\n\nInstruction Type: seen\n\n0.37", 0.37), ("1.0\n", 1.0)])
