@@ -340,20 +340,6 @@ NAMES = [
     *("class", "None", "1abc", "my-policy", "..", "a/b", "/absolute", "json", "numpy", "xpl", "__init__"),
     *("naïve", "ﬁne", "", "a b", "a\n"),
 ]
-    "class",
-    "None",
-    "1abc",
-    "my-policy",
-    "..",
-    "a/b",
-    "/absolute",
-    "json",
-    "numpy",
-    "xpl",
-    "__init__",
-    "naïve",
-    "ﬁne",
-]
 
 
 @pytest.mark.parametrize("name", NAMES)
