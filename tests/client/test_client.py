@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import websockets.sync.server
 
+from tests.client.interop.relay import Relay
+from tests.support.outside.stand_in import standing_in
 from tests.support.peer import DEADLINE_S, Peer, wait_until
 from xpl import Client
 from xpl import _spec as spec
@@ -26,10 +27,10 @@ from xpl.client import (
     ServerRestartedError,
 )
 from xpl.observation import ObservationError
-from xpl.wire import codec
 from xpl.wire.codec import Frame, WireError
 from xpl_cli.serving.launch import RunningServer, serving
 
+StandIn = Callable[[Callable[[Frame], Any]], tuple[str, list[Frame]]]
 HASTE: dict[str, Any] = {
     "connect_retry_delay_s": 0,
     "max_connect_attempts": 2,
@@ -74,116 +75,16 @@ def shared(adapter: Path) -> Iterator[RunningServer]:
         yield server
 
 
-class Relay:
-    """A TCP relay that can be cut and pointed elsewhere.
-
-    Attributes:
-        url: where clients connect.
-        upstream: port of the server.
-    """
-
-    def __init__(self, upstream: int) -> None:
-        self.upstream = upstream
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}"
-        self._sockets: list[socket.socket] = []
-        self._threads = [threading.Thread(target=self._accept)]
-        self._threads[0].start()
-
-    def cut(self) -> None:
-        for end in self._sockets:
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-
-    def close(self) -> None:
-        self._listener.shutdown(socket.SHUT_RDWR)
-        self.cut()
-        for thread in list(self._threads):
-            thread.join()
-        for end in (self._listener, *self._sockets):
-            end.close()
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                near, _ = self._listener.accept()
-                self._sockets.append(near)
-                try:
-                    far = socket.create_connection(("127.0.0.1", self.upstream))
-                except OSError:
-                    near.shutdown(socket.SHUT_RDWR)
-                    continue
-                self._sockets.append(far)
-                for source, target in ((near, far), (far, near)):
-                    self._threads.append(threading.Thread(target=self._pump, args=(source, target)))
-                    self._threads[-1].start()
-
-    @staticmethod
-    def _pump(source: socket.socket, target: socket.socket) -> None:
-        with contextlib.suppress(OSError):
-            while data := source.recv(65536):
-                target.sendall(data)
-        with contextlib.suppress(OSError):
-            target.shutdown(socket.SHUT_RDWR)
-
-
 @pytest.fixture
 def relay() -> Iterator[Callable[[str], Relay]]:
     with contextlib.ExitStack() as stack:
-
-        def start(url: str) -> Relay:
-            made = Relay(int(url.rpartition(":")[2]))
-            stack.callback(made.close)
-            return made
-
-        yield start
-
-
-class StandIn:
-    """A server of our own making, on the real websockets library.
-
-    Attributes:
-        url: where it listens.
-        requests: what has arrived.
-    """
-
-    def __init__(self, answer: Callable[[Frame], Any]) -> None:
-        self._answer = answer
-        self.requests: list[Frame] = []
-        self._server = websockets.sync.server.serve(self._talk, "127.0.0.1", 0, compression=None)
-        self.url = f"ws://127.0.0.1:{self._server.socket.getsockname()[1]}"
-        self._thread = threading.Thread(target=self._server.serve_forever)
-        self._thread.start()
-
-    def _talk(self, connection: websockets.sync.server.ServerConnection) -> None:
-        for data in connection:
-            assert isinstance(data, bytes)
-            frame = codec.decode(data)
-            self.requests.append(frame)
-            answers = self._answer(frame)
-            for answer in answers if isinstance(answers, list) else [answers]:
-                if isinstance(answer, Frame):
-                    connection.send(codec.encode(answer))
-                elif isinstance(answer, (bytes, str)):
-                    connection.send(answer)
-                elif isinstance(answer, tuple):
-                    connection.close(*answer)
-
-    def close(self) -> None:
-        self._server.shutdown()
-        self._thread.join()
+        yield lambda url: stack.enter_context(Relay(url))
 
 
 @pytest.fixture
-def stand_in() -> Iterator[Callable[[Callable[[Frame], Any]], StandIn]]:
+def stand_in() -> Iterator[StandIn]:
     with contextlib.ExitStack() as stack:
-
-        def start(answer: Callable[[Frame], Any]) -> StandIn:
-            made = StandIn(answer)
-            stack.callback(made.close)
-            return made
-
-        yield start
+        yield lambda answer: stack.enter_context(standing_in(answer))
 
 
 def modern(frame: Frame, **answers: Any) -> Any:
@@ -247,11 +148,6 @@ def test_errors_of_the_policy_are_raised_and_the_client_goes_on(shared: RunningS
         assert numbers(client.infer({"n": 1})) == [1, 1]
 
 
-def test_an_identifier_that_servers_refuse_is_refused_here(shared: RunningServer) -> None:
-    with pytest.raises(WireError, match="trial_id must be str"):
-        Client(shared.url, trial_id=5)  # type: ignore[arg-type]
-
-
 def test_a_closed_client_says_so(shared: RunningServer) -> None:
     client = Client(shared.url)
     client.close()
@@ -302,31 +198,35 @@ def test_a_cut_between_requests_goes_unnoticed(shared: RunningServer, relay: Cal
             assert numbers(client.get_action()) == [6, 6]
 
 
-def test_another_server_instance_aborts_the_trial(
-    adapter: Path, serve: Callable[..., RunningServer], relay: Callable[[str], Relay]
-) -> None:
-    first, second = serve(adapter), serve(adapter)
-    between = relay(first.url)
+def test_another_server_instance_aborts_the_trial(stand_in: StandIn, relay: Callable[[str], Relay]) -> None:
+    def instance(name: str) -> str:
+        def answer(frame: Frame) -> Frame | None:
+            kind = spec.ANSWERS[frame.message_type]
+            return kind and frame.answer(kind, {"ok": True, "server_instance_id": name, "result": name})
+
+        return stand_in(answer)[0]
+
+    between = relay(instance("first"))
     with Client(between.url) as client:
         client.reset()
         client.update_obs({"n": 6})
-        between.upstream = int(second.url.rpartition(":")[2])
+        between.target = instance("second")
         between.cut()
         with pytest.raises(ServerRestartedError, match="restarted"):
             client.get_action()
         client.reset()
-        assert numbers(client.infer({"n": 7})) == [7, 7]
+        assert client.get_action() == "second"
 
 
 def test_a_server_that_does_not_come_back_ends_the_request_within_its_timeout(
-    adapter: Path, serve: Callable[..., RunningServer], relay: Callable[[str], Relay]
+    stand_in: StandIn, relay: Callable[[str], Relay]
 ) -> None:
     """Although the limits of a first connection would allow a quarter of an hour."""
-    between = relay(serve(adapter).url)
+    between = relay(stand_in(modern)[0])
     client = Client(between.url, config={"request_timeout_s": 0.5, "connect_retry_delay_s": 0.05})
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))  # bound and not listening: connections are refused
-        between.upstream = unused.getsockname()[1]
+        between.target = f"ws://127.0.0.1:{unused.getsockname()[1]}"
         between.cut()
         started = time.monotonic()
         with pytest.raises(ServerConnectionError, match="no policy server at"):
@@ -393,12 +293,12 @@ def test_an_address_that_is_none_is_refused_at_once(url: str) -> None:
         Client(url)
 
 
-def test_a_hello_without_answer_is_tried_again(stand_in: Callable[..., StandIn]) -> None:
+def test_a_hello_without_answer_is_tried_again(stand_in: StandIn) -> None:
     """A server that still loads its model holds hello back."""
-    server: StandIn = stand_in(lambda frame: modern(frame) if len(server.requests) > 3 else None)
-    with Client(server.url, config={**HASTE, "handshake_timeout_s": 0.1, "max_connect_attempts": 0}) as client:
+    url, requests = stand_in(lambda frame: modern(frame) if len(requests) > 3 else None)
+    with Client(url, config={**HASTE, "handshake_timeout_s": 0.1, "max_connect_attempts": 0}) as client:
         assert client.server_instance_id == "s1"
-    hellos = [frame for frame in server.requests if frame.message_type == "hello"]
+    hellos = [frame for frame in requests if frame.message_type == "hello"]
     assert len({frame.message_id for frame in hellos}) == len(hellos) > 1
     assert hellos[0].payload["capabilities"]["wire_version"] == 1
 
@@ -423,41 +323,43 @@ def test_a_busy_server_is_tried_again(shared: RunningServer) -> None:
     probe.close()
 
 
-def test_a_refusal_for_good_is_not_tried_again(stand_in: Callable[..., StandIn]) -> None:
-    server = stand_in(lambda frame: frame.answer("error", {"code": "internal", "message": "go away", "details": "x"}))
+def test_a_refusal_for_good_is_not_tried_again(stand_in: StandIn) -> None:
+    url, requests = stand_in(
+        lambda frame: frame.answer("error", {"code": "internal", "message": "go away", "details": "x"})
+    )
     with pytest.raises(PolicyServerError, match="internal: go away"):
-        Client(server.url)
-    assert [frame.message_type for frame in server.requests if frame.message_type != "close"] == ["hello"]
+        Client(url)
+    assert [frame.message_type for frame in requests if frame.message_type != "close"] == ["hello"]
 
 
-def test_a_server_that_failed_says_why_and_is_not_asked_again(stand_in: Callable[..., StandIn]) -> None:
-    server = stand_in(
+def test_a_server_that_failed_says_why_and_is_not_asked_again(stand_in: StandIn) -> None:
+    url, requests = stand_in(
         lambda frame: modern(frame, reset=(spec.CLOSE_CODES["server_failed"], "the worker was ended by signal SIGKILL"))
     )
-    client = Client(server.url)
+    client = Client(url)
     with pytest.raises(ServerConnectionError, match="policy server ended: the worker was ended by signal SIGKILL"):
         client.reset()
-    assert [frame.message_type for frame in server.requests] == ["hello", "reset"]
+    assert [frame.message_type for frame in requests] == ["hello", "reset"]
 
 
-def test_a_request_without_answer_ends_the_trial(stand_in: Callable[..., StandIn]) -> None:
-    server = stand_in(modern)
-    client = Client(server.url, config={"request_timeout_s": 0.2})
+def test_a_request_without_answer_ends_the_trial(stand_in: StandIn) -> None:
+    url, requests = stand_in(modern)
+    client = Client(url, config={"request_timeout_s": 0.2})
     with pytest.raises(RequestTimeoutError, match=r"reset was not answered within 0\.\d s"):
         client.reset()
     with pytest.raises(ServerConnectionError, match="the client is closed"):
         client.reset()
-    wait_until(lambda: server.requests[-1].message_type == "close", "the goodbye arrived")
-    assert [frame.message_type for frame in server.requests] == ["hello", "reset", "close"]
+    wait_until(lambda: requests[-1].message_type == "close", "the goodbye arrived")
+    assert [frame.message_type for frame in requests] == ["hello", "reset", "close"]
 
 
-def test_what_is_not_the_answer_is_passed_over(stand_in: Callable[..., StandIn]) -> None:
+def test_what_is_not_the_answer_is_passed_over(stand_in: StandIn) -> None:
     def answer(frame: Frame) -> Any:
         if frame.message_type != "reset":
             return modern(frame)
         return ["text", Frame("reset_result", "other", {"ok": True}), frame.answer("reset_result", {"ok": True})]
 
-    with Client(stand_in(answer).url) as client:
+    with Client(stand_in(answer)[0]) as client:
         client.reset()
 
 
@@ -476,10 +378,10 @@ def test_what_is_not_the_answer_is_passed_over(stand_in: Callable[..., StandIn])
     ],
 )
 def test_a_wrong_answer_is_a_clear_error(
-    stand_in: Callable[..., StandIn], answer: Callable[[Frame], Any], error: type[Exception], message: str
+    stand_in: StandIn, answer: Callable[[Frame], Any], error: type[Exception], message: str
 ) -> None:
-    server = stand_in(lambda frame: answer(frame) if frame.message_type == "infer" else modern(frame))
-    with Client(server.url) as client, pytest.raises(error, match=message):
+    url, _ = stand_in(lambda frame: answer(frame) if frame.message_type == "infer" else modern(frame))
+    with Client(url) as client, pytest.raises(error, match=message):
         client.infer({})
 
 
@@ -494,21 +396,21 @@ def test_a_frame_over_the_limit_is_not_sent(shared: RunningServer, monkeypatch: 
 # -- servers of the first generation -----------------------------------------------------------------------------------
 
 
-def test_an_old_server_is_served_by_infer_alone(stand_in: Callable[..., StandIn]) -> None:
-    server = stand_in(first_generation)
-    with Client(server.url) as client:
+def test_an_old_server_is_served_by_infer_alone(stand_in: StandIn) -> None:
+    url, requests = stand_in(first_generation)
+    with Client(url) as client:
         client.reset()
         client.update_obs({"env_idx": 1})
         client.update_obs({"env_idx": 2})
         assert client.get_action() == [{"env": 2}]
         assert client.get_action({"env_idx": 3}) == [{"env": 3}]
-    sent = [frame.message_type for frame in server.requests]
+    sent = [frame.message_type for frame in requests]
     assert sent[:4] == ["hello", "reset", "infer", "infer"]
     assert "call" not in sent
 
 
-def test_a_batch_to_an_old_server_is_one_infer_for_each_environment(stand_in: Callable[..., StandIn]) -> None:
-    with Client(stand_in(first_generation).url) as client:
+def test_a_batch_to_an_old_server_is_one_infer_for_each_environment(stand_in: StandIn) -> None:
+    with Client(stand_in(first_generation)[0]) as client:
         client.reset()
         client.update_obs_batch([{}, {}, {}])
         assert client.get_action_batch() == [[{"env": 0}], [{"env": 1}], [{"env": 2}]]
@@ -530,12 +432,12 @@ def test_a_batch_to_an_old_server_is_one_infer_for_each_environment(stand_in: Ca
             client.get_action_batch()
 
 
-def test_nothing_is_sent_again_to_an_old_server(stand_in: Callable[..., StandIn]) -> None:
+def test_nothing_is_sent_again_to_an_old_server(stand_in: StandIn) -> None:
     """It has no memory of answers: a second infer would run the model twice."""
-    server = stand_in(lambda frame: (1011, "cut") if frame.message_type == "infer" else first_generation(frame))
-    client = Client(server.url)
+    url, requests = stand_in(lambda frame: (1011, "cut") if frame.message_type == "infer" else first_generation(frame))
+    client = Client(url)
     with pytest.raises(ServerConnectionError, match="first generation must not be asked twice"):
         client.infer({})
-    assert [frame.message_type for frame in server.requests] == ["hello", "infer"]
+    assert [frame.message_type for frame in requests] == ["hello", "infer"]
     with pytest.raises(ServerConnectionError, match="closed"):
         client.reset()

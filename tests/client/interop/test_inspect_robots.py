@@ -187,19 +187,3 @@ def test_a_cut_costs_inspect_robots_one_trial(serve: Serve, plugin: Connect, jou
     played = ["reset", "infer", "infer", "trial_end"]
     assert journal.events() == [*played, "reset", "infer", "trial_end", *played]
     assert [entry["asked"] for entry in journal.read() if entry["event"] == "infer"] == [0, 1, 0, 0, 1]
-
-
-@pytest.mark.slow
-def test_a_restarted_server_costs_inspect_robots_one_trial(serve: Serve, plugin: Connect, journal: Journal) -> None:
-    old = serve(journal.folder, overrides=journal.overrides)
-    with Relay(old.url) as relay:
-        peer = plugin(relay.url)
-        peer.start("evaluate", scenes=["pick", "place"], steps=6, pause=[0, CHUNK - 1], **ONE_ARM)
-        peer.receive()
-        relay.target = serve(journal.folder, overrides=journal.overrides).url
-        relay.cut()
-        peer.send({})
-        log = peer.result()
-        peer.ask("close")
-    assert [scene["status"] for scene in log["scenes"]] == ["error", "success"]
-    assert journal.events() == ["reset", "infer", "trial_end", "reset", "infer", "infer", "trial_end"]

@@ -5,28 +5,33 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import Any
 
 import websockets.sync.server
 
 from xpl.wire import codec
-
-if TYPE_CHECKING:
-    from xpl.wire.codec import Frame
+from xpl.wire.codec import Frame
 
 
 @contextlib.contextmanager
-def standing_in(answer: Callable[[Frame], Frame | None]) -> Iterator[tuple[str, list[Frame]]]:
-    """Serve what a function answers; yield the address, and the requests as they arrive."""
+def standing_in(answer: Callable[[Frame], Any]) -> Iterator[tuple[str, list[Frame]]]:
+    """Serve what a function answers; yield the address, and the requests as they arrive.
+
+    Args:
+        answer: returns a frame, a message as it is, code and reason to close with, or None; or a list of them.
+    """
     requests: list[Frame] = []
 
     def talk(connection: websockets.sync.server.ServerConnection) -> None:
         for data in connection:
             assert isinstance(data, bytes)
             requests.append(codec.decode(data))
-            answered = answer(requests[-1])
-            if answered is not None:
-                connection.send(codec.encode(answered))
+            answers = answer(requests[-1])
+            for one in answers if isinstance(answers, list) else [answers]:
+                if isinstance(one, tuple):
+                    connection.close(*one)
+                elif one is not None:
+                    connection.send(codec.encode(one) if isinstance(one, Frame) else one)
 
     with websockets.sync.server.serve(talk, "127.0.0.1", 0, compression=None) as server:
         thread = threading.Thread(target=server.serve_forever)
