@@ -139,6 +139,14 @@ def serve() -> Iterator[Callable[..., RunningServer]]:
         del os.environ[MARK]
 
 
+@pytest.fixture
+def fifo(tmp_path: Path) -> Path:
+    """Return a named pipe: what reads it waits until the test has opened it and closed it again."""
+    path = tmp_path / "fifo"
+    os.mkfifo(path)
+    return path
+
+
 @pytest.fixture(scope="session")
 def old_python() -> str:
     """Return a Python 3.9 with numpy that PATH has; the test is skipped if there is none."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import subprocess
 import sys
 import tracemalloc
@@ -21,7 +20,7 @@ from hypothesis import strategies as st
 from tests.support.examples import examples
 from tests.support.killable import listens
 from tests.support.outside.raw import page
-from tests.support.peer import Peer, wait_until
+from tests.support.peer import Peer, greeted, wait_until
 from xpl import Client
 from xpl import _spec as spec
 from xpl.wire import codec, packed, telling
@@ -165,18 +164,6 @@ def server(subject: Path) -> Iterator[RunningServer]:
     """Serve it to one client at a time."""
     with serving(subject) as running:
         yield running
-
-
-@contextlib.contextmanager
-def greeted(url: str, **capabilities: Any) -> Iterator[Peer]:
-    """Yield a connection that has said hello, and say goodbye in the end."""
-    peer = Peer(url)
-    wait_until(lambda: peer.ask("hello", {"capabilities": capabilities}).message_type == "hello_ack", "it is free")
-    try:
-        yield peer
-    finally:
-        peer.send("close")
-        peer.close()
 
 
 def worker(server: RunningServer) -> int:
@@ -328,10 +315,8 @@ def test_any_hello_is_answered(server: RunningServer) -> None:
         peer.send("close")
 
 
-def test_a_bad_hello_does_not_end_a_server_that_loads(write_adapter: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_bad_hello_does_not_end_a_server_that_loads(write_adapter: Callable[..., Path], fifo: Path) -> None:
     """It is refused at once, and who waits for the model is greeted when it is there."""
-    fifo = tmp_path / "fifo"
-    os.mkfifo(fifo)
     model = f"open({str(fifo)!r}).read()\n" + MODEL.replace("\n    ", "\n")
     folder = write_adapter(model)
     command = [sys.executable, "-m", "xpl_cli", "serve", str(folder), "--port", "0", "--host", "127.0.0.1"]

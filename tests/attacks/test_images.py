@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
-import os
 import re
 import struct
 import zlib
@@ -18,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from tests.support.peer import Peer, wait_until
+from tests.support.peer import greeted
 from xpl import images
 from xpl.observation import ObservationError
 from xpl_cli.serving import decoding
@@ -43,18 +41,6 @@ def server(write_adapter: Callable[..., Path]) -> Iterator[RunningServer]:
     """Serve a model that tells the shapes of images."""
     with serving(write_adapter(MODEL), {"request_timeout_s": 60}) as running:
         yield running
-
-
-@contextlib.contextmanager
-def greeted(url: str) -> Iterator[Peer]:
-    """Yield a connection that has said hello, and say goodbye in the end."""
-    peer = Peer(url)
-    wait_until(lambda: peer.ask("hello").message_type == "hello_ack", "it is free")
-    try:
-        yield peer
-    finally:
-        peer.send("close")
-        peer.close()
 
 
 def bomb(width: int, height: int) -> bytes:
@@ -102,10 +88,9 @@ def test_a_message_of_many_large_images_is_refused_before_one_is_decoded(server:
 
 
 @pytest.mark.slow
-def test_requests_that_wait_do_not_fill_the_memory(server: RunningServer, tmp_path: Path) -> None:
+def test_requests_that_wait_do_not_fill_the_memory(server: RunningServer, fifo: Path) -> None:
     """Decoded is what there is room for; the rest waits, and all are answered in their order."""
-    before, fifo, one = peak(server), tmp_path / "fifo", bomb(SIDE, SIDE)
-    os.mkfifo(fifo)
+    before, one = peak(server), bomb(SIDE, SIDE)
     with greeted(server.url) as peer:
         sent = [peer.send("infer", {"observation": {**seen(bomb(3, 1)), "fifo": str(fifo)}}).message_id]
         sent += [peer.send("infer", {"observation": seen(one)}).message_id for _ in range(10)]
@@ -116,7 +101,6 @@ def test_requests_that_wait_do_not_fill_the_memory(server: RunningServer, tmp_pa
     assert peak(server) - before < 5 * decoding.MOST
 
 
-_SOF = b"\xff\xd8\xff\xc2\0\x0b\x08\x10\0\x10\0\x01\x01\x11\0"
 _SOF = b"\xff\xd8\xff\xc2\0\x0b\x08\x10\0\x10\0\x01\x01\x11\0"
 _IHDR = struct.pack("!IIBBBBB", 2, 2, 8, 0, 0, 0, 0)
 LIARS = {

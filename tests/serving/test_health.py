@@ -4,7 +4,6 @@ import asyncio
 import collections
 import contextlib
 import json
-import os
 import re
 import signal
 import socket
@@ -133,14 +132,6 @@ def end(process: subprocess.Popen[bytes], reader: threading.Thread) -> None:
     for stream in (process.stdout, process.stderr):
         assert stream is not None
         stream.close()
-
-
-@pytest.fixture
-def fifo(tmp_path: Path) -> Path:
-    """Return a named pipe: the model waits on it until the test opens it and closes it again."""
-    path = tmp_path / "fifo"
-    os.mkfifo(path)
-    return path
 
 
 def state_of(url: str) -> tuple[int, dict[str, Any]]:

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from tests.support.outside.raw import BINARY, CONTINUATION, PING, PONG, TEXT, Raw, dial, page
-from tests.support.peer import DEADLINE_S, Peer, wait_until, xpl
+from tests.support.peer import DEADLINE_S, Peer, greeted, wait_until, xpl
 from xpl import Client
 from xpl import _spec as spec
 from xpl.client import AsyncClient, PolicyServerError, ServerConnectionError
@@ -86,19 +86,6 @@ def peer(shared: RunningServer) -> Iterator[Peer]:
     """Return a connection that has said hello."""
     with greeted(shared.url) as connection:
         yield connection
-
-
-@contextlib.contextmanager
-def greeted(url: str, **capabilities: Any) -> Iterator[Peer]:
-    """Yield a connection that has said hello, and say goodbye in the end."""
-    connection = Peer(url)
-    hello = {"capabilities": capabilities}
-    wait_until(lambda: connection.ask("hello", hello).message_type == "hello_ack", "the server is free")
-    try:
-        yield connection
-    finally:
-        connection.send("close")
-        connection.close()
 
 
 @pytest.fixture

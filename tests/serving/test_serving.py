@@ -135,14 +135,6 @@ def greeted(url: str, evaluation_id: str | None = None) -> Peer | None:
     return None
 
 
-@pytest.fixture
-def fifo(tmp_path: Path) -> Path:
-    """Return a named pipe: the model waits on it until the test opens it."""
-    path = tmp_path / "fifo"
-    os.mkfifo(path)
-    return path
-
-
 def let_go(fifo: Path) -> None:
     """End the model's wait; returns when the model really waited."""
     with fifo.open("w"):

@@ -14,7 +14,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from tests.support.outside.raw import BINARY, CLOSE, Raw, page
-from tests.support.peer import Peer, wait_until
+from tests.support.peer import Peer, greeted, wait_until
 from xpl import Client
 from xpl import _spec as spec
 from xpl.client import PolicyServerError, ServerConnectionError, ServerFailedError
@@ -81,14 +81,6 @@ HASTE: dict[str, Any] = {"connect_retry_delay_s": 0.02, "max_connect_attempts": 
 ONCE: dict[str, Any] = {"max_connect_attempts": 1}
 
 
-@pytest.fixture
-def fifo(tmp_path: Path) -> Path:
-    """Return a named pipe: the model waits on it until the test opens it and closes it again."""
-    path = tmp_path / "fifo"
-    os.mkfifo(path)
-    return path
-
-
 @pytest.fixture(scope="module")
 def subject(write_adapter: Callable[..., Path]) -> Path:
     """Return the folder of the adapter that is alone with its client."""
@@ -114,14 +106,6 @@ def free(pair: RunningServer, sharing: RunningServer) -> None:
     """Wait until the clients of the test before are gone."""
     for server in (pair, sharing):
         wait_until(lambda server=server: '"taken": 0' in page(server.url, "/healthz")[1], "all places are free")
-
-
-def greeted(url: str, evaluation_id: str | None = None, session: str | None = None) -> Peer:
-    """Return a connection once its hello was acknowledged."""
-    peer = Peer(url, evaluation_id)
-    payload = {} if session is None else {"capabilities": {"session": session}}
-    wait_until(lambda: peer.ask("hello", payload).message_type == "hello_ack", "the server has a place")
-    return peer
 
 
 def actions(peer: Peer, n: int, step: int = 0) -> Any:
@@ -358,10 +342,10 @@ def test_each_tenancy_has_its_own_instance(pair: RunningServer) -> None:
     identities = [peer.ask("hello").payload["server_instance_id"] for peer in (first, first, second)]
     assert identities[0] == identities[1] != identities[2]
     first.cut()
-    back = greeted(pair.url, first.evaluation_id, "a")
+    back = greeted(pair.url, first.evaluation_id, session="a")
     assert back.ask("hello").payload["server_instance_id"] == identities[0]
     goodbye(back)
-    stranger = greeted(pair.url, first.evaluation_id, "b")
+    stranger = greeted(pair.url, first.evaluation_id, session="b")
     assert stranger.ask("hello").payload["server_instance_id"] not in identities
     goodbye(stranger, second)
     first.close()
@@ -374,7 +358,7 @@ def test_a_client_takes_its_place_back_while_its_lost_connection_seems_alive(pai
     half_open = greeted(pair.url, session="secret")
     half_open.ask("reset")
     actions(half_open, 1)
-    back = greeted(pair.url, half_open.evaluation_id, "secret")
+    back = greeted(pair.url, half_open.evaluation_id, session="secret")
     assert actions(back, 2)["seen"] == [1, 2]
     with pytest.raises(ConnectionClosed) as closed:
         half_open.receive()
@@ -397,7 +381,7 @@ def test_a_connection_that_is_closing_takes_no_place(pair: RunningServer, leave:
     raw = Raw(pair.url)
     payload = {"capabilities": {"session": "secret"}}
     assert raw.ask(codec.encode(codec.Frame("hello", "e", payload))).message_type == "hello_ack"
-    others = [greeted(pair.url, "e", "secret")] if leave == "replaced" else []
+    others = [greeted(pair.url, "e", session="secret")] if leave == "replaced" else []
     if leave == "goodbye":
         raw.send(BINARY, codec.encode(codec.Frame("close", "e")))
     assert raw.closed()[0] == {"replaced": spec.CLOSE_CODES["replaced"], "goodbye": 1000}[leave]

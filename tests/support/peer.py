@@ -9,8 +9,9 @@ import time
 import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tests.support import forked
@@ -80,3 +81,20 @@ class Peer:
     def close(self) -> None:
         """Close the connection in order."""
         self._open.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Say goodbye, if anybody still listens, and close."""
+        with contextlib.suppress(ConnectionClosed):
+            self.send("close")
+        self.close()
+
+
+def greeted(url: str, evaluation_id: str | None = None, **capabilities: Any) -> Peer:
+    """Return a client that has a place at a server, once there is one."""
+    peer = Peer(url, evaluation_id)
+    hello = {"capabilities": capabilities}
+    wait_until(lambda: peer.ask("hello", hello).message_type == "hello_ack", "the server has a place")
+    return peer
