@@ -13,7 +13,7 @@ from xpl_cli.data.conversion import work
 from xpl_cli.data.formats.writing import Options
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 
@@ -23,14 +23,15 @@ def libero(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made.libero(tmp_path_factory.mktemp("sets") / "bowl_demo.hdf5")
 
 
-@pytest.fixture
-def converted(monkeypatch: pytest.MonkeyPatch) -> Callable[..., work.Report]:
+@pytest.fixture(scope="module")
+def converted() -> Iterator[Callable[..., work.Report]]:
     """Return what converts a set in this process."""
-    monkeypatch.setattr(parallel, "in_processes", lambda each, things, _workers: map(each, things))
-    monkeypatch.setattr(parallel, "die_with", lambda _parent: None)
 
     def convert(source: Path, target: Path, to: str, **how: Any) -> work.Report:
         options = {name: how.pop(name) for name in ("images", "codec", "crf", "file_mb") if name in how}
         return work.convert(work.Job(source, target, to, options=Options(**options), **how), Progress())
 
-    return convert
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parallel, "in_processes", lambda each, things, _workers: map(each, things))
+        patch.setattr(parallel, "die_with", lambda _parent: None)
+        yield convert

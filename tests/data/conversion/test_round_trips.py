@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from tests.data import made
-from xpl import trajectory
+from xpl import get_embodiment, trajectory
+from xpl.convert.frames import Frame
+from xpl_cli.basics import parallel
 from xpl_cli.basics.errors import UnknownNameError
 from xpl_cli.data.formats import open_set, pictures
 from xpl_cli.data.formats.lerobot import layout
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from xpl_cli.data.conversion.work import Report
     from xpl_cli.data.sets.interface import Episode
 
     Converted = Callable[..., Any]
@@ -36,15 +39,25 @@ def worst(one: Episode, other: Episode) -> float:
     )
 
 
-@pytest.mark.parametrize(("images", "at_least"), [("video", LOSSY_DB), ("png", EXACT)])
+@pytest.fixture(scope="module")
+def in_lerobot(libero: Path, tmp_path_factory: pytest.TempPathFactory, converted: Converted) -> tuple[Path, Report]:
+    """Return LIBERO's set as one of LeRobot with videos, and what its conversion reported."""
+    target = tmp_path_factory.mktemp("lerobot") / "set"
+    return target, converted(libero, target, "lerobot-v3.0", codec="h264", crf=18)
+
+
+@pytest.mark.parametrize("at_least", [LOSSY_DB, EXACT])
 def test_a_set_of_the_field_becomes_one_of_lerobot(
-    images: str, at_least: float, libero: Path, tmp_path: Path, converted: Converted
+    at_least: float, libero: Path, in_lerobot: tuple[Path, Report], tmp_path: Path, converted: Converted
 ) -> None:
     """Numbers exactly, under names that the report tells, with sentences, rate and robot; images as the format says."""
-    report = converted(libero, tmp_path / "there", "lerobot-v3.0", images=images, codec="h264", crf=18)
+    target, report = in_lerobot
+    if at_least == EXACT:
+        target = tmp_path / "there"
+        report = converted(libero, target, "lerobot-v3.0", images="png")
     assert not report.lost
     assert bool(report.lossy) == (at_least != EXACT)
-    before, after = open_set(libero), open_set(tmp_path / "there")
+    before, after = open_set(libero), open_set(target)
     assert (after.format, after.rate_hz, after.robot, len(after)) == ("lerobot-v3.0", 20.0, "Panda", 3)
     old = {new: report.renamed.get(new, new) for new in (*after[0].columns, *after[0].cameras)}
     assert set(old.values()) == {*before[0].columns, *before[0].cameras, *layout.DEFAULTS}
@@ -60,8 +73,21 @@ def test_a_set_of_the_field_becomes_one_of_lerobot(
                 assert pictures.psnr(first, second) >= at_least
 
 
+def test_statistics_are_those_of_the_numbers(libero: Path, in_lerobot: tuple[Path, Report]) -> None:
+    """Mean, spread and range over all episodes, by which LeRobot's policies normalise."""
+    told = json.loads((in_lerobot[0] / "meta" / "stats.json").read_text(encoding="utf-8"))["action"]
+    rows = np.concatenate([open_set(libero)[index].read("actions") for index in range(3)])
+    np.testing.assert_allclose(told["mean"], rows.mean(0), atol=1e-12)
+    np.testing.assert_allclose(told["std"], rows.std(0), atol=1e-12)
+    np.testing.assert_allclose(told["max"], rows.max(0))
+    assert told["count"] == [len(rows)]
+
+
 def test_a_mapping_leads_to_the_standard_and_back(libero: Path, tmp_path: Path, converted: Converted) -> None:
-    """Pictures are upright, an opening is 0..1, changes of pose become poses; back, numbers are the same to 1e-12."""
+    """Pictures are upright, an opening is 0..1, changes of pose become poses; back, numbers are the same to 1e-12.
+
+    An action of 1 moves the point between the fingers by 5 cm along that axis of the world, from the state of its step.
+    """
     converted(libero, tmp_path / "xpl", "xpl", by="libero", images="raw")
     episode = open_set(tmp_path / "xpl")[0]
     source = open_set(libero)[0]
@@ -69,6 +95,9 @@ def test_a_mapping_leads_to_the_standard_and_back(libero: Path, tmp_path: Path, 
     np.testing.assert_allclose(episode.read("state/ee_joint_states")[:, 0], fingers[:, 0] / 0.04)
     np.testing.assert_array_equal(next(episode.frames("vision/cam_head/colors")), made.picture(0))
     assert {"action/ee_poses", "action/ee_joint_states", "dones"} <= set(episode.columns)
+    tool = Frame(get_embodiment("panda_libero"), "single", "tcp", "world")
+    moved = tool.encode(episode.read("action/ee_poses"))[:, :3] - tool.encode(episode.read("state/ee_poses"))[:, :3]
+    np.testing.assert_allclose(moved, source.read("actions")[:, :3] * 0.05, atol=1e-12)
     converted(tmp_path / "xpl", tmp_path / "back", "lerobot-v3.0", by="libero", images="png")
     back = open_set(tmp_path / "back")[0]
     assert set(back.columns) == {name.replace("/", ".") for name in source.columns} | set(layout.DEFAULTS)
@@ -78,20 +107,6 @@ def test_a_mapping_leads_to_the_standard_and_back(libero: Path, tmp_path: Path, 
     for name in source.cameras:
         for first, second in zip(source.frames(name), back.frames(name.replace("/", ".")), strict=True):
             np.testing.assert_array_equal(first, second)
-
-
-def test_a_change_of_pose_is_counted_from_the_state_of_its_step(
-    libero: Path, tmp_path: Path, converted: Converted
-) -> None:
-    """An action of 1 moves the point between the fingers by 5 cm along that axis of the world."""
-    from xpl.convert.frames import Frame
-    from xpl.embodiment import get_embodiment
-
-    converted(libero, tmp_path / "xpl", "xpl", by="libero", images="raw")
-    episode, source = open_set(tmp_path / "xpl")[0], open_set(libero)[0]
-    tool = Frame(get_embodiment("panda_libero"), "single", "tcp", "world")
-    moved = tool.encode(episode.read("action/ee_poses"))[:, :3] - tool.encode(episode.read("state/ee_poses"))[:, :3]
-    np.testing.assert_allclose(moved, source.read("actions")[:, :3] * 0.05, atol=1e-12)
 
 
 def test_robotwin_is_read_in_true_colours_and_one_step_late(tmp_path: Path, converted: Converted) -> None:
@@ -116,8 +131,8 @@ def test_the_standards_series_are_one_vector_in_lerobot_and_series_again_after_i
     libero: Path, tmp_path: Path, converted: Converted
 ) -> None:
     """State and action have a name for each number there, and nothing changes on the way back."""
-    converted(libero, tmp_path / "xpl", "xpl", by="libero", images="png")
-    converted(tmp_path / "xpl", tmp_path / "lerobot", "lerobot-v3.0", codec="h264")
+    converted(libero, tmp_path / "xpl", "xpl", by="libero", images="raw")
+    converted(tmp_path / "xpl", tmp_path / "lerobot", "lerobot-v3.0", images="png")
     columns = open_set(tmp_path / "lerobot")[0].columns
     assert columns["observation.state"].names[-2:] == ("arm_joint_state_6", "ee_joint_state")
     assert columns["action"].shape == (8,)
@@ -126,12 +141,12 @@ def test_the_standards_series_are_one_vector_in_lerobot_and_series_again_after_i
         made.same(open_set(tmp_path / "xpl")[index], open_set(tmp_path / "back")[index])
 
 
-def test_videos_are_copied_and_not_encoded_again(libero: Path, tmp_path: Path, converted: Converted) -> None:
+def test_videos_are_copied_and_not_encoded_again(
+    in_lerobot: tuple[Path, Report], tmp_path: Path, converted: Converted
+) -> None:
     """Within v3.0, and from v2.1, pixels are the same, whatever file an episode lies in."""
-    converted(libero, tmp_path / "one", "lerobot-v3.0", codec="h264")
-    made.lerobot_v21(tmp_path / "older")
-    for name in ("one", "older"):
-        source, target = tmp_path / name, tmp_path / f"{name} again"
+    for source in (in_lerobot[0], made.lerobot_v21(tmp_path / "older")):
+        target = tmp_path / f"{source.name} again"
         assert not converted(source, target, "lerobot-v3.0", file_mb=0.001).lossy
         before, after = open_set(source), open_set(target)
         assert len(list(target.rglob("*.mp4"))) == len(before) * len(before[0].cameras)
@@ -140,20 +155,18 @@ def test_videos_are_copied_and_not_encoded_again(libero: Path, tmp_path: Path, c
             assert worst(before[index], after[index]) == EXACT
 
 
-def test_a_run_that_ended_goes_on(libero: Path, tmp_path: Path, converted: Converted, monkeypatch: Any) -> None:
+def test_a_run_that_ended_goes_on(
+    libero: Path, in_lerobot: tuple[Path, Report], tmp_path: Path, converted: Converted, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What is there is not written again, nothing lies at the target before, and the result is that of one run."""
-    from xpl_cli.basics import parallel
-
-    whole = parallel.in_processes
     monkeypatch.setattr(parallel, "in_processes", lambda each, things, workers: _ended_after_two(each, things))
     with pytest.raises(KeyboardInterrupt):
-        converted(libero, tmp_path / "set", "lerobot-v3.0", codec="h264")
+        converted(libero, tmp_path / "set", "lerobot-v3.0", codec="h264", crf=18)
+    monkeypatch.undo()
     assert not (tmp_path / "set").exists()
-    monkeypatch.setattr(parallel, "in_processes", whole)
-    assert converted(libero, tmp_path / "set", "lerobot-v3.0", codec="h264").resumed == 2
+    assert converted(libero, tmp_path / "set", "lerobot-v3.0", codec="h264", crf=18).resumed == 2
     assert [entry.name for entry in tmp_path.iterdir()] == ["set"]
-    converted(libero, tmp_path / "once", "lerobot-v3.0", codec="h264")
-    made.same(open_set(tmp_path / "set")[2], open_set(tmp_path / "once")[2])
+    made.same(open_set(tmp_path / "set")[2], open_set(in_lerobot[0])[2])
 
 
 def _ended_after_two(each: Any, things: Any) -> Any:
@@ -182,17 +195,6 @@ def test_what_a_format_cannot_hold_is_said(tmp_path: Path, libero: Path, convert
         with pytest.raises(UnknownNameError, match="--to"):
             converted(libero, tmp_path / "set", to)
     assert not list(tmp_path.glob(".*"))
-
-
-def test_statistics_are_those_of_the_numbers(libero: Path, tmp_path: Path, converted: Converted) -> None:
-    """Mean, spread and range over all episodes, by which LeRobot's policies normalise."""
-    converted(libero, tmp_path / "set", "lerobot-v3.0", codec="h264")
-    told = json.loads((tmp_path / "set" / "meta" / "stats.json").read_text(encoding="utf-8"))["action"]
-    rows = np.concatenate([open_set(libero)[index].read("actions") for index in range(3)])
-    np.testing.assert_allclose(told["mean"], rows.mean(0), atol=1e-12)
-    np.testing.assert_allclose(told["std"], rows.std(0), atol=1e-12)
-    np.testing.assert_allclose(told["max"], rows.max(0))
-    assert told["count"] == [len(rows)]
 
 
 def test_what_a_simulator_told_is_one_vector_of_lerobot_and_what_it_was_after_it(

