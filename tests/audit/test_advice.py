@@ -82,22 +82,6 @@ def test_the_types_of_the_sdk_count(adapter: Path) -> None:
     assert any("incompatible with" in one.message for one in results(adapter, "XPL602")["XPL602"].findings)
 
 
-@pytest.mark.slow
-def test_configuration_and_plugins_of_the_adapter_have_no_say(adapter: Path, tmp_path: Path) -> None:
-    """A plugin would run; a configuration would silence or add rules."""
-    trace = tmp_path / "trace"
-    (adapter / "plugin.py").write_text(f"open({str(trace)!r}, 'w').close()\n")
-    (adapter / "mypy.ini").write_text("[mypy]\nplugins = plugin.py\nignore_errors = True\n")
-    (adapter / "pyproject.toml").write_text('[tool.mypy]\nplugins = ["plugin.py"]\n[tool.ruff.lint]\nselect = []\n')
-    (adapter / "ruff.toml").write_text('exclude = ["*"]\n')
-    (adapter / "numpy.py").write_text(f"open({str(trace)!r}, 'w').close()\n")
-    append(adapter / "model.py", "\n\ndef count() -> int:\n    return missing\n")
-    found = results(adapter, "advice")
-    assert {found[code].outcome for code in CODES} == {Outcome.WARN}
-    assert not trace.exists()
-    assert not list(adapter.glob(".*_cache"))
-
-
 def test_only_the_boundary_is_looked_at(adapter: Path) -> None:
     """A vendored tree is not the adapter's code."""
     (adapter / "vendor/deep").mkdir(parents=True)
@@ -124,11 +108,19 @@ def test_edits_that_ruff_calls_safe_are_offered(adapter: Path, ending: str) -> N
     assert results(adapter, "XPL601")["XPL601"].outcome is Outcome.PASS
 
 
-def test_a_file_of_the_adapter_is_never_taken_for_a_module_of_a_tool(adapter: Path) -> None:
-    """Its `mypy.py`, or a module that a tool imports, is read and not executed."""
-    for name in ("ruff.py", "mypy.py", "json.py", "typing_extensions.py"):
-        (adapter / name).write_text("raise SystemExit('executed')\n")
-    assert {result.outcome for result in results(adapter, "advice").values()} == {Outcome.PASS}
+def test_no_file_of_the_adapter_is_configuration_plugin_or_module_of_a_tool(adapter: Path, tmp_path: Path) -> None:
+    """A plugin would run, and so would a module that a tool imports; a configuration would silence or add rules."""
+    trace = tmp_path / "trace"
+    for name in ("plugin", "numpy", "ruff", "mypy", "json", "typing_extensions"):
+        (adapter / f"{name}.py").write_text(f"open({str(trace)!r}, 'w').close()\nraise SystemExit('executed')\n")
+    (adapter / "mypy.ini").write_text("[mypy]\nplugins = plugin.py\nignore_errors = True\n")
+    (adapter / "pyproject.toml").write_text('[tool.mypy]\nplugins = ["plugin.py"]\n[tool.ruff.lint]\nselect = []\n')
+    (adapter / "ruff.toml").write_text('exclude = ["*"]\n')
+    append(adapter / "model.py", "\n\ndef count() -> int:\n    return missing\n")
+    found = results(adapter, "advice")
+    assert {found[code].outcome for code in CODES} == {Outcome.WARN}
+    assert not trace.exists()
+    assert not list(adapter.glob(".*_cache"))
 
 
 @pytest.mark.parametrize("script", ["echo nonsense", "echo broken >&2; exit 2", "exit 1", "echo '[{}]'"])

@@ -40,6 +40,11 @@ def make(config):
 '''
 
 
+@pytest.mark.parametrize("line", ["real_time: true", "", "real_time: false"])
+def test_what_does_not_say_that_it_is_a_simulation_may_be_a_robot(line: str, tmp_path: Path) -> None:
+    assert environments.manifest(_robot(tmp_path, line)).is_real == (line != "real_time: false")
+
+
 def _robot(folder: Path, line: str) -> Path:
     """Return an environment whose env.yml has a line where it said that it is a simulation."""
     answers = environment.EnvAnswers(**{"name": "Arm", **environment.env_defaults(), "embodiment": "arx_x5_single"})
@@ -57,34 +62,29 @@ def _reason(report: str) -> str:
     return str(gates[1]["reason"])
 
 
-@pytest.mark.parametrize("line", ["real_time: true", ""])
-def test_what_may_be_a_robot_is_not_even_made(line: str, tmp_path: Path) -> None:
-    """Also where env.yml is silent; the report tells what would be done, and no next command does it."""
-    folder = _robot(tmp_path, line)
-    done = xpl("audit", str(folder), "--json", "--no-cache", cwd=tmp_path)
-    assert done.returncode == ExitCode.NOT_RUN
-    assert not (folder / "moved.log").exists()
-    assert re.search(
-        r"arx_x5_single ready \d+ times, begin \d+ episodes of reach and command \d+ ", _reason(done.stdout)
+def test_only_with_move_it_does_what_it_said(tmp_path: Path) -> None:
+    """What may be a robot, also where env.yml is silent, is not even made: the report tells what would be done.
+
+    No next command does it. With `--move` the episodes and steps of the report are those that come, and what a robot
+    cannot do is not asked of it.
+    """
+    folder = _robot(tmp_path, "")
+    told = xpl("audit", str(folder), "--json", "--no-cache", cwd=tmp_path)
+    assert told.returncode == ExitCode.NOT_RUN
+    said = re.search(
+        r"arx_x5_single ready (\d+) times, begin (\d+) episodes of reach and command (\d+) ", _reason(told.stdout)
     )
-    assert not any("--move" in command or "install" in command for command in json.loads(done.stdout)["next"])
+    assert said is not None
+    assert not any("--move" in command or "install" in command for command in json.loads(told.stdout)["next"])
     for command in (("render", "a.png"), ("play", "a.webp", "--by", "random"), ("check",)):
         refused = xpl("env", command[0], str(folder), *command[1:], cwd=tmp_path)
         assert refused.returncode == ExitCode.NOT_RUN, refused.stdout
         assert "robot may stand behind it" in refused.stderr
     assert not (folder / "moved.log").exists()
-
-
-def test_with_move_it_does_what_it_said(tmp_path: Path) -> None:
-    """The episodes and steps of the report are those that come, and what a robot cannot do is not asked of it."""
-    folder = _robot(tmp_path, "real_time: true")
-    told = _reason(xpl("audit", str(folder), "--json", "--no-cache", cwd=tmp_path).stdout)
     done = xpl("audit", str(folder), "--move", "--json", "--no-cache", cwd=tmp_path)
     assert done.returncode == ExitCode.CLEAN, done.stdout
     moved = (folder / "moved.log").read_text().splitlines()
-    found = re.search(r"ready (\d+) times, begin (\d+) episodes .* command (\d+) control", told)
-    assert found is not None
-    made, episodes, steps = map(int, found.groups())
+    made, episodes, steps = map(int, said.groups())
     assert (moved.count("episode"), moved.count("step")) == (episodes, steps)
     assert moved.count("made") <= made  # what it refuses was never made
     results = {

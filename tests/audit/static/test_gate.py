@@ -6,17 +6,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.support.adapters.rules import made_adapter
 from tests.support.places import ROOT, tracked
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome
 from xpl_cli.audit.rules.options import Options
-from xpl_cli.audit.static.adapter import Adapter
 from xpl_cli.audit.static.manifests import deleted
 from xpl_cli.audit.static.shell import parse
 from xpl_cli.audit.static.source import Source
-from xpl_cli.scaffold import adapter as scaffold
-from xpl_cli.scaffold.answers import Answers
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,24 +23,15 @@ if TYPE_CHECKING:
 @pytest.fixture
 def adapter(tmp_path: Path) -> Path:
     """A fresh scaffold, to break."""
-    folder = tmp_path / "Foo"
-    scaffold.write(scaffold.render(Answers(**{**scaffold.defaults(), "name": "Foo"})), folder)
-    return folder
+    return made_adapter(tmp_path / "Foo")
 
 
 def audit(path: Path, *names: str) -> GateReport:
-    """Run the static gate."""
     return engine.audit(path, "policy", Options(gates=(Gate.STATIC,), names=names)).gates[0]
 
 
 def outcomes(report: GateReport) -> dict[str, Outcome]:
-    """Return the outcome of each rule."""
     return {result.slug: result.outcome for result in report.results}
-
-
-def findings(report: GateReport, slug: str) -> list[str]:
-    """Return the messages of one rule."""
-    return [finding.message for result in report.results if result.slug == slug for finding in result.findings]
 
 
 @pytest.mark.parametrize("name", sorted({path.parent.name for path in tracked("policy/*/policy.yml")}))
@@ -51,34 +40,6 @@ def test_our_own_policies_have_no_static_finding(name: str) -> None:
     report = audit(ROOT / "policy" / name)
     found = [(result.slug, finding.message) for result in report.results for finding in result.findings]
     assert [each for each in found if each[0] != "native-sources"] == []
-
-
-@pytest.mark.sampled(4)
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("model.py", b"class Model(:\n"),
-        ("model.py", b"x = " + b"-" * 50_000 + b"1\n"),
-        ("deploy.py", b"def eval_one_episode(\n"),
-        ("deploy.yml", b"a: [1, 2\n"),
-        ("deploy.yml", b"- a list\n"),
-        ("deploy.yml", b"1: 2\nnull: 3\n[a, b]: 4\n"),
-        ("policy.yml", b"inputs: 3\nmethods: 4\nembodiments: {a: 1}\ntemporal: []\nevaluation_only: [x]\n"),
-        ("policy.yml", b"inputs: {optional: 5, required: {a: 1}}\nembodiments: [[1], {}]\n"),
-        (
-            "model.py",
-            b"class Model:\n    def get_action_batch(self, x):\n        for () in enumerate(x): a[()]; f''; open()\n",
-        ),
-        ("policy.yml", b"{" * 3000),
-        ("eval.sh", b'\x80\x81 "unclosed $( ${ `\n<<EOF\n'),
-    ],
-)
-def test_a_file_that_cannot_be_read_crashes_no_rule(adapter: Path, name: str, content: bytes) -> None:
-    """Rules that need the file are not run, or say what is wrong; the others run as always."""
-    (adapter / name).write_bytes(content)
-    report = audit(adapter)
-    assert Outcome.ERROR not in outcomes(report).values(), [result.reason for result in report.results]
-    assert outcomes(report)["required-files"] is Outcome.PASS
 
 
 def test_a_syntax_error_is_found_once_and_blocks_only_what_needs_the_file(adapter: Path) -> None:
@@ -133,7 +94,6 @@ def test_an_adapter_of_the_ecosystem_is_not_asked_for_our_manifest(adapter: Path
 
 
 def test_places_count_characters_from_one(adapter: Path) -> None:
-    """Columns are those of an editor, also behind letters that take several bytes."""
     with (adapter / "model.py").open("a", encoding="utf-8") as model:
         model.write("\n    def load(self, config):\n        self.schön = 'äöü'; self.flag = bool(config['flag'])\n")
     lines = (adapter / "model.py").read_text(encoding="utf-8").split("\n")
@@ -143,15 +103,6 @@ def test_places_count_characters_from_one(adapter: Path) -> None:
     assert finding.column is not None
     assert lines[finding.line - 1][finding.column - 1 :].startswith("bool(config")
     assert finding.end_column == finding.column + len("bool(config['flag'])")
-
-
-def test_equal_files_have_equal_digests(adapter: Path) -> None:
-    """The finish line repeats, and changes with any file of the boundary."""
-    first = audit(adapter).finish
-    assert audit(adapter).finish == first
-    with (adapter / "deploy.py").open("a") as deploy:
-        deploy.write("# another line\n")
-    assert audit(adapter).finish != first
 
 
 @pytest.mark.parametrize(
@@ -182,16 +133,6 @@ def test_words_know_their_place_and_position() -> None:
     assert (name, word.position, word.line, word.column) == ("seed", 6, 2, 8)
     assert [(command.name, command.functions) for command in commands if command.functions] == [("local", 1)]
     assert [command.loops for command in commands if command.name == "sleep"] == [1, 0]
-
-
-def test_rules_share_the_functions_of_a_file(adapter: Path) -> None:
-    """What a function computes of itself is computed once, whether a rule comes by the class or by the file."""
-    source = Source(adapter)
-    by_file = {function.name: function for function in source.functions("model.py")}
-    assert by_file["load"] is Adapter.of(source).methods["load"]
-    assert by_file["load"].owner is Adapter.of(source).node
-    (adapter / "broken.py").write_text("def f(:\n")
-    assert source.functions("broken.py") == ()
 
 
 @pytest.mark.parametrize(

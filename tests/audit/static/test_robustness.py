@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +17,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from tests.support.adapters.rules import made_adapter
 from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT
 from xpl_cli.audit.engine import engine
@@ -28,8 +28,6 @@ from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.formats import REPORTS
-from xpl_cli.scaffold import adapter as scaffold
-from xpl_cli.scaffold.answers import Answers
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,9 +36,7 @@ if TYPE_CHECKING:
 @pytest.fixture
 def adapter(tmp_path: Path) -> Path:
     """A fresh scaffold, to break."""
-    folder = tmp_path / "policy" / "Foo"
-    scaffold.write(scaffold.render(Answers(**{**scaffold.defaults(), "name": "Foo"})), folder)
-    return folder
+    return made_adapter(tmp_path / "policy" / "Foo")
 
 
 def audit(path: Path, *names: str, cache: Path | None = None) -> TargetReport:
@@ -192,14 +188,38 @@ def told(report: GateReport, slug: str) -> list[str | None]:
     return [finding.path for result in report.results if result.slug == slug for finding in result.findings]
 
 
-@pytest.mark.sampled(4)
-@pytest.mark.parametrize("name", ["model.py", "deploy.py", "deploy.yml", "policy.yml", "eval.sh", "README.md"])
-@pytest.mark.parametrize("content", [TEXT.encode("utf-16"), b"\xff\xfe\xfd\0\1\2" * 99, b"\0" * 4096, b""])
-def test_no_file_is_needed_to_judge_the_others(adapter: Path, name: str, content: bytes) -> None:
-    """Every file of the standard may hold anything."""
+OF_THE_STANDARD = ("model.py", "deploy.py", "deploy.yml", "policy.yml", "eval.sh", "README.md")
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        *(
+            (name, content)
+            for name in OF_THE_STANDARD
+            for content in (TEXT.encode("utf-16"), b"\xff\xfe\0\1" * 99, b"")
+        ),
+        ("model.py", b"class Model(:\n"),
+        ("model.py", b"x = " + b"-" * 50_000 + b"1\n"),
+        (
+            "model.py",
+            b"class Model:\n    def get_action_batch(self, x):\n        for () in enumerate(x): a[()]; f''; open()\n",
+        ),
+        ("deploy.yml", b"a: [1, 2\n"),
+        ("deploy.yml", b"- a list\n"),
+        ("deploy.yml", b"1: 2\nnull: 3\n[a, b]: 4\n"),
+        ("policy.yml", b"inputs: 3\nmethods: 4\nembodiments: {a: 1}\ntemporal: []\nevaluation_only: [x]\n"),
+        ("policy.yml", b"inputs: {optional: 5, required: {a: 1}}\nembodiments: [[1], {}]\n"),
+        ("policy.yml", b"{" * 3000),
+        ("eval.sh", b'\x80\x81 "unclosed $( ${ `\n<<EOF\n'),
+    ],
+)
+def test_a_file_that_cannot_be_read_crashes_no_rule_and_keeps_none_of_others_from_being_judged(
+    adapter: Path, name: str, content: bytes
+) -> None:
     (adapter / name).write_bytes(content)
-    report = static(adapter)
-    assert outcome(report, "required-files") is not Outcome.NOT_RUN
+    assert outcome(static(adapter), "required-files") is not Outcome.NOT_RUN
 
 
 @pytest.mark.sampled(6)
@@ -218,7 +238,7 @@ def test_no_file_is_needed_to_judge_the_others(adapter: Path, name: str, content
     ],
     ids=["brackets", "sum", "attributes", "calls", "not", "elif", "maps", "blocks", "one-line"],
 )
-@pytest.mark.parametrize("name", ["model.py", "deploy.py", "helper.py"])
+@pytest.mark.parametrize("name", ["model.py", "helper.py"])
 def test_code_that_no_person_wrote_crashes_no_rule(adapter: Path, name: str, content: str) -> None:
     """Generated and minified code of 200 kB nests deeper than the interpreter's stack."""
     with (adapter / name).open("a") as file:
@@ -230,14 +250,11 @@ def test_code_that_no_person_wrote_crashes_no_rule(adapter: Path, name: str, con
 
 
 def test_a_file_of_many_megabytes_is_not_held_in_memory(adapter: Path) -> None:
-    """Sparse files of 80 MB: a table, a checkpoint and a log; the gate takes no longer for them."""
+    """Sparse files of 80 MB: a table, a checkpoint and a log."""
     for name in ("tables.py", "weights.bin", "run.log", "data.json", "notes.md"):
         with (adapter / name).open("wb") as file:
             file.truncate(80_000_000)
-    started = time.process_time()
-    report = static(adapter)
-    assert time.process_time() - started < 20
-    assert "larger than" in messages(report, "parses")
+    assert "larger than" in messages(static(adapter), "parses")
     for read in ("model.py", "eval.sh", "deploy.yml"):
         with (adapter / read).open("ab") as stream:
             stream.truncate(SIZE_LIMIT + 1)
@@ -266,7 +283,7 @@ def test_links_lead_nowhere(adapter: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize("name", ["model.py", "deploy.yml", "policy.yml", "eval.sh", "pipe.py"])
+@pytest.mark.parametrize("name", ["model.py", "deploy.yml", "eval.sh", "pipe.py"])
 def test_a_pipe_blocks_nothing(adapter: Path, name: str) -> None:
     """Opening one would wait for a writer that never comes."""
     (adapter / name).unlink(missing_ok=True)
@@ -285,13 +302,12 @@ def test_a_pipe_blocks_nothing(adapter: Path, name: str) -> None:
     assert not rescued.is_set()
 
 
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize("name", ["model.py", "deploy.yml", "policy.yml", "eval.sh", "README.md"])
-def test_a_folder_in_place_of_a_file_is_no_file(adapter: Path, name: str) -> None:
+def test_a_folder_in_place_of_a_file_is_no_file(adapter: Path) -> None:
     """Some checkouts have one where a submodule should be."""
-    (adapter / name).unlink()
-    (adapter / name).mkdir()
-    static(adapter)
+    for name in OF_THE_STANDARD:
+        (adapter / name).unlink()
+        (adapter / name).mkdir()
+        static(adapter)
 
 
 _AS_NOBODY = """

@@ -1,7 +1,7 @@
 """What a verdict says: one word for what an audit comes to, what it proves, and what it does not and why.
 
 `GREEN` is never said alone: what is proven stands behind it. A run that looked at less than everything has a word of
-its own, and so has a package that is not finished. `MEANINGS` and `CLAIMS` are all there is; docs/audit.md prints them.
+its own, and so has a package that is not finished. `Word` and `CLAIMS` are all there is.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _NOTHING_WRONG: Final = "nothing wrong in what ran"
 
 
 class Word(StrEnum):
-    """What an audit comes to. Where several words apply, the first one is said."""
+    """What an audit comes to; docs/audit.md says what each word means. Where several apply, the first one is said."""
 
     RED = "red"
     INCOMPLETE = "incomplete"
@@ -36,18 +36,6 @@ class Word(StrEnum):
     SHADOW = "shadow"
     PARTIAL = "partial"
     GREEN = "green"
-
-
-MEANINGS: Final[Mapping[Word, str]] = {
-    Word.RED: "a rule failed, or crashed",
-    Word.INCOMPLETE: "something that was asked for could not run, or nothing was proved",
-    Word.OPEN: "nothing is wrong in what ran, but the author has places to fill in, or native values are unknown",
-    Word.SHADOW: "nothing is wrong in what ran, but something stood in for the model",
-    Word.PARTIAL: "nothing is wrong in what ran, but `--gate`, `--select` or `--ignore` left rules out, or `--set` "
-    "what else an environment offers",
-    Word.GREEN: "every gate ran on all that the package declares, with the real model, and nothing failed",
-}
-"""Every word, as people read it; behind it stands what it is about."""
 
 
 @dataclass(frozen=True)
