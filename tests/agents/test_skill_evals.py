@@ -13,15 +13,14 @@ from typing import Any
 
 import pytest
 
-from benchmarks.skills_bench import agent as agents
 from benchmarks.skills_bench import cases, effort, graders, runs, witness
 from benchmarks.skills_bench.agent import Agent
 from benchmarks.skills_bench.cases import Query, Task
 from benchmarks.skills_bench.main import main
 from benchmarks.skills_bench.project import CONDITIONS, project
 from benchmarks.skills_bench.runs import Plan
-from tests.support import pages
-from xpl_cli.agents.skills.bundle import bundles
+from tests.support.told import Command, fault
+from xpl_cli.agents.skills.bundle import bundles, contents
 
 SKILLS = bundles()
 NAMES = {skill.name for skill in SKILLS}
@@ -68,20 +67,14 @@ def _make(case: Query | Task, agent: Agent | None, condition: str = "skills", li
 
 @each_task
 def test_a_task_can_be_set_and_understood(task: Task) -> None:
-    for line in task.setup:
-        pages.parse(shlex.split(line)[1:])
+    """Nothing of the evaluations gets into a project with the skills, either."""
+    assert [wrong for line in task.setup if (wrong := fault(Command(tuple(shlex.split(line)[1:]), exact=True)))] == []
+    assert not any(cases.EVALS in Path(name).parts for name in contents(task.folder.parent))
     assert not any(name in task.prompt for name in NAMES)
     assert graders.REPORT in task.prompt
     for check in task.checks:
         for pattern in (check.get("answer"), check.get("answer_not")):
             assert pattern is None or re.compile(pattern)
-
-
-@each_task
-def test_what_a_task_gives_is_not_in_what_an_agent_installs(task: Task) -> None:
-    from xpl_cli.agents.skills.bundle import contents
-
-    assert not any(cases.EVALS in Path(name).parts for name in contents(task.folder.parent))
 
 
 @pytest.mark.slow
@@ -111,7 +104,7 @@ def test_tasks_of_another_form_are_refused(text: str, told: str, tmp_path: Path)
 # -- what is not run ---------------------------------------------------------------------------------------------------
 
 
-def test_without_an_agent_everything_is_recorded_as_not_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_left_out_is_recorded_as_not_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "found.json"
     assert main("", ["--json", str(path)]) == 0
     found = json.loads(path.read_text(encoding="utf-8"))
@@ -122,31 +115,23 @@ def test_without_an_agent_everything_is_recorded_as_not_run(tmp_path: Path, caps
     assert all("no agent was named" in run["reason"] for run in found["runs"])
     assert {row["rate"] for row in found["summary"]} == {None}
     assert "not run" in capsys.readouterr().out
-
-
-def test_what_options_leave_out_is_recorded_too(tmp_path: Path) -> None:
-    path = tmp_path / "found.json"
     main("", ["--json", str(path), "--part", "tasks", "--skill", "xpl-debug-policy", "--condition", "docs"])
     reasons = {run["reason"] for run in json.loads(path.read_text(encoding="utf-8"))["runs"]}
-    assert reasons == {
-        "left out by --part",
-        "left out by --skill",
-        "left out by --condition",
-        "no agent was named (--agent)",
-    }
+    left_out = {f"left out by --{option}" for option in ("part", "skill", "condition")}
+    assert reasons == {*left_out, "no agent was named (--agent)"}
 
 
-@pytest.mark.slow
-def test_an_agent_that_is_not_there_is_no_failure_of_the_skill(task: Task) -> None:
-    result = _make(task, Agent("nobody", ("no-such-agent", "{prompt}")))
+@pytest.mark.parametrize(
+    ("lines", "reason"),
+    [(None, "no-such-agent"), ("sys.exit('please log in')", "please log in")],
+    ids=["gone", "refuses"],
+)
+def test_an_agent_that_does_nothing_is_no_failure_of_the_skill(
+    lines: str | None, reason: str, task: Task, program: Callable[[str], Agent]
+) -> None:
+    result = _make(task, Agent("nobody", ("no-such-agent", "{prompt}")) if lines is None else program(lines))
     assert (result.status, result.passed) == ("not run", None)
-    assert "no-such-agent" in str(result.reason)
-
-
-def test_an_agent_that_refuses_is_no_failure_of_the_skill(task: Task, program: Callable[[str], Agent]) -> None:
-    result = _make(task, program("sys.exit('please log in')"))
-    assert (result.status, result.passed) == ("not run", None)
-    assert "please log in" in str(result.reason)
+    assert reason in str(result.reason)
 
 
 def test_after_an_interruption_the_rest_is_not_run(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,16 +163,12 @@ def test_a_query_is_judged_by_the_skill_that_is_named(program: Callable[[str], A
     assert not _make(Query("xpl-audit-policy", "why?", None), agent).passed
 
 
-def test_every_description_is_in_the_question(program: Callable[[str], Agent]) -> None:
-    names = json.dumps(sorted(skill.description for skill in SKILLS))
-    agent = program(f"print('none' if all(text in sys.argv[1] for text in {names}) else 'broken')")
-    assert _make(Query("xpl-audit-policy", "Bake a cake.", None), agent).passed
-
-
 @pytest.mark.slow
 def test_a_task_is_judged_by_the_audit_and_not_by_what_is_said(task: Task, program: Callable[[str], Agent]) -> None:
     claim = "pathlib.Path('REPORT.md').write_text('Everything is green.')\n"
-    assert not _make(task, program(claim)).passed
+    spoilt = _make(task, program(claim + "pathlib.Path('upstream/code.py').write_text('')"))
+    assert not spoilt.passed
+    assert "changed: upstream/code.py" in [check["told"] for check in spoilt.checks]
     deed = (
         "for path in pathlib.Path('policy/Here').rglob('*'):\n"
         "    if path.is_file() and '.xpl' not in path.parts:\n"
@@ -203,20 +184,12 @@ def test_a_task_is_judged_by_the_audit_and_not_by_what_is_said(task: Task, progr
 
 
 @pytest.mark.slow
-def test_what_was_given_and_is_changed_is_noticed(task: Task, program: Callable[[str], Agent]) -> None:
-    result = _make(task, program("pathlib.Path('upstream/code.py').write_text('')"))
-    assert [check["told"] for check in result.checks if "unchanged" in check["check"]] == ["changed: upstream/code.py"]
-
-
-@pytest.mark.slow
 def test_an_agent_that_takes_too_long_is_ended_with_all_that_it_started(
     task: Task, program: Callable[[str], Agent]
 ) -> None:
     agent = program("subprocess.run(['sleep', '600'])")
     result = _make(task, agent, limit_s=1.0)
     assert (result.status, result.passed, result.in_time) == ("ran", False, False)
-    assert result.seconds is not None
-    assert result.seconds < 60
 
 
 @pytest.mark.sampled(1)
@@ -267,13 +240,6 @@ def test_lines_that_were_given_are_not_counted_as_written(task: Task) -> None:
         assert (effort.model_lines(place.folder) or 0) > 5
 
 
-@pytest.mark.parametrize("text", ["claude", "=claude -p", "claude="])
-def test_an_agent_has_a_name_and_a_command(text: str) -> None:
-    with pytest.raises(ValueError, match="NAME=COMMAND"):
-        Agent.read(text)
-    assert Agent.read("a=agent --print").words == ("agent", "--print", agents.PROMPT)
-
-
 def test_blank_lines_comments_and_docstrings_do_not_count() -> None:
     model = '''
         """Of the module,
@@ -298,7 +264,4 @@ def test_blank_lines_comments_and_docstrings_do_not_count() -> None:
                 )
     '''
     assert effort.code_lines(textwrap.dedent(model)) == 8
-
-
-def test_code_beside_a_docstring_counts() -> None:
     assert effort.code_lines('def f(): "doc"\nclass A: "doc"; x = 1\n"not a docstring"\n') == 3
