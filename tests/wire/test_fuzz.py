@@ -4,12 +4,9 @@ import contextlib
 import importlib.util
 import io
 import itertools
-import json
-import struct
 import subprocess
 import sys
 import time
-import tracemalloc
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -30,6 +27,7 @@ from hypothesis.stateful import (
 
 from tests.support.examples import examples
 from tests.wire.fuzz import decoder
+from tests.wire.messages import framed, peak
 from xpl import _spec as spec
 from xpl import images
 from xpl.observation import ObservationError
@@ -49,15 +47,12 @@ PROCESSOR_S = 2.0
 """What one example may use of a processor; how long it takes depends on what else the machine does."""
 
 
-def peak(action: Callable[[], object]) -> int:
-    tracemalloc.start()
+def cost(action: Callable[[], object]) -> int:
+    """Return the most memory, in bytes, that was in use at a time during an action, which may not take long."""
     began = time.process_time()
-    try:
-        action()
-        assert time.process_time() - began < PROCESSOR_S
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
+    most = peak(action)
+    assert time.process_time() - began < PROCESSOR_S
+    return most
 
 
 # -- bytes of strangers ------------------------------------------------------------------------------------------------
@@ -94,34 +89,29 @@ def changed(data: bytes, changes: list[tuple[str, int, Any]]) -> bytes:
 @given(st.sampled_from(SEEDS), CHANGES)
 def test_damaged_messages_are_read_or_refused(seed: tuple[int, bytes], changes: list[tuple[str, int, Any]]) -> None:
     target, data = seed[0], changed(seed[1], changes)
-    assert peak(lambda: decoder.TARGETS[target](data)) < FACTOR * len(data) + SLACK
+    assert cost(lambda: decoder.TARGETS[target](data)) < FACTOR * len(data) + SLACK
 
 
 @bounded
 @given(st.sampled_from(decoder.TARGETS), st.binary(max_size=300))
 def test_noise_is_refused(target: Callable[[bytes], None], data: bytes) -> None:
-    assert peak(lambda: target(data)) < FACTOR * len(data) + SLACK
-
-
-def packed_message(tree: Any, body: bytes = b"") -> bytes:
-    header = json.dumps(tree).encode()
-    return struct.pack("<4sIQ", b"XPL1", len(header), len(body)) + header + body
+    assert cost(lambda: target(data)) < FACTOR * len(data) + SLACK
 
 
 @pytest.mark.parametrize(
     "message",
     [
-        pytest.param(packed_message([{"@bytes": [0, 10_000]}] * 1000, bytes(10_000)), id="bytes told often"),
-        pytest.param(packed_message([{"@array": [0, "|u1", [10_000]]}] * 1000, bytes(10_000)), id="array told often"),
+        pytest.param(framed([{"@bytes": [0, 10_000]}] * 1000, bytes(10_000)), id="bytes told often"),
+        pytest.param(framed([{"@array": [0, "|u1", [10_000]]}] * 1000, bytes(10_000)), id="array told often"),
         pytest.param(
-            packed_message({"@rows": {str(column): [0, "|u1", [9999, 1]] for column in range(10)}}, bytes(10_000)),
+            framed({"@rows": {str(column): [0, "|u1", [9999, 1]] for column in range(10)}}, bytes(10_000)),
             id="columns told often",
         ),
-        pytest.param(packed_message({"@rows": {"a": [0, "|u1", [99_999, 1]]}}, bytes(99_999)), id="short rows"),
-        pytest.param(packed_message({"@rows": {"a": [0, "|u1", [99_999, 0]]}}), id="empty rows"),
-        pytest.param(packed_message({"@array": [0, "|u1", [0, 2**62]]}), id="empty array"),
-        pytest.param(packed_message([[[]] * 99] * 99), id="empty lists"),
-        pytest.param(packed_message(0)[:8] + b"\xff" * 8, id="long body announced"),
+        pytest.param(framed({"@rows": {"a": [0, "|u1", [29_999, 1]]}}, bytes(29_999)), id="short rows"),
+        pytest.param(framed({"@rows": {"a": [0, "|u1", [99_999, 0]]}}), id="empty rows"),
+        pytest.param(framed({"@array": [0, "|u1", [0, 2**62]]}), id="empty array"),
+        pytest.param(framed([[[]] * 99] * 99), id="empty lists"),
+        pytest.param(framed(0)[:8] + b"\xff" * 8, id="long body announced"),
     ],
 )
 def test_a_packed_value_cannot_ask_for_much(message: bytes) -> None:
@@ -131,7 +121,7 @@ def test_a_packed_value_cannot_ask_for_much(message: bytes) -> None:
         with contextlib.suppress(packed.PackingError):
             packed.decode(message)
 
-    assert peak(read) < FACTOR * len(message) + SLACK
+    assert cost(read) < FACTOR * len(message) + SLACK
 
 
 # -- images ------------------------------------------------------------------------------------------------------------

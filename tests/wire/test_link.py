@@ -5,8 +5,7 @@ import os
 import socket
 import struct
 import threading
-import tracemalloc
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.wire.messages import framed, looped, peak
 from xpl.process import link
 from xpl.process.link import Channel, Inbox
 from xpl.wire import frame
@@ -28,15 +28,6 @@ def message(header: int, body: int) -> bytes:
 def sent(head: Any, *buffers: bytes) -> tuple[Any, list[bytes]]:
     got, views = link.decode(b"".join(link.encode(head, buffers)))
     return got, list(map(bytes, views))
-
-
-def peak(action: Callable[[], object]) -> int:
-    tracemalloc.start()
-    try:
-        action()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
 
 
 # -- messages ----------------------------------------------------------------------------------------------------------
@@ -78,10 +69,8 @@ def test_a_head_that_json_does_not_know_cannot_be_sent(head: Any) -> None:
 
 
 def test_a_head_that_contains_itself_cannot_be_sent() -> None:
-    loop: list[Any] = []
-    loop.append(loop)
     with pytest.raises(PackingError):
-        link.encode(loop)
+        link.encode(looped())
 
 
 def test_a_head_over_the_limit_cannot_be_sent(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,18 +79,14 @@ def test_a_head_over_the_limit_cannot_be_sent(monkeypatch: pytest.MonkeyPatch) -
         link.encode("x" * 200)
 
 
-def headed(text: bytes, body: int = 0) -> bytes:
-    text += b" " * (-len(text) % 16)
-    return struct.pack("<4sIQ", b"XPL1", len(text), body) + text + bytes(body)
-
-
 @pytest.mark.parametrize(
     "data",
     [
-        b"", b"XPL1", headed(b""), headed(b"{}"), headed(b"[]"), headed(b"[1]"), headed(b"[1,2]"), headed(b"[1,[16]]"),
-        headed(b"[1,[]]", 16), headed(b"[1,[8]]", 32), headed(b"[1,[-16,32]]", 16), headed(b"[1,[1.5]]", 16),
-        headed(b'[1,["16"]]', 16), headed(b"[1,[null]]", 16), headed(b"\xff\xfe"), headed(b"[" * 20_000),
-        headed(b"[1,[%d]]" % 2**80, 16), headed(b"[1,[16]]", 16)[:-1], headed(b"[1,[16]]", 16) + b"0",
+        b"", b"XPL1", *map(framed, (b"", b"{}", b"[]", b"[1]", b"[1,2]", b"[1,[16]]", b"\xff\xfe", b"[" * 20_000)),
+        framed(b"[1,[]]", bytes(16)), framed(b"[1,[8]]", bytes(32)), framed(b"[1,[-16,32]]", bytes(16)),
+        framed(b"[1,[1.5]]", bytes(16)), framed(b'[1,["16"]]', bytes(16)), framed(b"[1,[null]]", bytes(16)),
+        framed(b"[1,[%d]]" % 2**80, bytes(16)), framed(b"[1,[16]]", bytes(16))[:-1],
+        framed(b"[1,[16]]", bytes(16)) + b"0",
     ],
     ids=lambda data: f"{len(data)} {data[16:32]!r}",
 )  # fmt: skip
