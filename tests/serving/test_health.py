@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -22,10 +22,11 @@ from prometheus_client.parser import text_string_to_metric_families
 from websockets.exceptions import ConnectionClosed
 
 from tests.support.outside.raw import CLOSE, Raw, page
-from tests.support.peer import DEADLINE_S, Peer, wait_until
+from tests.support.peer import DEADLINE_S, Peer, greeted, wait_until
 from xpl import Client
 from xpl.client import AsyncClient, PolicyServerError, ServerConnectionError
 from xpl_cli.basics.errors import ExitCode
+from xpl_cli.serving import nursery
 from xpl_cli.serving.launch import RunningServer, serving
 
 # Waits on named pipes: while it loads, and where an observation says so.
@@ -68,7 +69,7 @@ class Started:
         log: what it wrote on standard error.
     """
 
-    process: subprocess.Popen[bytes]
+    process: subprocess.Popen[bytes] | nursery.Hosted
     url: str
     log: collections.deque[str] = field(default_factory=collections.deque)
 
@@ -99,13 +100,10 @@ def start(subject: Path) -> Iterator[Callable[..., Started]]:
         def begin(overrides: dict[str, Any], **constants: float) -> Started:
             with socket.create_server(("127.0.0.1", 0)) as probe:
                 port = probe.getsockname()[1]
-            shortened = "".join(f"{name.replace('__', '.')} = {value};" for name, value in constants.items())
-            head = "from xpl_cli import main; from xpl_cli.serving import run; from xpl_cli.serving.workers import pool"
-            program = f"{head}; {shortened} main.run()"
-            command = [sys.executable, "-c", program, "serve", str(subject), "--port", str(port)]
+            arguments = ["serve", str(subject), "--port", str(port)]
             for name, value in overrides.items():
-                command += ["--set", f"{name}={json.dumps(value)}"]
-            process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+                arguments += ["--set", f"{name}={json.dumps(value)}"]
+            process = anew(arguments, constants) if constants else nursery.start(arguments)
             started = Started(process, f"ws://127.0.0.1:{port}")
             assert process.stderr is not None
             reader = threading.Thread(target=read_lines, args=(process.stderr, started.log))
@@ -117,21 +115,29 @@ def start(subject: Path) -> Iterator[Callable[..., Started]]:
         yield begin
 
 
+def anew(arguments: list[str], constants: Mapping[str, float]) -> subprocess.Popen[bytes]:
+    """Start the tool in an interpreter of its own, where its constants can be changed."""
+    changed = "".join(f"{name.replace('__', '.')} = {value}; " for name, value in constants.items())
+    head = "from xpl_cli import main; from xpl_cli.serving import run; from xpl_cli.serving.workers import pool"
+    command = [sys.executable, "-c", f"{head}; {changed}main.run()", *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
 def read_lines(stream: IO[bytes], log: collections.deque[str]) -> None:
     """Collect what a server writes."""
     for line in stream:
         log.append(line.decode().rstrip("\n"))
 
 
-def end(process: subprocess.Popen[bytes], reader: threading.Thread) -> None:
+def end(process: subprocess.Popen[bytes] | nursery.Hosted, reader: threading.Thread) -> None:
     """End a server at once: both signals."""
     for _ in range(2):
         process.terminate()
     process.wait(DEADLINE_S)
     reader.join()
-    for stream in (process.stdout, process.stderr):
-        assert stream is not None
-        stream.close()
+    for stream in (process.stdin, process.stdout, process.stderr):
+        if stream is not None:
+            stream.close()
 
 
 def state_of(url: str) -> tuple[int, dict[str, Any]]:
@@ -158,6 +164,9 @@ def test_the_state_is_told_while_the_model_loads_and_when_it_is_ready(
         assert worker["process"] != server.process.pid
         assert worker["memory_bytes"] == pytest.approx(state["progress"]["memory_bytes"], rel=0.5)
 
+        with contextlib.closing(Peer(server.url)) as gone:  # and does not hold the place afterwards
+            gone.send("hello")
+            assert gone.ask("heartbeat").message_type == "heartbeat_ack"
         patient, modern = Peer(server.url), Peer(server.url)
         held = patient.send("hello")
         greeting = modern.ask("hello", {"capabilities": {"loading": True}})
@@ -187,9 +196,9 @@ def told(url: str) -> tuple[int, dict[str, Any]] | None:
     return (status, state) if state["progress"]["message"] == "weights 1 of 2" else None
 
 
-def test_both_clients_wait_for_the_model_and_tell_how_far_it_is(start: Callable[..., Started], fifo: Path) -> None:
-    """One after the other: the second is told busy until the first has left."""
-    server = start({"loading": str(fifo)})
+def test_whoever_waits_for_the_model_is_told_how_far_it_is(start: Callable[..., Started], fifo: Path) -> None:
+    """Both clients, of which one is busy until the other has left, and the log, which reports a slow answer, too."""
+    server = start({"loading": str(fifo)}, run___PROGRESS_S=0.1, pool___REPORT_S=0.1)
     heard: dict[str, list[Any]] = {"blocking": [], "async": []}
     hasty = {"connect_retry_delay_s": 0.02, "max_connect_attempts": 0}
 
@@ -206,6 +215,9 @@ def test_both_clients_wait_for_the_model_and_tell_how_far_it_is(start: Callable[
         for thread in threads:
             thread.start()
         wait_until(lambda: all(heard.values()), "both were told")
+        line = server.logs("[server] loading")
+        assert re.fullmatch(r"\[server\] loading Subject: \d+ s, \d+ MiB in memory", line)
+        server.logs("weights 1 of 2")
     for thread in threads:
         thread.join()
     for name, result in (("blocking", [1]), ("async", [2])):
@@ -213,6 +225,13 @@ def test_both_clients_wait_for_the_model_and_tell_how_far_it_is(start: Callable[
         assert answer == result
         assert all(set(entry) == {"seconds", "memory_bytes", "message"} for entry in progress)
         assert [entry["seconds"] for entry in progress] == sorted(entry["seconds"] for entry in progress)
+    with greeted(server.url) as peer:
+        peer.send("infer", {"observation": {"n": 4, "fifo": str(fifo)}})
+        with fifo.open("w"):
+            line = server.logs("the model has been at work for")
+            wait_until(lambda: sum("at work for" in line for line in list(server.log)) >= 2, "it is reported again")
+        assert re.search(r"for \d+ s \(process \d+, infer\); it is ended after 120 s$", line)
+        assert peer.receive().payload["actions"] == [4]
 
 
 def test_a_client_that_waits_is_told_when_the_model_cannot_be_loaded(start: Callable[..., Started], fifo: Path) -> None:
@@ -224,16 +243,6 @@ def test_a_client_that_waits_is_told_when_the_model_cannot_be_loaded(start: Call
     assert server.process.wait(DEADLINE_S) == ExitCode.NOT_RUN
     server.logs("in __init__")
     assert re.fullmatch(f"error: Subject: {reason}", server.logs("error: "))
-
-
-def test_progress_is_on_standard_error(start: Callable[..., Started], fifo: Path) -> None:
-    """Lines of their own where there is no terminal, beside what the model prints."""
-    server = start({"loading": str(fifo)}, run___PROGRESS_S=0.1)
-    with fifo.open("w"):
-        line = server.logs("[server] loading")
-        assert re.fullmatch(r"\[server\] loading Subject: \d+ s, \d+ MiB in memory", line)
-        server.logs("weights 1 of 2")
-    server.wait_ready()
 
 
 # -- health, metrics and traces of a server at work --------------------------------------------------------------------
@@ -361,37 +370,27 @@ def test_the_pages_are_few(subject: Path, serve: Callable[..., RunningServer], w
         assert page(url, path)[0] == 404
 
 
-# -- models that take long ---------------------------------------------------------------------------------------------
-
-
-def test_a_slow_model_is_reported_while_it_works(start: Callable[..., Started], fifo: Path) -> None:
-    """With the process and what it does; again after twice the time; and then it answers all the same."""
-    server = start({}, pool___REPORT_S=0.1)
-    server.wait_ready()
-    with contextlib.closing(Peer(server.url)) as peer:
-        peer.send("infer", {"observation": {"n": 4, "fifo": str(fifo)}})
-        with fifo.open("w"):
-            line = server.logs("the model has been at work for")
-            wait_until(lambda: sum("at work for" in line for line in list(server.log)) >= 2, "it is reported again")
-        assert re.search(r"for \d+ s \(process \d+, infer\); it is ended after 120 s$", line)
-        assert peer.receive().payload["actions"] == [4]
+# -- a model that hangs ------------------------------------------------------------------------------------------------
 
 
 def test_a_model_that_hangs_is_ended_and_shows_where_it_was(start: Callable[..., Started], fifo: Path) -> None:
     """The client gets `timeout`, the log the stack, and the server ends with the reason."""
     server = start({"request_timeout_s": 0.5})
     server.wait_ready()
-    client = Client(server.url)
-    client.reset()
-    with pytest.raises(PolicyServerError, match=r"the model did not answer within 0\.5 s") as failure:
-        client.infer({"fifo": str(fifo)})
-    assert (failure.value.code, failure.value.details) == ("timeout", {"reason": "worker_died"})
-    with pytest.raises(ServerConnectionError):
-        client.infer({"n": 1})
+    reason = "the model did not answer within 0.5 s"
+    with contextlib.closing(Peer(server.url)) as peer:
+        hangs = peer.send("infer", {"observation": {"fifo": str(fifo)}})
+        waits = peer.send("call", {"func_name": "get_action"})
+        answers = {answer.message_id: answer.payload for answer in (peer.receive(), peer.receive())}
+        with pytest.raises(ConnectionClosed):
+            peer.receive()
+    assert [answers[request.message_id]["code"] for request in (hangs, waits)] == ["timeout", "internal"]
+    assert all(answer["details"] == {"reason": "worker_died"} for answer in answers.values())
+    assert answers[hangs.message_id]["message"] == reason
     assert server.process.wait(DEADLINE_S) == ExitCode.NOT_RUN
     server.logs("in wait")
     server.logs("in update_obs")
-    assert server.logs("error: ") == "error: Subject: the model did not answer within 0.5 s"
+    assert server.logs("error: ") == f"error: Subject: {reason}"
 
 
 # -- the end -----------------------------------------------------------------------------------------------------------

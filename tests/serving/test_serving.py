@@ -4,9 +4,7 @@ import contextlib
 import json
 import os
 import re
-import select
 import signal
-import socket
 import subprocess
 import sys
 import uuid
@@ -19,10 +17,9 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from tests.support.peer import DEADLINE_S, MARK, Peer, processes, wait_until
+from tests.support.peer import DEADLINE_S, MARK, Peer, greeted, processes, wait_until
 from xpl import Client, images
 from xpl import _spec as spec
-from xpl.client import PolicyServerError, ServerConnectionError
 from xpl.wire import codec
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
@@ -59,8 +56,6 @@ SUBJECT = """
                 print("x" * 200_000)
                 os.write(1, b"raw bytes \\xff on descriptor 1\\n")
                 sys.__stdout__.write("and on the first stdout")
-            if wanted == "die":
-                os.kill(os.getpid(), 9)
             if wanted == "map":
                 return {"actions": ["a"], "confidence": 0.5}
             if wanted in ("object", "loop", "date"):
@@ -120,19 +115,8 @@ def shared(subject: Path) -> Iterator[RunningServer]:
 @pytest.fixture
 def peer(shared: RunningServer) -> Iterator[Peer]:
     """Return a connection that has said hello."""
-    connection = wait_until(lambda: greeted(shared.url), "the server is free")
-    yield connection
-    connection.send("close")
-    connection.close()
-
-
-def greeted(url: str, evaluation_id: str | None = None) -> Peer | None:
-    """Return a connection after its hello, or None if the server is busy."""
-    connection = Peer(url, evaluation_id)
-    if connection.ask("hello").message_type == "hello_ack":
-        return connection
-    connection.close()
-    return None
+    with greeted(shared.url) as connection:
+        yield connection
 
 
 def let_go(fifo: Path) -> None:
@@ -181,7 +165,7 @@ def test_hello_tells_instance_and_capabilities(peer: Peer, shared: RunningServer
 
 def test_close_is_not_answered_and_closes(shared: RunningServer) -> None:
     """The server closes."""
-    connection = wait_until(lambda: greeted(shared.url), "the server is free")
+    connection = greeted(shared.url)
     connection.send("close")
     with pytest.raises(ConnectionClosed, match="1000"):
         connection.receive()
@@ -232,24 +216,20 @@ def test_a_result_map_with_actions_passes_through(peer: Peer) -> None:
     assert payload["latency_ms"] > 0
 
 
-@pytest.mark.parametrize("request_type", ["infer", "call", "declared", "batch"])
+@pytest.mark.parametrize("name", ["infer", "update_obs", "update_obs_batch", "declared"])
 @pytest.mark.parametrize("encode", [images.encode_png, images.encode_jpeg])
-def test_images_arrive_decoded_in_every_request(peer: Peer, request_type: str, encode: Callable[..., bytes]) -> None:
+def test_images_arrive_decoded_in_every_request(peer: Peer, name: str, encode: Callable[..., bytes]) -> None:
     """Bytes or one-dimensional arrays; an adapter never decodes."""
     red = np.zeros((16, 16, 3), np.uint8)
     red[..., 0] = 255
     obs = {"vision": {"cam_head": {"color": np.frombuffer(encode(red), np.uint8)}}}
     peer.ask("reset")
-    if request_type == "infer":
-        peer.ask("infer", {"observation": obs})
-    elif request_type == "call":
-        peer.ask("call", {"func_name": "update_obs", "obs": obs})
-    elif request_type == "batch":
-        peer.ask("call", {"func_name": "update_obs_batch", "obs": [obs]})
-    if request_type == "declared":
-        arrived = peer.ask("call", {"func_name": "declared", "obs": obs}).payload["result"]["vision"]["cam_head"][
-            "color"
-        ]
+    if name == "infer":
+        answer = peer.ask("infer", {"observation": obs})
+    else:
+        answer = peer.ask("call", {"func_name": name, "obs": [obs] if name == "update_obs_batch" else obs})
+    if name == "declared":
+        arrived = answer.payload["result"]["vision"]["cam_head"]["color"]
     else:
         arrived = peer.ask("call", {"func_name": "report"}).payload["result"]["color"]
     assert np.abs(arrived.astype(int) - red).max() < 5
@@ -300,11 +280,7 @@ def test_the_worker_needs_nothing_but_numpy(peer: Peer) -> None:
         ("infer", {"observation": {"do": "loop"}}, "internal", "contains itself"),
         ("infer", {"observation": {"do": "date"}}, "internal", "only numbers, flags and text"),
         ("call", {}, "invalid_frame", "name of a public method"),
-        ("call", {"func_name": 3}, "invalid_frame", "name of a public method"),
-        ("call", {"func_name": "_private"}, "invalid_frame", "name of a public method, got '_private'"),
-        ("call", {"func_name": "__init__"}, "invalid_frame", "name of a public method"),
         ("call", {"func_name": "undeclared"}, "invalid_frame", "no method 'undeclared'.*declared"),
-        ("call", {"func_name": "config"}, "invalid_frame", "no method 'config'"),
         ("call", {"func_name": "update_obs"}, "invalid_frame", "needs a payload with obs"),
         ("call", {"func_name": "update_obs", "obs": [1]}, "invalid_frame", "a map; got list"),
         ("call", {"func_name": "update_obs_batch"}, "invalid_frame", "needs a payload with obs"),
@@ -385,41 +361,19 @@ def test_a_repeated_id_joins_the_request_that_runs(peer: Peer, fifo: Path) -> No
     assert runs(peer) == before + 1
 
 
-def test_the_same_id_for_another_type_is_refused(peer: Peer) -> None:
-    """With a reason that machines can read."""
-    before = runs(peer)
-    peer.ask("reset", message_id="mixed")
-    answer = peer.ask("infer", {"observation": OBS}, message_id="mixed")
-    assert answer.payload["code"] == "invalid_frame"
-    assert answer.payload["details"] == {"reason": "duplicate_id"}
-    assert runs(peer) == before
-
-
-def test_answers_are_remembered_for_one_client_only(shared: RunningServer) -> None:
-    """Clients that merely count their messages must not get the answers of those before them."""
-    answers = []
-    for _ in range(2):
-        connection = wait_until(lambda: greeted(shared.url), "the server is free")
-        answers.append(connection.ask("infer", {"observation": OBS}, message_id="1").payload["actions"])
-        connection.send("close")
-        connection.close()
-    assert answers[0] != answers[1]
-
-
 def test_a_retry_after_a_cut_gets_the_answer_of_the_one_run(shared: RunningServer, fifo: Path) -> None:
     """The cut comes while the model thinks; the retry comes over a new connection."""
-    peer = wait_until(lambda: greeted(shared.url), "the server is free")
+    peer = greeted(shared.url)
     before = runs(peer)
     payload = {"observation": {"do": "wait", "fifo": str(fifo)}}
     peer.send("infer", payload, message_id="cut")
     with fifo.open("w"):
         peer.cut()
-        back = wait_until(lambda: greeted(shared.url, peer.evaluation_id), "the same client is let in again")
+        back = greeted(shared.url, peer.evaluation_id)
         back.send("infer", payload, message_id="cut")
-    assert back.receive().payload["actions"] == [{"run": before + 1}]
-    assert runs(back) == before + 1
-    back.send("close")
-    back.close()
+    with back:
+        assert back.receive().payload["actions"] == [{"run": before + 1}]
+        assert runs(back) == before + 1
 
 
 # -- who may use the worker --------------------------------------------------------------------------------------------
@@ -433,107 +387,47 @@ def test_heartbeats_are_answered_while_the_model_thinks(peer: Peer, fifo: Path) 
     assert peer.receive().message_id == request.message_id
 
 
-def test_a_second_client_is_busy_at_hello_until_the_first_one_closes(shared: RunningServer) -> None:
-    """Then it is let in; it may try on the same connection."""
-    first = wait_until(lambda: greeted(shared.url), "the server is free")
-    second = Peer(shared.url)
-    refusal = second.ask("hello")
-    assert (refusal.message_type, refusal.payload["code"]) == ("error", "internal")
-    assert refusal.payload["details"] == {"reason": "busy"}
-    assert second.ask("infer", {"observation": OBS}).payload["details"] == {"reason": "busy"}
-    assert second.ask("heartbeat").message_type == "heartbeat_ack"
-    first.send("close")
-    wait_until(lambda: second.ask("hello").message_type == "hello_ack", "the lease is free")
-    first.close()
-    second.send("close")
-    second.close()
-
-
-def test_a_connection_closed_in_order_frees_the_worker_without_a_goodbye(shared: RunningServer) -> None:
-    """Clients of the field just close."""
-    first = wait_until(lambda: greeted(shared.url), "the server is free")
-    first.close()
-    second = wait_until(lambda: greeted(shared.url), "the lease is free")
-    second.close()
+@pytest.mark.parametrize("goodbye", [True, False], ids=["a goodbye", "a close in order"])
+def test_a_second_client_is_busy_at_hello_until_the_first_one_leaves(shared: RunningServer, goodbye: bool) -> None:
+    """Then it is let in; it may try on the same connection. Clients of the field just close."""
+    first = greeted(shared.url)
+    with Peer(shared.url) as second:
+        refusal = second.ask("hello")
+        assert (refusal.message_type, refusal.payload["code"]) == ("error", "internal")
+        assert refusal.payload["details"] == {"reason": "busy"}
+        assert second.ask("infer", {"observation": OBS}).payload["details"] == {"reason": "busy"}
+        assert second.ask("heartbeat").message_type == "heartbeat_ack"
+        if goodbye:
+            first.send("close")
+        first.close()
+        wait_until(lambda: second.ask("hello").message_type == "hello_ack", "the lease is free")
 
 
 def test_a_cut_client_keeps_its_lease_for_the_grace_period(shared: RunningServer) -> None:
     """Others hear busy; its own evaluation comes back to its own state."""
-    first = wait_until(lambda: greeted(shared.url), "the server is free")
+    first = greeted(shared.url)
     first.ask("reset")
     first.ask("call", {"func_name": "update_obs", "obs": {"n": 42}})
     first.cut()
-    other = Peer(shared.url)
-    assert other.ask("hello").payload["details"] == {"reason": "busy"}
-    back = wait_until(lambda: greeted(shared.url, first.evaluation_id), "the same client is let in again")
-    assert back.ask("call", {"func_name": "report"}).payload["result"]["events"] == [["update_obs", 42]]
-    back.send("close")
-    back.close()
-    other.close()
+    with Peer(shared.url) as other:
+        assert other.ask("hello").payload["details"] == {"reason": "busy"}
+    with greeted(shared.url, first.evaluation_id) as back:
+        assert back.ask("call", {"func_name": "report"}).payload["result"]["events"] == [["update_obs", 42]]
 
 
 # -- loading -----------------------------------------------------------------------------------------------------------
-
-LOADING = """
-    class Model:
-        def __init__(self, config):
-            open(config["fifo"]).read()
-        def infer(self, observation):
-            return [observation["n"]]
-"""
-
-
-@contextlib.contextmanager
-def started(adapter: Path, fifo: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """Start a server whose model waits on the named pipe while it loads; yield its process and address."""
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "xpl_cli", "serve", str(adapter), "--set", f"fifo={fifo}", "--port", str(port)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    assert process.stdout is not None
-    try:
-        yield process, f"ws://127.0.0.1:{port}"
-    finally:
-        process.terminate()
-        process.wait(DEADLINE_S)
-        process.stdout.close()
-
-
-def test_hello_is_not_answered_before_the_model_is_ready(write_adapter: Callable[..., Path], fifo: Path) -> None:
-    """Heartbeats are; and a client that left in the meantime does not hold the worker afterwards."""
-    with started(write_adapter(LOADING), fifo) as (process, url):
-        assert process.stdout is not None
-        with fifo.open("w"):  # the model loads, so the server listens
-            gone = Peer(url)
-            gone.send("hello")
-            assert gone.ask("heartbeat").message_type == "heartbeat_ack"
-            gone.close()
-            waiting = Peer(url)
-            hello = waiting.send("hello")
-            assert waiting.ask("heartbeat").message_type == "heartbeat_ack"
-            assert not select.select([process.stdout], [], [], 0)[0]
-        assert json.loads(process.stdout.readline())["event"] == "ready"
-        answer = waiting.receive()
-        assert (answer.message_id, answer.message_type) == (hello.message_id, "hello_ack")
-        assert waiting.ask("infer", {"observation": {"n": 5}}).payload["actions"] == [5]
-        waiting.close()
 
 
 def test_an_adapter_with_infer_alone_and_no_hooks_is_served(
     write_adapter: Callable[..., Path], serve: Callable[..., RunningServer]
 ) -> None:
     """The hooks are optional; the missing operations are named."""
-    server = serve(
-        write_adapter(
-            "class Model:\n    def __init__(self, config): pass\n    def infer(self, observation): return [1]"
-        )
-    )
-    peer = Peer(server.url)
-    assert peer.ask("infer", {"observation": {}}).payload["actions"] == [1]
-    for kind in ("prepare_case", "trial_end"):
-        assert peer.ask(kind, {"action_case_id": "c"}).payload == {"ok": True}
-    assert "no method 'reset'" in peer.ask("reset").payload["message"]
-    peer.close()
+    model = "class Model:\n    def __init__(self, config): pass\n    def infer(self, observation): return [1]"
+    with Peer(serve(write_adapter(model)).url) as peer:
+        assert peer.ask("infer", {"observation": {}}).payload["actions"] == [1]
+        for kind in ("prepare_case", "trial_end"):
+            assert peer.ask(kind, {"action_case_id": "c"}).payload == {"ok": True}
+        assert "no method 'reset'" in peer.ask("reset").payload["message"]
 
 
 @pytest.mark.sampled(2)
@@ -563,23 +457,6 @@ def test_a_model_that_cannot_be_loaded_ends_the_server_with_one_sentence(
     assert re.search(reason, failure.value.reason)
 
 
-def test_a_client_that_waits_while_loading_fails_is_told_why(write_adapter: Callable[..., Path], fifo: Path) -> None:
-    """At once, not after its timeouts: the reason to close is the sentence that the log has."""
-    model = write_adapter(LOADING.replace("read()", "read(); raise ValueError('no weights')"))
-    with started(model, fifo) as (process, url):
-        with fifo.open("w"):
-            waiting = Peer(url)
-            waiting.send("hello")
-            assert waiting.ask("heartbeat").message_type == "heartbeat_ack"
-        with pytest.raises(ConnectionClosed) as closed:
-            waiting.receive()
-        assert closed.value.rcvd is not None
-        assert closed.value.rcvd.code == spec.CLOSE_CODES["server_failed"]
-        assert closed.value.rcvd.reason == "the model could not be loaded: ValueError: no weights"
-        assert process.wait(DEADLINE_S) == ExitCode.NOT_RUN
-        waiting.close()
-
-
 def test_a_configuration_that_cannot_travel_is_one_sentence(
     write_adapter: Callable[..., Path], serve: Callable[..., RunningServer]
 ) -> None:
@@ -591,56 +468,6 @@ def test_a_configuration_that_cannot_travel_is_one_sentence(
 
 
 # -- ends --------------------------------------------------------------------------------------------------------------
-
-
-def test_a_worker_that_is_killed_is_reported_to_client_and_log(
-    subject: Path, serve: Callable[..., RunningServer]
-) -> None:
-    """The request under way gets an error; the server ends."""
-    server = serve(subject)
-    with Client(server.url) as client:
-        with pytest.raises(PolicyServerError, match="ended by signal SIGKILL") as failure:
-            client.infer({"do": "die"})
-        assert failure.value.details == {"reason": "worker_died"}
-        wait_until(
-            lambda: any(line.startswith("error: Subject: the worker was ended") for line in server.log), "it is logged"
-        )
-        with pytest.raises(ServerConnectionError):
-            client.infer({})
-
-
-def test_a_worker_that_dies_idle_ends_the_server_with_the_reason(subject: Path) -> None:
-    """Without waiting for the next request, which is told the reason."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "xpl_cli", "serve", str(subject), "--port", "0"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    assert process.stdout is not None
-    url = json.loads(process.stdout.readline())["url"]
-    client = Client(url)
-    os.kill(client.call("report")["pid"], signal.SIGKILL)
-    _, log = process.communicate(timeout=DEADLINE_S)
-    assert process.returncode == ExitCode.NOT_RUN
-    assert log.decode().splitlines()[-1] == "error: Subject: the worker was ended by signal SIGKILL"
-    with pytest.raises(ServerConnectionError, match="policy server ended: the worker was ended by signal SIGKILL"):
-        client.reset()
-
-
-def test_a_model_that_hangs_is_reported_and_killed(
-    subject: Path, serve: Callable[..., RunningServer], fifo: Path
-) -> None:
-    """After the request timeout of deploy.yml; nothing is left of it."""
-    server = serve(subject, overrides={"request_timeout_s": 0.5})
-    peer = Peer(server.url)
-    peer.send("infer", {"observation": {"do": "wait", "fifo": str(fifo)}})
-    queued = peer.send("call", {"func_name": "report"})
-    answers = {answer.message_id: answer for answer in (peer.receive(), peer.receive())}
-    assert {answer.message_type for answer in answers.values()} == {"error"}
-    assert "timeout" in {answer.payload["code"] for answer in answers.values()}
-    assert answers[queued.message_id].payload["code"] == "internal"
-    wait_until(lambda: any("did not answer within 0.5 s" in line for line in server.log), "it is logged")
-    peer.close()
 
 
 ORPHANS = """
@@ -657,8 +484,10 @@ ORPHANS = """
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda number: number.name)
-@pytest.mark.parametrize("thinking", [True, False], ids=["thinking", "idle"])
+@pytest.mark.parametrize(
+    ("number", "thinking"),
+    [(signal.SIGKILL, True), (signal.SIGKILL, False), (signal.SIGINT, True), (signal.SIGTERM, False)],
+)
 def test_no_signal_leaves_a_process_behind(
     write_adapter: Callable[..., Path], fifo: Path, number: signal.Signals, thinking: bool
 ) -> None:

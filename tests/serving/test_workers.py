@@ -165,15 +165,21 @@ def test_one_that_thinks_does_not_hold_up_the_other(pair: RunningServer, fifo: P
 
 
 def test_a_worker_that_dies_ends_the_trial_of_its_client_only(
-    subject: Path, serve: Callable[..., RunningServer]
+    subject: Path, serve: Callable[..., RunningServer], fifo: Path
 ) -> None:
-    """Which is told so by a typed error; the other goes on, and with the last worker the server ends."""
+    """A request under way gets the reason at once; the other client goes on; with the last worker the server ends."""
     server = serve(subject, options=["--workers", "2"])
     lucky, unlucky = Client(server.url), Client(server.url)
     for client in (lucky, unlucky):
         client.reset()
     pid = unlucky.infer({"n": 1})["pid"]
-    os.kill(pid, signal.SIGKILL)
+    with ThreadPoolExecutor() as pool:
+        request = pool.submit(unlucky.infer, {"fifo": str(fifo)})
+        with fifo.open("w"):
+            os.kill(pid, signal.SIGKILL)
+            with pytest.raises(PolicyServerError, match="ended by signal SIGKILL") as failure:
+                request.result()
+    assert failure.value.details == {"reason": "worker_died"}
     wait_until(lambda: any("1 of the workers go on" in line for line in server.log), "it is logged")
     with pytest.raises(ServerFailedError, match="the worker was ended by signal SIGKILL"):
         unlucky.infer({"n": 2})
@@ -186,23 +192,7 @@ def test_a_worker_that_dies_ends_the_trial_of_its_client_only(
     wait_until(lambda: any(line.startswith("error: Subject: the worker") for line in server.log), "it is logged")
     with pytest.raises(ServerFailedError, match="the worker was ended by signal SIGKILL"):
         lucky.infer({"n": 4})
-
-
-def test_a_worker_that_dies_at_work_answers_its_client_and_no_other(
-    subject: Path, serve: Callable[..., RunningServer], fifo: Path
-) -> None:
-    """The request under way gets the reason at once."""
-    server = serve(subject, options=["--workers", "2"])
-    with Client(server.url) as lucky, Client(server.url) as unlucky:
-        pids = {"lucky": lucky.infer({"n": 1})["pid"], "unlucky": unlucky.infer({"n": 1})["pid"]}
-        with ThreadPoolExecutor() as pool:
-            request = pool.submit(unlucky.infer, {"fifo": str(fifo)})
-            with fifo.open("w"):
-                os.kill(pids["unlucky"], signal.SIGKILL)
-                with pytest.raises(PolicyServerError, match="ended by signal SIGKILL") as failure:
-                    request.result()
-        assert failure.value.details == {"reason": "worker_died"}
-        assert lucky.infer({"n": 2})["seen"] == [1, 2]
+    wait_until(lambda: server.ended == ExitCode.NOT_RUN, "the server has ended")
 
 
 # -- one model for several clients -------------------------------------------------------------------------------------
@@ -236,38 +226,28 @@ def test_clients_of_a_shared_model_are_served_as_if_each_were_alone(sharing: Run
 
 @pytest.mark.usefixtures("free")
 def test_those_that_ask_at_once_are_one_batch(sharing: RunningServer, fifo: Path) -> None:
-    """While the model thinks for one, the others gather, and are answered together."""
+    """While the model thinks for one, the others gather; a failure belongs to the client that caused it."""
     with contextlib.ExitStack() as stack:
         clients = [stack.enter_context(Client(sharing.url)) for _ in range(5)]
         for client in clients:
             client.reset()
         pool = stack.enter_context(ThreadPoolExecutor(5))
-        first = pool.submit(clients[0].infer, {"n": 1, "fifo": str(fifo)})
-        with fifo.open("w"):
-            others = [pool.submit(client.infer, {"n": n}) for n, client in enumerate(clients[1:], 2)]
-            wait_until(lambda: '"waiting": 4' in page(sharing.url, "/healthz")[1], "all wait")
-        assert told(first.result())[:2] == (1, 1)
-        assert [told(other.result())[:2] for other in others] == [(2, 4), (3, 4), (4, 4), (5, 4)]
 
+        def gathered(first: Any, *others: Any) -> list[Any]:
+            thinking = pool.submit(clients[0].infer, {**first, "fifo": str(fifo)})
+            with fifo.open("w"):
+                asked = [pool.submit(client.infer, obs) for client, obs in zip(clients[1:], others, strict=False)]
+                waiting = f'"waiting": {len(others)}'
+                wait_until(lambda: waiting in page(sharing.url, "/healthz")[1], "all wait")
+            return [thinking, *asked]
 
-@pytest.mark.usefixtures("free")
-def test_a_failure_belongs_to_the_client_that_caused_it(sharing: RunningServer, fifo: Path) -> None:
-    """Others of the same batch get their actions."""
-    with contextlib.ExitStack() as stack:
-        clients = [stack.enter_context(Client(sharing.url)) for _ in range(3)]
-        for client in clients:
-            client.reset()
-        pool = stack.enter_context(ThreadPoolExecutor(3))
-        first = pool.submit(clients[0].infer, {"n": 1, "fifo": str(fifo)})
-        with fifo.open("w"):
-            bad = pool.submit(clients[1].infer, {"n": 2, "fail": True})
-            good = pool.submit(clients[2].infer, {"n": 3})
-            wait_until(lambda: '"waiting": 2' in page(sharing.url, "/healthz")[1], "both wait")
-        assert told(first.result())[0] == 1
-        assert told(good.result())[0] == 3
+        answers = [told(one.result())[:2] for one in gathered(*({"n": n} for n in range(1, 6)))]
+        assert answers == [(1, 1), (2, 4), (3, 4), (4, 4), (5, 4)]
+        first, bad, good = gathered({"n": 1}, {"n": 2, "fail": True}, {"n": 3})
+        assert (told(first.result())[0], told(good.result())[0]) == (2, 6)
         with pytest.raises(PolicyServerError, match="the gripper is unhappy"):
             bad.result()
-        assert told(clients[2].infer({"n": 4}))[0] == 7
+        assert told(clients[2].infer({"n": 4}))[0] == 10
 
 
 @pytest.mark.usefixtures("free")
