@@ -44,7 +44,6 @@ def test_what_the_user_says_stays(tmp_path: Path) -> None:
 
 
 def test_a_policy_of_the_same_name_that_wraps_other_code_is_another() -> None:
-    """However the address of the code is written."""
     assert field.called("ACT", "https://github.com/somebody/act") is None
     assert field.called("act", "https://github.com/tonyzhaozh/ACT.git") == policies.find("ACT")
 

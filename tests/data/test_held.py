@@ -30,7 +30,6 @@ def _written(path: Path, form: str = FORMS[0]) -> Path:
 
 @pytest.mark.parametrize("form", FORMS)
 def test_what_is_written_is_valid(tmp_path: Path, form: str) -> None:
-    """In every form of images."""
     path = _written(tmp_path / "episode.hdf5", form)
     assert held.problems(path) == []
 
@@ -74,7 +73,6 @@ COLORS = "vision/cam_head/colors"
     ],
 )
 def test_a_problem_names_its_dataset(tmp_path: Path, spoil: Spoil, path: str | None) -> None:
-    """One for each thing that is wrong."""
     file = _written(tmp_path / "episode.hdf5")
     with h5py.File(file, "r+") as opened:
         spoil(opened)
@@ -84,7 +82,6 @@ def test_a_problem_names_its_dataset(tmp_path: Path, spoil: Spoil, path: str | N
 
 
 def test_a_file_that_is_none_of_hdf5_is_told_in_one_sentence(tmp_path: Path) -> None:
-    """And no word about YAML."""
     (tmp_path / "ep0.hdf5").write_bytes(b"spec: v1")
     ended = xpl("spec", "validate", tmp_path / "ep0.hdf5")
     assert ended.code == 4

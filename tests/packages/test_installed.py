@@ -51,7 +51,6 @@ def bring(install: Install, distribution: str, name: str) -> Path:
 
 
 def test_an_environment_of_a_package_is_found_by_name_and_one_of_the_project_goes_before(install: Install) -> None:
-    """As it goes before ours."""
     site = bring(install, "bringer", "theirs")
     assert "theirs" in environments.names()
     assert find("theirs") == site / "bringer_pkg" / "envs" / "theirs"
@@ -66,7 +65,6 @@ def test_an_environment_of_a_package_is_found_by_name_and_one_of_the_project_goe
 def test_two_environments_of_one_name_are_told_with_both_their_packages(
     install: Install, name: str, owners: list[str]
 ) -> None:
-    """One line, exit code 4, for programs too."""
     for owner in owners:
         if owner != "xpl":
             bring(install, owner.partition(" ")[0], name)
@@ -79,7 +77,6 @@ def test_two_environments_of_one_name_are_told_with_both_their_packages(
 
 
 def test_robots_of_a_package_may_be_like_one_another(install: Install) -> None:
-    """In whatever order their files are; the tool and a program of one's own read the same."""
     files = {"bringer_pkg/robots/other_arm.yml": LIKE, "bringer_pkg/robots/one_arm.yml": WHOLE}
     install("bringer", "[xpl.robots]\nbringer = bringer_pkg.robots\n", files)
     assert robots.canonical("other_arm") == "other_arm"
@@ -98,7 +95,6 @@ def test_robots_of_a_package_may_be_like_one_another(install: Install) -> None:
     ],
 )
 def test_a_robot_that_is_none_names_the_distribution(install: Install, text: str, told: str) -> None:
-    """To the tool and to programs."""
     install("bringer", "[xpl.robots]\nb = bringer_pkg.robots\n", {"bringer_pkg/robots/one_arm.yml": text})
     for learn in (packages.learn, lambda: robots.canonical("nobody")):
         with pytest.raises(EntryPointError, match=rf"of bringer 1.0 cannot be used: .*{told}"):
@@ -106,7 +102,6 @@ def test_a_robot_that_is_none_names_the_distribution(install: Install, text: str
 
 
 def test_two_packages_with_one_robot_are_told(install: Install) -> None:
-    """Both by name."""
     for name in ("first", "second"):
         text = WHOLE.replace("An arm.", f"An arm of {name}.").replace("dof: 1", f"dof: {len(name)}")
         install(name, f"[xpl.robots]\n{name} = {name}_pkg.robots\n", {f"{name}_pkg/robots/one_arm.yml": text})

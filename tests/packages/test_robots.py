@@ -69,7 +69,6 @@ def test_a_robot_of_the_project_is_found_by_all_its_names(project: Path) -> None
 
 @pytest.mark.slow
 def test_it_is_scaffolded_audited_and_evaluated(project: Path) -> None:
-    """From the file alone, by real processes: policy, environment, server and loop."""
     for command in (
         ("new-policy", "Desk", "--embodiment", "desk"),
         ("audit", "policy/Desk", "--gate", "static", "--no-cache"),
@@ -98,7 +97,6 @@ def test_an_audit_notices_that_a_robot_is_another_one(project: Path, tmp_path: P
 
 
 def test_a_package_brings_its_own(project: Path) -> None:
-    """Whoever gets the package gets the robot, wherever it lies."""
     (project / "elsewhere" / "envs" / "Room" / "embodiments").mkdir(parents=True)
     file = project / "elsewhere" / "envs" / "Room" / "embodiments" / "wall_arm.yml"
     file.write_text("name: wall_arm\nlike: so101\narms: [left, right]\narm: { home: [0, 0, 0, 0, 0] }\n")
@@ -140,7 +138,6 @@ def test_a_name_that_is_taken_is_refused(name: str, change: dict[str, Any], said
     ],
 )
 def test_a_file_that_is_wrong_is_told_with_its_line(old: str, new: str, said: str, project: Path) -> None:
-    """By commands that would use it, and by the one that checks files."""
     file = project / "embodiments" / "desk_arm.yml"
     file.write_text(ARM.replace(old, new))
     with pytest.raises(ManifestError, match=said):
@@ -173,7 +170,6 @@ def test_a_recorded_run_describes_its_robot(project: Path) -> None:
 
 
 def test_a_file_can_be_read_without_the_tool(project: Path) -> None:
-    """In a program of a benchmark, from YAML or JSON."""
     (project / "desk_arm.json").write_text(json.dumps(yaml.safe_load(ARM)))
     assert robots.load(project / "desk_arm.json") == robots.load("embodiments/desk_arm.yml") == "desk_arm"
     (project / "bad.json").write_text("[1]")

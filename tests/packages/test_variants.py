@@ -73,7 +73,6 @@ def test_a_variant_changes_manifest_and_run(adapter: Path) -> None:
 
 
 def test_deploy_yml_may_choose_one(adapter: Path) -> None:
-    """And a run may take the policy itself all the same."""
     with (adapter / "deploy.yml").open("a", encoding="utf-8") as stream:
         stream.write("variant: other\n")
     assert package.load(adapter).manifest.model_class == "Other"
@@ -81,7 +80,6 @@ def test_deploy_yml_may_choose_one(adapter: Path) -> None:
 
 
 def test_a_variant_that_is_not_there_is_refused(adapter: Path) -> None:
-    """With those that there are."""
     with pytest.raises(UserError, match="no variant 'nothing'; its variants: other"):
         package.load(adapter, {"variant": "nothing"})
     done = xpl("serve", str(adapter), "--set", "variant=nothing", cwd=adapter)

@@ -64,12 +64,10 @@ def test_every_command_has_json_and_an_answer_in_the_list() -> None:
 
 
 def test_every_answer_can_go_to_a_file() -> None:
-    """But those that begin a conversation, whose answer is awaited on the stream."""
     assert {path for path, command in COMMANDS.items() if "--output" not in _options(command)} == {"xpl serve"}
 
 
 def test_every_schema_is_one_and_carries_its_name() -> None:
-    """With `schema` and `next`, and a version."""
     for name in answers.answers():
         schema = answers.schema(name)
         Draft202012Validator.check_schema(schema)
@@ -172,7 +170,6 @@ def _answer(*words: str) -> dict[str, Any]:
         ["spec", "show", "requirements"],
         ["spec", "show", "franka"],
         ["spec", "validate", "policy/Foo/policy.yml"],
-        ["spec", "check"],
         ["spec", "schemas"],
         ["skills", "list"],
         ["skills", "get", "xpl-audit-policy"],
@@ -187,7 +184,6 @@ def test_answers_are_what_the_list_says(workspace: Path, monkeypatch: pytest.Mon
 
 
 def test_answers_about_recorded_runs_are_what_the_list_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also of one that is not complete."""
     monkeypatch.chdir(tmp_path)
     synthetic(Path("runs/foo"), episodes=4)
     synthetic(Path("runs/bar"), episodes=4, seed=1, policy="Bar", played=9)
@@ -198,7 +194,6 @@ def test_answers_about_recorded_runs_are_what_the_list_says(tmp_path: Path, monk
 
 @pytest.mark.skipif(GIT is None, reason="needs git")
 def test_an_answer_about_a_change_is_what_the_list_says(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A policy that was touched."""
     monkeypatch.chdir(workspace)
     model = workspace / "policy/Foo/model.py"
     model.write_text(model.read_text(encoding="utf-8") + "\n# touched\n", encoding="utf-8")
@@ -212,7 +207,6 @@ def test_an_answer_about_a_change_is_what_the_list_says(workspace: Path, monkeyp
     ids=["ready", "failed"],
 )
 def test_a_server_says_one_line_that_the_list_describes(tmp_path: Path, model: str, event: str) -> None:
-    """Ready, or failed with what the machine lacks."""
     (tmp_path / "model.py").write_text(model)
     (tmp_path / "deploy.yml").write_text("env_cfg_type: franka_single\n")
     command = [sys.executable, "-m", "xpl_cli", "serve", str(tmp_path), "--port", "0", "--json", "--until-stdin-ends"]
@@ -333,7 +327,6 @@ def test_a_name_that_there_is_not_is_told_with_the_nearest(
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )
 def test_an_error_offers_exact_commands(run: Run, words: list[str], code: ExitCode, following: list[str]) -> None:
-    """None that has something in capitals to be filled in."""
     ended, out, _ = run(*words)
     document = json.loads(out)
     assert answers.problems(document) == []
@@ -341,7 +334,6 @@ def test_an_error_offers_exact_commands(run: Run, words: list[str], code: ExitCo
 
 
 def test_a_fault_of_the_tool_is_an_error_too(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a code of its own, and no traceback."""
     monkeypatch.delenv("XPL_DEBUG", raising=False)
 
     def broken(_name: str) -> None:
@@ -366,7 +358,6 @@ def test_who_has_an_answer_gets_no_second_document(run: Run, monkeypatch: pytest
 
 
 def test_many_names_are_not_listed() -> None:
-    """The command that lists them is named instead."""
     names = [f"name-{number}" for number in range(200)]
     error = no_such("there is no 'x'", "x", names, listing="xpl rules")
     assert (str(error), error.hint, error.details()["choices"]) == ("there is no 'x'", "`xpl rules` lists them", [])
@@ -378,6 +369,5 @@ def test_many_names_are_not_listed() -> None:
 
 
 def test_exit_codes_stay_what_they_are() -> None:
-    """Scripts and CI rely on them."""
     codes = {"CLEAN": 0, "FINDINGS": 1, "USAGE": 2, "NOT_FOUND": 3, "NOT_RUN": 4, "INTERNAL": 5, "INTERRUPTED": 130}
     assert {code.name: int(code) for code in ExitCode} == codes

@@ -56,7 +56,6 @@ def test_everything_that_follows_from_the_standard_is_up_to_date() -> None:
 
 
 def test_the_reference_tells_all_of_the_standard() -> None:
-    """Every requirement, robot, rule and key of a manifest is on a page."""
     pages = {Path(name).stem: text.decode() for name, text in compiler.derived(get_command(app)).items()}
     assert all(f"| {name} |" in pages["requirements"] for name in spec.requirements())
     assert all(f"| `{name}` |" in pages["embodiments"] for name in robots.entries())
@@ -83,7 +82,6 @@ def test_a_schema_for_editors_refers_to_nothing_outside(name: str) -> None:
 
 
 def test_a_package_names_the_schemas_it_carries() -> None:
-    """The first line of each manifest leads an editor to the schema beside it."""
     files = _render()
     for name in ("deploy", "policy"):
         line, _, _ = files[f"{name}.yml"].decode().partition("\n")
@@ -92,7 +90,6 @@ def test_a_package_names_the_schemas_it_carries() -> None:
 
 
 def test_schemas_can_be_written_into_any_package(tmp_path: Path) -> None:
-    """Also into one that was not scaffolded."""
     shutil.copy(ROOT / "envs" / "mujoco" / "env.yml", tmp_path)
     assert xpl("spec", "schemas", tmp_path).code == 0
     assert json.loads((tmp_path / schemas.path("env")).read_text())["title"] == "env.yml"

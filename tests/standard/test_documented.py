@@ -29,7 +29,6 @@ def test_the_documented_call_fills_what_is_null(tmp_path: Path) -> None:
 
 
 def test_without_a_documented_robot_nothing_is_made_up(tmp_path: Path) -> None:
-    """The tool asks for one."""
     config = _package(tmp_path / "Plain", "bash eval.sh Dojo stack cotrain toaster joint 0").config()
     assert config["env_cfg_type"] is None
     assert config["ckpt_name"] is None

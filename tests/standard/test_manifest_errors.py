@@ -105,7 +105,6 @@ def test_a_wrong_deploy_yml_is_told_too_and_missing_keys_are_not(adapter: Path) 
 
 
 def test_many_problems_are_bounded_for_people_and_not_for_programs(tmp_path: Path) -> None:
-    """The rest is counted."""
     file = tmp_path / "policy.yml"
     file.write_text("".join(f"key_{number}: 1\n" for number in range(100)))
     with pytest.raises(manifests.ManifestError) as caught:

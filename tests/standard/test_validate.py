@@ -67,8 +67,6 @@ def test_a_symbol_can_be_bound_beforehand() -> None:
 
 
 def test_cameras_may_differ_in_size_but_depth_belongs_to_its_color() -> None:
-    """H and W are those of one camera."""
-
     def camera(height: int, width: int, depth: tuple[int, ...]) -> dict[str, Any]:
         return {"color": np.zeros((height, width, 3), np.uint8), "depth": np.zeros(depth, np.float32)}
 
@@ -80,7 +78,6 @@ def test_cameras_may_differ_in_size_but_depth_belongs_to_its_color() -> None:
 
 @pytest.mark.parametrize("color", [b"\xff\xd8", bytearray(b"ab"), np.zeros(9, np.uint8), [[[0, 127, 255]]]])
 def test_images_arrive_as_bytes_arrays_and_lists(color: Any) -> None:
-    """Colour is an image, or the bytes of an encoded one."""
     assert validate({"vision": {"cam_head": {"color": color}}}, "observation") == []
 
 
@@ -89,38 +86,32 @@ def test_images_arrive_as_bytes_arrays_and_lists(color: Any) -> None:
     [np.zeros((4, 4, 3), np.float32), np.zeros((4, 4, 4), np.uint8), [[[0, 0, 256]]], "file.png", [[[0], [0, 0]]]],
 )
 def test_an_image_of_another_kind_is_told_what_would_do(color: Any) -> None:
-    """Where no alternative is nearer, all are named."""
     problem = _only(validate({"vision": {"cam_head": {"color": color}}}, "observation"))
     assert problem.path == ("vision", "cam_head", "color")
     assert "(H, W, 3) uint8 or (N,) uint8" in problem.message
 
 
 def test_depth_in_integers_is_refused_as_it_would_be_millimetres() -> None:
-    """Depth is in metres, so an integer array has another unit."""
     depth = {"depth": np.zeros((4, 4), np.uint16)}
     assert "float" in _only(validate({"vision": {"cam_head": depth}}, "observation")).message
 
 
 def test_an_array_where_a_word_belongs_is_a_problem_not_a_crash() -> None:
-    """Comparing an array with a word must not raise."""
     problem = _only(validate({"data_format_version": np.zeros(3)}, "observation"))
     assert problem.expected == "'v1.0'"
 
 
 def test_numpy_scalars_count_as_numbers() -> None:
-    """What a simulator puts into an observation is often a numpy scalar."""
     observation = {"env_idx": np.int64(3), "additional_info": {"frequency": np.float32(25)}}
     assert validate(observation, "observation") == []
 
 
 def test_definitions_of_a_schema_can_be_validated_by() -> None:
-    """Each wire payload is a definition of one schema."""
     assert validate({"func_name": "reset"}, "payload#/$defs/call") == []
     assert _only(validate({}, "payload#/$defs/call")).expected == "func_name"
 
 
 def test_a_document_that_contains_itself_ends_in_a_problem() -> None:
-    """A loop in a document is not followed for ever."""
     loop: list[Any] = []
     loop.append({"left_arm_joint_state": loop})
     assert validate(loop, "chunk")
@@ -174,7 +165,6 @@ def _problems(tmp_path: Path, text: str, schema: str = "deploy") -> list[Problem
 def test_a_problem_has_its_line_and_column(
     tmp_path: Path, old: str, new: str, place: tuple[int, int], message: str
 ) -> None:
-    """An editor can jump to the place."""
     assert _problems(tmp_path, DEPLOY) == []
     problem = _only(_problems(tmp_path, DEPLOY.replace(old, new)))
     assert (problem.line, problem.column) == place
@@ -191,6 +181,5 @@ def test_places_inside_lists_and_maps_are_found(tmp_path: Path) -> None:
 
 
 def test_every_schema_compiles() -> None:
-    """No schema of the standard is beyond the validator."""
     for name in spec.schema_names():
         validate({}, name)

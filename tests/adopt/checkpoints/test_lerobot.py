@@ -108,7 +108,6 @@ def test_each_rule_of_normalisation_is_the_block_s(tmp_path: Path, mode: str, ex
 
 
 def test_quantiles_that_the_file_lacks_leave_the_rule_open(tmp_path: Path) -> None:
-    """A rule whose numbers are not there is no rule."""
     _, tree = read(
         trained.lerobot(tmp_path / "p", modes={"STATE": "QUANTILE10", "ACTION": "MEAN_STD"}, n_action_steps=8)
     )
@@ -140,7 +139,6 @@ def test_relative_actions_and_history_are_read(tmp_path: Path) -> None:
 
 
 def test_commands_that_reach_less_far_than_the_state_leave_the_reference_open(tmp_path: Path) -> None:
-    """Nobody said that they are deltas; nobody said that they are not."""
     folder = trained.lerobot(tmp_path / "p", n_action_steps=8)
     small = {f"action.{name}": [0.01 * v for v in values] for name, values in trained.statistics(14).items()}
     trained.safetensors(folder / "policy_postprocessor_step_0_unnormalizer_processor.safetensors", small)
@@ -182,7 +180,6 @@ def test_a_policy_that_resizes_images_itself_gets_them_as_they_are(tmp_path: Pat
 
 
 def test_a_type_that_is_not_known_leaves_its_sampling_open(tmp_path: Path) -> None:
-    """What only the code of a policy says is not guessed."""
     found, tree = read(trained.lerobot(tmp_path / "p", "brand_new", n_action_steps=8))
     assert "brand_new" in plain(tree["sampling"])["unknown"]
     assert found.family.confidence is Confidence.ASSUMED
@@ -223,7 +220,6 @@ def test_the_run_of_a_training_is_taken_where_it_keeps_its_last_checkpoint(tmp_p
 def test_a_value_of_the_wrong_kind_is_one_error_with_its_place(
     tmp_path: Path, change: dict[str, Any], told: str
 ) -> None:
-    """What a training cannot have written is said with file and line."""
     with pytest.raises(UserError) as failed:
         read(trained.lerobot(tmp_path / "p", **{"chunk_size": 8, **change}))
     assert told in str(failed.value)

@@ -85,7 +85,6 @@ def test_openpi_without_quantiles_centres_and_scales(tmp_path: Path) -> None:
 
 
 def test_one_arm_has_no_second_wrist(tmp_path: Path) -> None:
-    """An image that the model goes without is left out, and not guessed."""
     _, tree = read(trained.openpi(tmp_path / "pi0_droid", width=8), robot=ONE)
     assert [plain(view["cameras"]) for view in tree["images"]] == [["cam_head"], ["cam_wrist"]]
 
@@ -117,7 +116,6 @@ def test_groot_of_before_says_resolution_and_leaves_its_data_config_open(tmp_pat
 
 
 def test_several_embodiments_need_a_word_of_the_user(tmp_path: Path) -> None:
-    """Whose statistics count is not guessed; the names are told."""
     folder = trained.groot_older(tmp_path / "p", "gr1")
     meta = (folder / "experiment_cfg" / "metadata.json").read_text(encoding="utf-8")
     one = trained.json.loads(meta)
@@ -146,7 +144,6 @@ def test_openvla_says_bounds_mask_and_prompt(tmp_path: Path) -> None:
 
 
 def test_openvla_oft_says_its_heads(tmp_path: Path) -> None:
-    """A projector of proprioception: a state is read, clipped; chunks are those of LIBERO's constants."""
     found, tree = read(trained.openvla(tmp_path / "p", oft=True), robot=ONE)
     assert plain(found.chunk) == 8
     assert plain(tree["state"][0]["normalize"])["clip"] == [-1, 1]
@@ -155,7 +152,6 @@ def test_openvla_oft_says_its_heads(tmp_path: Path) -> None:
 
 
 def test_openvla_of_several_data_sets_asks_for_the_key(tmp_path: Path) -> None:
-    """unnorm_key is a choice of the run."""
     folder = trained.openvla(tmp_path / "p", ("bridge_orig", "fractal20220817_data"))
     with pytest.raises(UserError, match="there are bridge_orig, fractal20220817_data"):
         read(folder, robot=ONE)

@@ -35,7 +35,6 @@ def refused(folder: Path, told: str) -> None:
 
 
 def test_a_folder_of_nobody_s_is_told_whose_there_are(tmp_path: Path) -> None:
-    """An empty folder, a file and nothing at all are three sentences."""
     refused(tmp_path, "expected one of LeRobot, openpi")
     refused(trained.put(tmp_path, "weights.pt", "x"), "is a file: expected the folder that training wrote")
     with pytest.raises(NotFoundError, match="there is no"):
@@ -52,7 +51,6 @@ def test_a_folder_of_nobody_s_is_told_whose_there_are(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_no_json_is_one_error(tmp_path: Path, text: str, told: str) -> None:
-    """Broken, or nested beyond any measure."""
     trained.put(tmp_path, "config.json", text)
     refused(tmp_path, told)
 
@@ -97,7 +95,6 @@ def test_links_of_the_hub_s_cache_are_followed(tmp_path: Path) -> None:
 
 
 def test_nothing_waits_for_a_pipe(tmp_path: Path) -> None:
-    """A pipe in the place of a file has no end."""
     os.mkfifo(tmp_path / "config.json")
     refused(tmp_path, "expected a file, got a pipe")
 
@@ -134,7 +131,6 @@ def test_a_zip_is_listed_and_not_unpacked(tmp_path: Path) -> None:
 
 
 def test_numbers_are_finite_and_few(tmp_path: Path) -> None:
-    """NaN, texts and endless lists are no statistics."""
     for value in ([float("nan")], ["1"], [0.0] * 20_000, [True]):
         with pytest.raises(UserError, match="expected a list of finite numbers"):
             Document("stats.json", {"mean": value}).numbers("mean")

@@ -57,7 +57,6 @@ def test_every_maker_s_checkpoint_makes_a_package_with_a_valid_manifest(tmp_path
 
 
 def test_comments_say_the_source_beside_each_value(tmp_path: Path) -> None:
-    """The manifest can be checked without any other file at hand."""
     text = begin(trained.lerobot(tmp_path / "p", n_action_steps=8)).files[sdk.File.POLICY_YML].decode()
     assert "  chunk: 8 # certain: config.json:" in text
     assert "    - input: observation.images.cam_high # certain: config.json:" in text
@@ -111,14 +110,12 @@ def test_native_py_converts_as_the_parts_say(tmp_path: Path) -> None:
 
 
 def test_no_native_py_while_something_is_open(tmp_path: Path) -> None:
-    """A second reading with a hole is none; the note says where the holes are."""
     begun = begin(trained.lerobot(tmp_path / "p", n_action_steps=8))
     assert "native.py" not in begun.files
     assert "native.state.0.parts.1.gripper.closed" in begun.notes[-1]
 
 
 def test_the_robot_is_the_data_s_or_the_user_s_word(tmp_path: Path) -> None:
-    """Nothing else decides; the robots that would do are told."""
     checkpoint = trained.lerobot(tmp_path / "p", n_action_steps=8)
     with pytest.raises(UserError, match="which robot is it") as failed:
         begin(checkpoint, robot=None)

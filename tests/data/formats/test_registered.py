@@ -45,7 +45,6 @@ def demos(tmp_path: Path) -> Path:
 
 
 def test_no_format_is_imported_for_a_command_line() -> None:
-    """They cost nobody anything who does not use them."""
     code = """
 import sys
 from xpl_cli.main import main
@@ -79,7 +78,6 @@ def test_a_package_is_asked_before_us(install: Install, demos: Path) -> None:
 def test_a_broken_format_is_told_by_its_distribution(
     install: Install, monkeypatch: pytest.MonkeyPatch, demos: Path, case: tuple[str, str, str]
 ) -> None:
-    """One sentence says whose it is, and what is wrong."""
     name, module, told = case
     monkeypatch.delitem(sys.modules, "made_bad", raising=False)
     install("bad", f"[xpl.formats]\n{name} = made_bad\n", {"made_bad.py": module})

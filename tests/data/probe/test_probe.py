@@ -67,7 +67,6 @@ def _still() -> MemorySet:
 
 
 def test_commands_that_lead_nowhere_have_no_reference() -> None:
-    """Noise explains no motion: unknown, with what is missing."""
     found = probe(_still())
     known = [one for one in found.answers if one.topic in {"reference", "order"} and one.is_known]
     assert not known
@@ -85,7 +84,6 @@ def test_the_next_state_as_command_is_told() -> None:
 
 
 def test_latency_grows_by_the_steps_that_commands_are_late() -> None:
-    """In steps of the record."""
     played = [motion(*one) for one in ONE[:2]]
     plain, other = (probe(write(played, replace(Convention(), late=steps))) for steps in (0, 2))
     first, second = (found.value("latency", "action[0:7]") for found in (plain, other))
