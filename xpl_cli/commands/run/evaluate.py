@@ -138,7 +138,7 @@ def evaluate(
     from xpl_cli.evaluation.runs import look, remote
     from xpl_cli.evaluation.runs.settings import environment_for, with_robot
     from xpl_cli.packages import package
-    from xpl_cli.serving.secrets import client_tls_context, read_token
+    from xpl_cli.serving.secrets import read_token
 
     overrides = package.parse_overrides([*(part for part in (info or "").split(",") if part), *settings])
     if seed is not None:
@@ -237,9 +237,7 @@ def evaluate(
             workers=processes,
             horizon=horizon,
             overrides=with_robot(adapter, env, overrides),
-            connect=connect,
-            token=token,
-            ssl_context=None if ca_file is None else client_tls_context(ca_file),
+            remote=reached,
             runtime=orders.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
             demos=demos,
         ),

@@ -32,12 +32,10 @@ class Elsewhere:
 
     Args:
         url: where it answers.
-        token: what it asks for, if it does.
     """
 
-    def __init__(self, url: str, token: str | None = None) -> None:
+    def __init__(self, url: str) -> None:
         self._url = url
-        self.token = token
 
     def url(self) -> str:
         """Return where it answers."""

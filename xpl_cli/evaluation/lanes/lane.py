@@ -10,7 +10,7 @@ import contextlib
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import Client, get_embodiment, observation, rollout
 from xpl import _spec as sdk
@@ -39,8 +39,10 @@ from xpl_cli.packages import environments
 from xpl_cli.serving.secrets import client_tls_context
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
+    from xpl.contract import Payload
+    from xpl.environment import TaskEnv
     from xpl_cli.evaluation.records.model import Ending
 
 
@@ -57,9 +59,7 @@ class Lane:
         self._orders = orders
         self._worker = worker
         self._access = access or Access()
-        self._tls = self._access.ssl_context
-        if self._access.ca_file is not None:
-            self._tls = client_tls_context(self._access.ca_file)
+        self._tls = None if self._access.ca_file is None else client_tls_context(self._access.ca_file)
         self._facts = environments.manifest(environments.find(orders.environment))
         self._robot = get_embodiment(orders.settings.embodiment)
         self._machine = machine_facts()
@@ -161,7 +161,7 @@ class Lane:
         try:
             scene = self._ready(jobs[0])
             reel = Reel(scene.frequency, scene.camera) if jobs[0].film and scene.camera is not None else None
-            env: Any = Fitting(scene.env, self._robot, self._orders.settings.action_type)
+            env: TaskEnv = Fitting(scene.env, self._robot, self._orders.settings.action_type)
             if self._orders.instruction is not None:
                 env = retold(env, self._orders.instruction, jobs, self._orders.num_envs)
             with recorded(env, self._orders, jobs, scene.frequency) as recorder:
@@ -192,7 +192,7 @@ class Lane:
             self._drop()
         return endings
 
-    def _judged(self, watch: Watch, client: Client, count: int, told: Mapping[str, Any]) -> list[Ending]:
+    def _judged(self, watch: Watch, client: Client, count: int, told: Payload) -> list[Ending]:
         """Run the loop and return how each episode went.
 
         Raises:

@@ -9,9 +9,10 @@ from xpl import trajectory
 from xpl_cli.isolation.bounds import Bounds
 
 if TYPE_CHECKING:
-    import ssl
     from collections.abc import Callable, Mapping
     from pathlib import Path
+
+    from xpl.contract import Config
 
 SUCCESS, ALL = "success", "all"
 KEEP: Final = (SUCCESS, ALL)
@@ -77,7 +78,7 @@ class Settings:
     privileged: bool = False
     setting: str | None = None
 
-    def as_config(self) -> dict[str, Any]:
+    def as_config(self) -> Config:
         """Return the configuration that an environment is made with."""
         told = asdict(self)
         if self.setting is None:
@@ -109,7 +110,7 @@ class Orders:
     policy_digest: str
     environment: str
     environment_digest: str
-    config: Mapping[str, Any]
+    config: Config
     settings: Settings
     horizon: int | None = None
     eval_env: str | None = None
@@ -126,15 +127,13 @@ class Access:
 
     Attributes:
         token: bearer token, where they ask for one.
-        ssl_context: for `wss://`, where the system's certificates are not enough.
         is_patient: whether it waits for a server as long as the configuration says, and not only until whoever looks
             after servers must have noticed.
         on_loading: is told while a model loads.
-        ca_file: certificate authority for `wss://`, for a lane in a process of its own.
+        ca_file: certificate authority for `wss://`, where the system's are not enough.
     """
 
     token: str | None = None
-    ssl_context: ssl.SSLContext | None = None
     is_patient: bool = False
     on_loading: Callable[[Mapping[str, Any]], None] | None = None
     ca_file: Path | None = None

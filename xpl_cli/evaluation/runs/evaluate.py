@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import console
@@ -26,10 +26,12 @@ from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from xpl.contract import Announcement, Config
     from xpl_cli.evaluation.lanes.backend import Backend
+    from xpl_cli.evaluation.lanes.here import PolicyServer
     from xpl_cli.evaluation.lanes.orders import Demos
     from xpl_cli.evaluation.records.model import Plan
     from xpl_cli.evaluation.records.records import Run
@@ -66,10 +68,10 @@ class Request:
     resume: bool = False
     room: Room = field(default_factory=Room)
     films: int = 1
-    overrides: Mapping[str, Any] = field(default_factory=dict)
+    overrides: Config = field(default_factory=dict)
     runtime: Runtime = field(default_factory=Runtime)
     remote: Remote | None = None
-    announced: Mapping[str, Any] | None = None
+    announced: Announcement | None = None
     num_envs: int | None = None
     env_workers: int = 1
     demos: Demos | None = None
@@ -157,16 +159,24 @@ def _backend(request: Request, lane_orders: Orders, server_orders: ServerOrders,
         return backends.make(request.room, lane_orders, server_orders, episodes)
     if request.room.backend != LOCAL:
         raise UserError(f"--backend {request.room.backend} starts its own servers, and plays each episode alone")
-    if remote is None:
-        server: Server | Elsewhere = Server(server_orders, 1)
-        access = Access(server.token)
-    else:
-        server = Elsewhere(remote.url, remote.token)
-        access = Access(remote.token, is_patient=True, ca_file=remote.ca_file)
+    server, access = reached(remote, server_orders)
     if lane_orders.num_envs > 1:
         return HereBackend(lane_orders, server, access)
     lanes = min(request.room.lanes or 1, max(1, episodes))
     return LocalBackend(lane_orders, [(server, access)] * lanes)
+
+
+def reached(remote: Remote | None, server_orders: ServerOrders) -> tuple[PolicyServer, Access]:
+    """Return who answers for the policy, and how it is reached.
+
+    Args:
+        remote: a server that somebody else runs; None for one of ours.
+        server_orders: how ours is started.
+    """
+    if remote is None:
+        server = Server(server_orders, 1)
+        return server, Access(server.token)
+    return Elsewhere(remote.url), Access(remote.token, is_patient=True, ca_file=remote.ca_file)
 
 
 def orders(  # noqa: PLR0913 - all that travels with a run

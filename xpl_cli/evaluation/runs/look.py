@@ -11,15 +11,14 @@ import contextlib
 import os
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, cast
 
 from xpl import _spec as sdk
 from xpl import get_embodiment
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.here import Elsewhere, HereBackend
-from xpl_cli.evaluation.lanes.orders import Access, Runtime
-from xpl_cli.evaluation.lanes.servers import Server
+from xpl_cli.evaluation.lanes.here import HereBackend
+from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records.failures import POLICY_DIED, POLICY_ERROR
 from xpl_cli.evaluation.records.fingerprints import package_digest
 from xpl_cli.evaluation.records.manner import Manner
@@ -39,15 +38,16 @@ _DIGITS = 10
 """No machine has that many processes; a longer number is none that was meant."""
 
 if TYPE_CHECKING:
-    import ssl
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from xpl.contract import Config
     from xpl.manifest import EnvManifest
     from xpl_cli.basics.progress import Progress
     from xpl_cli.evaluation.lanes.orders import Demos, Settings
     from xpl_cli.evaluation.records.model import Episode, Place
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.runs.remote import Remote
     from xpl_cli.packages.package import Package
 
 
@@ -65,8 +65,7 @@ class Request:
         workers: processes that share them; 0 plays them in this process.
         horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
         overrides: keys of deploy.yml.
-        connect: address of a server that already runs; one is started otherwise.
-        token, ssl_context: what a server that already runs asks for.
+        remote: a server that already runs; one is started otherwise.
         runtime: of adapter and environment.
         demos: where episodes are kept as trajectories, too, and how.
     """
@@ -79,10 +78,8 @@ class Request:
     num_envs: int = 1
     workers: int = 1
     horizon: int | None = None
-    overrides: Mapping[str, Any] = field(default_factory=dict)
-    connect: str | None = None
-    token: str | None = None
-    ssl_context: ssl.SSLContext | None = None
+    overrides: Config = field(default_factory=dict)
+    remote: Remote | None = None
     runtime: Runtime = field(default_factory=Runtime)
     demos: Demos | None = None
 
@@ -180,9 +177,7 @@ def _several(wanted: str | None, facts: EnvManifest, embodiment: str) -> list[st
     return tasks_of(facts, wanted, get_embodiment(embodiment).name)[0] if is_list else []
 
 
-def _plan(
-    request: Request, folder: Path, config: Mapping[str, Any], settings: Settings, places: Sequence[Place]
-) -> Plan:
+def _plan(request: Request, folder: Path, config: Config, settings: Settings, places: Sequence[Place]) -> Plan:
     """Return the plan of what nobody writes down; it has digests where trajectories say who played."""
     policy = environment = ""
     if request.demos is not None:
@@ -210,11 +205,9 @@ def _backend(request: Request, folder: Path, planned: Plan, progress: Progress) 
         env_workers=request.workers,
         demos=request.demos,
     )
-    server = Server(ours, 1) if request.connect is None else Elsewhere(request.connect, request.token)
-    access = Access(
-        token=server.token,
-        ssl_context=request.ssl_context,
-        is_patient=True,
-        on_loading=lambda told: progress.step(f"the model is loading: {told.get('seconds', 0):.0f} s"),
-    )
-    return HereBackend(orders, server, access)
+    server, access = suite.reached(request.remote, ours)
+
+    def on_loading(told: Mapping[str, Any]) -> None:
+        progress.step(f"the model is loading: {told.get('seconds', 0):.0f} s")
+
+    return HereBackend(orders, server, replace(access, is_patient=True, on_loading=on_loading))
