@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 from xpl_cli import __version__
 from xpl_cli.basics import files
@@ -32,7 +32,7 @@ _MOST_BYTES = 64 << 20
 """What none of them comes near."""
 
 
-def document(value: Any) -> bytes:
+def document(value: object) -> bytes:
     """Return a document as a bundle holds it: equal values give equal bytes."""
     return (json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode()
 
@@ -193,5 +193,5 @@ def _json(path: Path, name: str) -> Any:
         raise UserError(f"{name} of the bundle cannot be read: {error}", code=ExitCode.FINDINGS) from None
 
 
-def _refuse(name: str) -> Any:
+def _refuse(name: str) -> NoReturn:
     raise ValueError(f"it holds {name}, which is no JSON")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.evaluation.records import fingerprints
@@ -93,6 +93,6 @@ def _unjudged(run: Run) -> Iterator[str]:
             yield f"episodes {_listed(silent)} neither succeeded nor failed, while others of {cell.task} did"
 
 
-def _listed(numbers: Sequence[Any]) -> str:
+def _listed(numbers: Sequence[object]) -> str:
     shown = ", ".join(map(str, numbers[:8]))
     return f"{shown}, ..." if len(numbers) > 8 else shown

@@ -6,7 +6,7 @@ Nothing is written unless everything is in order: a bundle is one that `xpl veri
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from xpl_cli.submission import archive, bundle, claims, consistency
 from xpl_cli.submission.locks import lock_of
 
 if TYPE_CHECKING:
+    from xpl.contract import Config
     from xpl_cli.audit.rules.model import TargetReport
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.packages.package import Package
@@ -195,7 +196,7 @@ def _audited(request: Request, runs: Sequence[Run]) -> tuple[TargetReport, ExitC
     return report, exit_code([report])
 
 
-def overrides(package: Package, configs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def overrides(package: Package, configs: Sequence[Config]) -> dict[str, Any]:
     """Return the keys of deploy.yml that all of some configurations have otherwise than the adapter, and alike."""
     usual, first = package.config(), configs[0]
     return {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -23,9 +23,10 @@ from xpl_cli.submission import claims
 from xpl_cli.submission.replay import Pair
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
+    from xpl.contract import Config
     from xpl_cli.evaluation.lanes.orders import Orders
     from xpl_cli.evaluation.lanes.servers import ServerOrders
     from xpl_cli.evaluation.records.fingerprints import Checkpoint
@@ -116,7 +117,7 @@ class Player:
         bounds = Bounds.here(adapter.path.parent, isolate=self.runtime.isolate)
         return evaluate.orders(adapter, folder, plan, self.runtime, bounds)
 
-    def _find_weights(self, config: Mapping[str, Any], loaded: Checkpoint | None) -> None:
+    def _find_weights(self, config: Config, loaded: Checkpoint | None) -> None:
         """See to it that the adapter loads the checkpoint of the run.
 
         Raises:

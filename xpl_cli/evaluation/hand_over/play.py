@@ -13,7 +13,7 @@ import sys
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 import xpl
@@ -33,6 +33,7 @@ from xpl_cli.packages import environments
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from xpl.contract import Config
     from xpl.manifest import EnvManifest
     from xpl_cli.packages.package import Package
 
@@ -74,7 +75,7 @@ class Request:
     out: Path | None = None
     resume: bool = False
     connect: str | None = None
-    overrides: Mapping[str, Any] = field(default_factory=dict)
+    overrides: Config = field(default_factory=dict)
     python: str | None = None
     env: str | None = None
     gpu: str | None = None
@@ -99,7 +100,7 @@ class Plan:
     folder: Path
     facts: EnvManifest
     launcher: Launcher
-    config: Mapping[str, Any]
+    config: Config
     values: Mapping[str, str]
     workspace: Path | None
 

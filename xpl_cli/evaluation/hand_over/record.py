@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl import get_embodiment
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from xpl.contract import Config
     from xpl.manifest import EnvManifest
     from xpl_cli.evaluation.hand_over.results import Layout
     from xpl_cli.packages.package import Package
@@ -48,7 +49,7 @@ class Played:
     """
 
     package: Package
-    config: Mapping[str, Any]
+    config: Config
     environment: Path
     facts: EnvManifest
     started: str

@@ -10,6 +10,9 @@ from xpl import _spec as sdk
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from xpl.contract import Action, ObservationDict
+    from xpl.environment import TaskEnv
+
 _ASKS = (sdk.Method.GET_ACTION, sdk.Method.GET_ACTION_BATCH, sdk.Method.INFER)
 
 
@@ -20,14 +23,14 @@ class Around:
         task_env: the environment.
     """
 
-    def __init__(self, task_env: Any) -> None:
+    def __init__(self, task_env: TaskEnv) -> None:
         self._env = task_env
 
     def __getattr__(self, name: str) -> Any:
         """Return what the environment offers besides the surface."""
         return getattr(self._env, name)
 
-    def get_obs(self) -> Any:
+    def get_obs(self) -> ObservationDict:
         """Return the observation of the environment."""
         return self._shown(0, self._env.get_obs())
 
@@ -35,20 +38,20 @@ class Around:
         self,
         env_idx_list: Sequence[int] | None = None,
         last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
-    ) -> Any:
+    ) -> list[ObservationDict]:
         """Return the observations of some environments, of all running ones by default."""
         wanted = list(self._env.get_running_env_idx_list() if env_idx_list is None else env_idx_list)
         observations = self._env.get_obs_batch(env_idx_list, last_frame)
         return [self._shown(env, obs) for env, obs in zip(wanted, observations, strict=False)]
 
-    def take_action(self, action: Any) -> Any:
+    def take_action(self, action: Action) -> Any:
         """Execute an action step."""
         self._before([action], [0])
         report = self._env.take_action(action)
         self._after([action])
         return report
 
-    def take_action_batch(self, actions: Sequence[Any], env_idx_list: Sequence[int]) -> Any:
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> Any:
         """Execute an action step of each environment in the list."""
         self._before(actions, env_idx_list)
         reports = self._env.take_action_batch(actions, env_idx_list)
@@ -60,14 +63,14 @@ class Around:
         inner = getattr(self._env, "listen", None)
         return Listener(client if inner is None else inner(client), self._asked)
 
-    def _shown(self, _env: int, obs: Any) -> Any:
+    def _shown(self, _env: int, obs: ObservationDict) -> ObservationDict:
         """Return an observation of an environment as the loop gets it."""
         return obs
 
-    def _before(self, actions: Sequence[Any], envs: Sequence[int]) -> None:
+    def _before(self, actions: Sequence[Action], envs: Sequence[int]) -> None:
         """See, or refuse, the actions that environments are about to execute."""
 
-    def _after(self, actions: Sequence[Any]) -> None:
+    def _after(self, actions: Sequence[Action]) -> None:
         """See the actions that were executed."""
 
     def _asked(self, seconds: float) -> None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from xpl_cli.evaluation.records.failures import spoilt
 from xpl_cli.evaluation.records.model import Conduct, now
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
+    from xpl_cli.evaluation.records.fingerprints import Facts
     from xpl_cli.evaluation.records.model import Ending
 
 LOCAL, RAY = "local", "ray"
@@ -72,7 +71,7 @@ class Outcome:
     job: Job
     ending: Ending
     conduct: Conduct
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: Facts = field(default_factory=dict)
     trace: bytes | None = None
     film: bytes | None = None
     is_server_suspect: bool = False
@@ -98,7 +97,7 @@ class Backend(Protocol):
         """End everything, also what is being played."""
 
 
-def lost(job: Job, reason: str, worker: str | None = None, facts: Mapping[str, Any] | None = None) -> Outcome:
+def lost(job: Job, reason: str, worker: str | None = None, facts: Facts | None = None) -> Outcome:
     """Return the outcome of a job whose player is gone."""
     conduct = Conduct(started=now(), wall_seconds=0.0, worker=worker)
     return Outcome(job, spoilt(reason), conduct, facts or {}, is_server_suspect=True)

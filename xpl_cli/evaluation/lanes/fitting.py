@@ -6,7 +6,7 @@ be played again: a policy could have that where it is about to lose.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl.action import check_form
 from xpl_cli.evaluation.lanes.around import Around
@@ -14,7 +14,9 @@ from xpl_cli.evaluation.lanes.around import Around
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from xpl.contract import Action
     from xpl.embodiment import Embodiment
+    from xpl.environment import TaskEnv
 
 
 class Fitting(Around):
@@ -26,11 +28,11 @@ class Fitting(Around):
         action_type: how it is driven.
     """
 
-    def __init__(self, task_env: Any, embodiment: Embodiment, action_type: str) -> None:
+    def __init__(self, task_env: TaskEnv, embodiment: Embodiment, action_type: str) -> None:
         super().__init__(task_env)
         self._robot = embodiment, action_type
 
-    def _before(self, actions: Sequence[Any], envs: Sequence[int]) -> None:  # noqa: ARG002 - all have the same robot
+    def _before(self, actions: Sequence[Action], envs: Sequence[int]) -> None:  # noqa: ARG002 - all have the same robot
         """Raise an ActionError for what is no action of this robot; no environment has seen any."""
         for action in actions:
             check_form(action, *self._robot)

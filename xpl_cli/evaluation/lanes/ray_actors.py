@@ -8,7 +8,7 @@ from __future__ import annotations
 import platform
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import xpl_cli
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -19,9 +19,8 @@ from xpl_cli.evaluation.records.fingerprints import checkpoint_of, machine_facts
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from xpl_cli.evaluation.lanes.backend import Job, Outcome
+    from xpl_cli.evaluation.records.fingerprints import Facts
 
 _SAME_PLACE = "the same files must lie at the same place on every machine: a shared folder, or the same image"
 
@@ -61,7 +60,7 @@ class Post:
     """
 
     worker: str
-    facts: Mapping[str, Any]
+    facts: Facts
 
 
 class PolicyServer:

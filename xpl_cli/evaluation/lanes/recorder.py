@@ -22,6 +22,8 @@ from xpl_cli.evaluation.records.model import now
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from xpl.contract import Action, ObservationDict
+    from xpl.environment import TaskEnv
     from xpl_cli.evaluation.lanes.backend import Job
     from xpl_cli.evaluation.lanes.orders import Orders
     from xpl_cli.evaluation.records.model import Ending
@@ -38,7 +40,7 @@ def is_kept(ending: Ending, keep: str) -> bool:
 
 
 @contextlib.contextmanager
-def recorded(task_env: Any, orders: Orders, jobs: Sequence[Job], frequency: float) -> Iterator[Recorder | None]:
+def recorded(task_env: TaskEnv, orders: Orders, jobs: Sequence[Job], frequency: float) -> Iterator[Recorder | None]:
     """Yield what stands before an environment and keeps its episodes; None where nobody wants that.
 
     Args:
@@ -60,13 +62,13 @@ def recorded(task_env: Any, orders: Orders, jobs: Sequence[Job], frequency: floa
 class Recorder(Around):
     """A task environment whose episodes are kept; see `recorded`."""
 
-    def __init__(self, task_env: Any, orders: Orders, jobs: Sequence[Job], frequency: float) -> None:
+    def __init__(self, task_env: TaskEnv, orders: Orders, jobs: Sequence[Job], frequency: float) -> None:
         assert orders.demos is not None  # noqa: S101 - for the type checker: `recorded` looks
         super().__init__(task_env)
         self._orders, self._demos, self._jobs = orders, orders.demos, list(jobs)
         self._frequency = frequency
         self._hides = orders.demos.privileged and not orders.settings.privileged
-        self._seen: dict[int, Any] = {}
+        self._seen: dict[int, ObservationDict] = {}
         self._is_asked = False
         self._failed: Exception | None = None
         self._writers: dict[int, trajectory.Writer] = {}
@@ -98,12 +100,12 @@ class Recorder(Around):
             writer.discard()
         self._writers = {}
 
-    def _shown(self, env: int, obs: Any) -> Any:
+    def _shown(self, env: int, obs: ObservationDict) -> ObservationDict:
         """Return an observation as the policy gets it: what only the file is told is not in it."""
         self._seen[env] = obs
         return {key: value for key, value in obs.items() if key != sdk.Obs.PRIVILEGED} if self._hides else obs
 
-    def _before(self, actions: Sequence[Any], envs: Sequence[int]) -> None:
+    def _before(self, actions: Sequence[Action], envs: Sequence[int]) -> None:
         for env, action in zip(envs, actions, strict=False):
             self._add(env, action)
         self._is_asked = False
@@ -111,7 +113,7 @@ class Recorder(Around):
     def _asked(self, seconds: float) -> None:  # noqa: ARG002 - a file tells when, not how long
         self._is_asked = True
 
-    def _add(self, env: int, action: Any) -> None:
+    def _add(self, env: int, action: Action) -> None:
         """Add a step. What goes wrong is raised at the end: a loop would take it for a fault of the policy."""
         if self._failed is not None or env >= len(self._jobs) or env not in self._env.get_running_env_idx_list():
             return
@@ -159,7 +161,7 @@ class Recorder(Around):
         }
 
 
-def _without_depth(obs: Any) -> Any:
+def _without_depth(obs: ObservationDict) -> ObservationDict:
     vision = {
         name: {key: value for key, value in camera.items() if key != sdk.Camera.DEPTH}
         for name, camera in (obs.get(sdk.Obs.VISION) or {}).items()

@@ -6,7 +6,7 @@ The task stays the same, and is judged as ever. A policy that succeeds all the s
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl.observation import get_instruction
@@ -19,13 +19,15 @@ from xpl_cli.evaluation.records.manner import BLANK
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from xpl.contract import ObservationDict
+    from xpl.environment import TaskEnv
     from xpl_cli.evaluation.lanes.backend import Job
 
 _TRIES = 30
 """Seeds that are looked at for one that is about something else."""
 
 
-def retold(env: Any, instead: str, jobs: Sequence[Job], places: int) -> Retold:
+def retold(env: TaskEnv, instead: str, jobs: Sequence[Job], places: int) -> Retold:
     """Return an environment whose observations hold other instructions; it has to be reset afterwards.
 
     Args:
@@ -54,7 +56,7 @@ def retold(env: Any, instead: str, jobs: Sequence[Job], places: int) -> Retold:
     )
 
 
-def _said(env: Any, jobs: Sequence[Job], ahead: int, places: int) -> list[str]:
+def _said(env: TaskEnv, jobs: Sequence[Job], ahead: int, places: int) -> list[str]:
     """Return what the episodes so many seeds ahead are told."""
     reset(env, [replace(job, seed=job.seed + ahead) for job in jobs], places)
     try:
@@ -72,10 +74,10 @@ class Retold(Around):
         texts: what is told instead, by environment.
     """
 
-    def __init__(self, task_env: Any, texts: Sequence[str]) -> None:
+    def __init__(self, task_env: TaskEnv, texts: Sequence[str]) -> None:
         super().__init__(task_env)
         self._texts = list(texts)
 
-    def _shown(self, env: int, obs: dict[str, Any]) -> dict[str, Any]:
+    def _shown(self, env: int, obs: ObservationDict) -> ObservationDict:
         kept = {key: value for key, value in obs.items() if key not in (sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS)}
         return {**kept, sdk.Obs.INSTRUCTION: self._texts[env]}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import Client
 from xpl import _spec as sdk
@@ -13,8 +13,10 @@ from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
+    from xpl.contract import Config
+    from xpl.environment import TaskEnv
     from xpl_cli.evaluation.lanes.backend import Job
 
 _CONNECT_S, _AGAIN_S = 5.0, 0.2
@@ -33,7 +35,7 @@ class Scene:
     """
 
     key: tuple[str, str]
-    env: Any
+    env: TaskEnv
     frequency: float
     camera: str | None
     client: tuple[str, Client] | None = field(default=None)
@@ -43,7 +45,7 @@ class SpoiltError(Exception):
     """The infrastructure broke an attempt off."""
 
 
-def impatient(config: Mapping[str, Any]) -> dict[str, Any]:
+def impatient(config: Config) -> Config:
     """Return a configuration for a client that soon gives up on a server that is gone.
 
     Whoever leads the run starts servers before lanes need them, and again when they have ended. A lane waits as long
@@ -54,7 +56,7 @@ def impatient(config: Mapping[str, Any]) -> dict[str, Any]:
     return {**config, sdk.Deploy.MAX_CONNECT_SECONDS: kept + _CONNECT_S, sdk.Deploy.CONNECT_RETRY_DELAY_S: _AGAIN_S}
 
 
-def reset(env: Any, jobs: Sequence[Job], places: int) -> None:
+def reset(env: TaskEnv, jobs: Sequence[Job], places: int) -> None:
     """Begin episodes; places that are left over get seeds that nobody asked for.
 
     Raises:

@@ -8,16 +8,17 @@ import socket
 import threading
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.serving.launch import ServerStartError, serving
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from contextlib import AbstractContextManager
 
+    from xpl.contract import Config
     from xpl_cli.serving.launch import RunningServer
 
 _ANSWER_S = 2.0
@@ -41,7 +42,7 @@ class ServerOrders:
     policy: str
     policy_digest: str
     checkpoint_digest: str | None = None
-    overrides: Mapping[str, Any] = field(default_factory=dict)
+    overrides: Config = field(default_factory=dict)
     python: str | None = None
     env: str | None = None
     gpu: str | None = None

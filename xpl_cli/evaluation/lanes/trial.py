@@ -6,16 +6,17 @@ Nothing of a seed or a layout is among it, and the name of a trial tells nothing
 from __future__ import annotations
 
 import uuid
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl_cli.basics import console
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from xpl import Client
+    from xpl.contract import Payload
     from xpl_cli.evaluation.lanes.orders import Settings
     from xpl_cli.evaluation.records.model import Ending
 
@@ -23,7 +24,7 @@ _TOLD = ("success", "score", "steps", "end_reason")
 _UNKNOWN = (sdk.ErrorCode.UNKNOWN_MESSAGE_TYPE, sdk.ErrorCode.INVALID_FRAME)
 
 
-def case(settings: Settings) -> dict[str, Any]:
+def case(settings: Settings) -> Payload:
     """Return what is told of a case, its name among it; `settings` are those of the environment."""
     return {
         sdk.Payload.ACTION_CASE_ID: f"{settings.task}/{settings.setting}",
@@ -35,13 +36,13 @@ def case(settings: Settings) -> dict[str, Any]:
     }
 
 
-def outcome(endings: Sequence[Ending]) -> dict[str, Any]:
+def outcome(endings: Sequence[Ending]) -> Payload:
     """Return what is told of how a trial went: of one episode as it is, of several as a list."""
     told = [{name: getattr(ending, name) for name in _TOLD} for ending in endings]
     return told[0] if len(told) == 1 else {"results": told}
 
 
-def begin(client: Client, told: Mapping[str, Any]) -> None:
+def begin(client: Client, told: Payload) -> None:
     """Announce a trial to the policy; a server that does not know how is left alone.
 
     Raises:

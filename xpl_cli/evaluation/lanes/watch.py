@@ -20,7 +20,9 @@ from xpl_cli.evaluation.records.model import Inference
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from xpl.contract import Action, ObservationDict, State
     from xpl.embodiment import Embodiment
+    from xpl.environment import TaskEnv
     from xpl_cli.environments.film import Reel
 
 _CURVES = (sdk.State.ARM_JOINT_STATE, sdk.State.EE_JOINT_STATE, sdk.State.EE_POSE)
@@ -39,7 +41,13 @@ class Watch(Around):
     """
 
     def __init__(
-        self, task_env: Any, embodiment: Embodiment, frequency: float, *, traced: bool = True, reel: Reel | None = None
+        self,
+        task_env: TaskEnv,
+        embodiment: Embodiment,
+        frequency: float,
+        *,
+        traced: bool = True,
+        reel: Reel | None = None,
     ) -> None:
         super().__init__(task_env)
         self._names = [prefix + name for prefix in embodiment.prefixes for name in _CURVES] if traced else []
@@ -83,7 +91,7 @@ class Watch(Around):
         """Return the film as an animated WebP; None where there is none."""
         return None if self._reel is None else self._reel.encoded()
 
-    def _shown(self, _env: int, obs: Any) -> Any:
+    def _shown(self, _env: int, obs: ObservationDict) -> ObservationDict:
         if not self._steps and self._reel is not None and not self._reel.steps:
             self._look()
         state = obs.get(sdk.Obs.STATE) if self._names and isinstance(obs, Mapping) else None
@@ -91,14 +99,14 @@ class Watch(Around):
             self._states.append((self._steps, self._chosen(state)))
         return obs
 
-    def _after(self, actions: Sequence[Any]) -> None:
+    def _after(self, actions: Sequence[Action]) -> None:
         for action in actions:
             if self._names and isinstance(action, Mapping):
                 self._actions.append(self._chosen(action))
             self._steps += 1
             self._look()
 
-    def _chosen(self, values: Mapping[str, Any]) -> list[Any]:
+    def _chosen(self, values: State) -> list[Any]:
         # Copies: a view would keep a whole observation, pictures and all, for as long as the episode lasts.
         return [np.array(values[name], np.float32) if name in values else None for name in self._names]
 

@@ -13,8 +13,10 @@ from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.wire import packed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
+    from xpl.contract import Payload, Result
+    from xpl.environment import TaskEnv
     from xpl.loop.shown import Shown
     from xpl.wire.arrays import Data
     from xpl_cli.evaluation.loop.messages import Question
@@ -51,7 +53,7 @@ class Desk:
         is_untold: whether the loop does not know of it yet.
     """
 
-    def __init__(self, task_env: Any, client: Any, shown: Shown) -> None:
+    def __init__(self, task_env: TaskEnv, client: Any, shown: Shown) -> None:
         self._env = task_env
         self._client = client
         self._shown = shown
@@ -116,12 +118,12 @@ class Desk:
             )
 
 
-def _without_secrets(told: Mapping[str, Any]) -> dict[str, Any]:
+def _without_secrets(told: Result) -> Result:
     """Return what a loop is told of the outcome of an episode."""
     return {key: value for key, value in told.items() if key not in _WITHHELD}
 
 
-def _checked(env: Any, operation: str, arguments: list[Any], options: dict[str, Any]) -> Any:
+def _checked(env: TaskEnv, operation: str, arguments: list[Any], options: dict[str, Any]) -> Any:
     """Run an operation of the environment, if its arguments are of the right form.
 
     What an environment raises is held against the environment, so a loop must not be able to make it raise: nothing of
@@ -149,7 +151,7 @@ def _checked(env: Any, operation: str, arguments: list[Any], options: dict[str, 
         raise
 
 
-def _told(error: Exception) -> dict[str, Any]:
+def _told(error: Exception) -> Payload:
     """Return what a loop is told of an error, which it raises on its side."""
     if isinstance(error, PolicyServerError):
         text, kind = str(error).removeprefix(f"{error.code}: "), PolicyServerError.__name__

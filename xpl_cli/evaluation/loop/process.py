@@ -27,6 +27,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from xpl.environment import TaskEnv
     from xpl.wire.arrays import Data
     from xpl_cli.isolation.sandbox import Isolation
 
@@ -129,7 +130,7 @@ class Loop:
             raise NotFoundError(f"{self._file} has no function {name}")
         return name
 
-    def play(self, task_env: Any, client: Any, *, batch: bool) -> None:
+    def play(self, task_env: TaskEnv, client: Any, *, batch: bool) -> None:
         """Have the loop play a trial, to wherever it plays it.
 
         Args:

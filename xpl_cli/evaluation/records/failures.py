@@ -10,7 +10,7 @@ from xpl.vector import INFRASTRUCTURE
 from xpl_cli.evaluation.records.model import Ending
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from xpl.contract import Result
 
 TASK, POLICY = "task", "policy"
 POLICY_ERROR, POLICY_DIED = "policy_error", "policy_died"
@@ -25,7 +25,7 @@ _SPOILT: dict[str, Any] = {"success": None, "score": None, "failure": INFRASTRUC
 _UNFINISHED = "the evaluation loop returned before the episode had ended"
 
 
-def played(result: Mapping[str, Any]) -> Ending:
+def played(result: Result) -> Ending:
     """Return what an environment's result says of an episode whose loop returned.
 
     Whoever has nothing to succeed at (success None) has no failure either.
@@ -42,12 +42,12 @@ def played(result: Mapping[str, Any]) -> Ending:
     return replace(told, failure=TASK)
 
 
-def failed(result: Mapping[str, Any], reason: str) -> Ending:
+def failed(result: Result, reason: str) -> Ending:
     """Return what is recorded where the policy broke an episode off: no success, and the score that it had come to."""
     return replace(_told(result), success=False, failure=POLICY, end_reason=POLICY_ERROR, error=reason)
 
 
-def died(result: Mapping[str, Any], reason: str) -> Ending:
+def died(result: Result, reason: str) -> Ending:
     """Return what is recorded where a process that runs the adapter's code ended or hung: a failure of the policy.
 
     It may be played again, because machines do kill processes; an episode of which no attempt survives has failed.
@@ -81,6 +81,6 @@ def spoilt(reason: str) -> Ending:
     return Ending(**_SPOILT, error=reason)
 
 
-def _told(result: Mapping[str, Any]) -> Ending:
+def _told(result: Result) -> Ending:
     """Return what an environment says of an episode; whose failure it was is not for it to say."""
     return Ending(**{name: result[name] for name in _TOLD if name in result})

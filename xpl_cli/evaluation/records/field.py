@@ -12,7 +12,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final, NoReturn
 
 from xpl_cli.basics import files
 
@@ -37,7 +37,7 @@ class Entry:
         score: 0 to 1; None where the file has none.
     """
 
-    layout: Any
+    layout: object
     success: bool
     score: float | None
 
@@ -105,7 +105,7 @@ def _content(path: Path) -> str:
         raise FieldResultError(f"it cannot be read ({getattr(error, 'strerror', None) or 'not text'})") from None
 
 
-def _entry(entry: Any) -> Entry:
+def _entry(entry: object) -> Entry:
     if not isinstance(entry, Mapping) or not isinstance(entry.get("success"), bool):
         raise FieldResultError("one of its details has no success, true or false")
     score = entry.get("score")
@@ -114,22 +114,22 @@ def _entry(entry: Any) -> Entry:
     )
 
 
-def _place(item: tuple[str, Any]) -> tuple[int, str]:
+def _place(item: tuple[str, object]) -> tuple[int, str]:
     return (int(item[0]) if item[0].isdecimal() and len(item[0]) < 10 else 10**9, item[0])
 
 
-def _number(value: Any, name: str) -> float:
+def _number(value: object, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise FieldResultError(f"its {name} is no number")
     return float(value)
 
 
-def _share(value: Any, name: str) -> float:
+def _share(value: object, name: str) -> float:
     share = _number(value, name)
     if not 0.0 <= share <= 1.0:
         raise FieldResultError(f"its {name} is {share:g}, expected 0 to 1")
     return share
 
 
-def _refused(name: str) -> Any:
+def _refused(name: str) -> NoReturn:
     raise ValueError(name)

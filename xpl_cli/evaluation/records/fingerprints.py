@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,10 +16,11 @@ from xpl import _spec as sdk
 from xpl import checkpoint
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
+    from xpl.contract import Config
     from xpl_cli.packages.package import Package
 
+Facts = Mapping[str, Any]
+"""What results may depend on besides policy and environment (`machine_facts`)."""
 _LIBRARIES = ("numpy", "mujoco-core", "gymnasium")
 _LEFTOVERS = frozenset({sdk.CHECKPOINT_DIRECTORY, "data", "logs", "results", "runs", "__pycache__"})
 """Folders directly in a package that running leaves there, as the scaffold's .gitignore has it."""
@@ -32,7 +34,7 @@ class Checkpoint:
     digest: str
 
 
-def digest_of(value: Any) -> str:
+def digest_of(value: object) -> str:
     """Return the SHA-256 of a JSON value, whatever the order of its keys."""
     return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
@@ -58,7 +60,7 @@ def package_digest(folder: Path) -> str:
     return digest_of(parts)
 
 
-def checkpoint_of(package: Package, config: Mapping[str, Any]) -> Checkpoint | None:
+def checkpoint_of(package: Package, config: Config) -> Checkpoint | None:
     """Return path and digest of the checkpoint that a configuration leads to; None where it leads to none.
 
     Raises:
@@ -74,7 +76,7 @@ def checkpoint_of(package: Package, config: Mapping[str, Any]) -> Checkpoint | N
     return Checkpoint(shown.as_posix(), hashed(path)[0])
 
 
-def machine_facts() -> dict[str, Any]:
+def machine_facts() -> Facts:
     """Return what results may depend on besides policy and environment: processor, system, versions."""
     from importlib import metadata
 

@@ -8,18 +8,21 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
 
 KINDS: Final = ("run", "machine", "episode")
 MOST_BYTES: Final = 4 << 20
 """What no line comes near: one with a layout of a thousand things has 100 kB."""
 
+Line = Mapping[str, Any]
+"""A line of a record, as the schema has it."""
 _SCHEMA: Final = "record"
 _DEPTH: Final = 64
 _EACH: Final = "*"
@@ -34,7 +37,7 @@ class NotJsonError(LineError):
     """Bytes that are no JSON at all: what may be left of a line that a crash cut short."""
 
 
-def parsed(raw: bytes) -> dict[str, Any]:
+def parsed(raw: bytes) -> Line:
     """Return a line, as the schema has it.
 
     Args:
@@ -66,7 +69,7 @@ def parsed(raw: bytes) -> dict[str, Any]:
         raise LineError(f"expected a map whose kind is one of {', '.join(KINDS)}, got {_shown(kind or line)}")
     if not _validator(kind)(line) or not all(_are_integers(line, path) for path in _integers(kind)):
         raise LineError(_reason(line, kind))
-    found: dict[str, Any] = line
+    found: Line = line
     return found
 
 
@@ -86,14 +89,14 @@ def _finite(text: str) -> float:
 _READER: Final = json.JSONDecoder(parse_float=_finite, parse_constant=_finite)
 
 
-def _is_deeper(value: Any, levels: int) -> bool:
+def _is_deeper(value: object, levels: int) -> bool:
     if not isinstance(value, (dict, list)):
         return False
     inner = value.values() if isinstance(value, dict) else value
     return levels == 0 or any(_is_deeper(entry, levels - 1) for entry in inner)
 
 
-def _is_text(line: Any) -> bool:
+def _is_text(line: object) -> bool:
     try:
         json.dumps(line, ensure_ascii=False).encode()
     except UnicodeEncodeError:
@@ -102,14 +105,14 @@ def _is_text(line: Any) -> bool:
 
 
 @cache
-def _validator(kind: str) -> Callable[[Any], bool]:
+def _validator(kind: str) -> Callable[[object], bool]:
     """Return what tells whether a line of a kind is as the schema says."""
     import jsonschema_rs
 
     schemas = [spec.schema(name) for name in spec.schema_names()]
     registry = jsonschema_rs.Registry([(schema["$id"], schema) for schema in schemas])
     wanted = {"$ref": f"{spec.schema(_SCHEMA)['$id']}#/$defs/{kind}"}
-    found: Callable[[Any], bool] = jsonschema_rs.Draft202012Validator(
+    found: Callable[[object], bool] = jsonschema_rs.Draft202012Validator(
         wanted, registry=registry, validate_formats=True
     ).is_valid
     return found
@@ -150,7 +153,7 @@ def _are_integers(value: Any, path: tuple[str, ...]) -> bool:
     return type(value) is not float
 
 
-def _reason(line: Mapping[str, Any], kind: str) -> str:
+def _reason(line: Line, kind: str) -> str:
     """Return why a line is not as the schema says."""
     from xpl_cli.standard.validate import validate
 
@@ -160,7 +163,7 @@ def _reason(line: Mapping[str, Any], kind: str) -> str:
     return f"{said if len(said) <= _LONGEST else f'{said[:_LONGEST]} ...'}{more}"
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     try:
         text = json.dumps(value)
     except (TypeError, ValueError, RecursionError):

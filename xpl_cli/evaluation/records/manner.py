@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from xpl.contract import Announcement, Config
     from xpl_cli.evaluation.records.model import Plan
 
 _KEY, _NUM_ENVS, _ANNOUNCED, _INSTRUCTION = "xpl.run", "num_envs", "announced", "instruction"
@@ -31,7 +32,7 @@ class Manner:
     """
 
     num_envs: int = 1
-    announced: Mapping[str, Any] | None = None
+    announced: Announcement | None = None
     instruction: str | None = None
 
     @property
@@ -42,7 +43,7 @@ class Manner:
         told += [] if self.instruction is None else [INSTRUCTIONS[self.instruction]]
         return ", ".join(told)
 
-    def written_in(self, config: Mapping[str, Any]) -> dict[str, Any]:
+    def written_in(self, config: Config) -> Config:
         """Return the configuration of a policy with this manner in it."""
         told: dict[str, Any] = {_NUM_ENVS: self.num_envs} if self.num_envs > 1 else {}
         if self.announced is not None:
@@ -64,6 +65,6 @@ def of(plan: Plan) -> Manner:
     return Manner(count, announced if isinstance(announced, Mapping) else None, known)
 
 
-def without(config: Mapping[str, Any]) -> dict[str, Any]:
+def without(config: Config) -> Config:
     """Return the configuration that an adapter is given."""
     return {key: value for key, value in config.items() if key != _KEY}

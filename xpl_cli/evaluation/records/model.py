@@ -16,6 +16,9 @@ from xpl_cli.evaluation.records.fingerprints import Checkpoint, digest_of
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from xpl.contract import Config
+    from xpl_cli.evaluation.records.lines import Line
+
 SCHEMA: Final = "xpl.record/1"
 Place = tuple[str, str]
 """Task and setting."""
@@ -38,7 +41,7 @@ class PlannedPolicy:
     name: str
     spec: str
     digest: str
-    config: Mapping[str, Any]
+    config: Config
     checkpoint: Checkpoint | None = None
 
     @property
@@ -137,7 +140,7 @@ class Plan:
     created: str = ""
 
     @classmethod
-    def parse(cls, line: Mapping[str, Any]) -> Self:
+    def parse(cls, line: Line) -> Self:
         """Return the plan that the first line of a record describes."""
         policy, checkpoint = line["policy"], line["policy"]["checkpoint"]
         told = {key: value for key, value in line.items() if key not in ("kind", "schema")}
@@ -147,7 +150,7 @@ class Plan:
         told["cells"] = [PlannedCell(**cell) for cell in line["cells"]]
         return cls(**told)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Line:
         """Return the first line of a record."""
         return {"kind": "run", "schema": SCHEMA, **asdict(self)}
 
@@ -165,7 +168,7 @@ class Plan:
         return [Slot(index, number, cell.task, cell.setting, seed) for index, (number, cell, seed) in enumerate(seeds)]
 
 
-def name_of(line: Mapping[str, Any]) -> str:
+def name_of(line: Line) -> str:
     """Return the name of the run whose first line this is."""
     return digest_of({key: value for key, value in line.items() if key not in ("run", "created")})
 
@@ -279,7 +282,7 @@ class Episode(Conduct, Ending, Attempt):
     film: File | None = None
 
     @classmethod
-    def parse(cls, line: Mapping[str, Any]) -> Self:
+    def parse(cls, line: Line) -> Self:
         """Return the episode that a line of a record describes."""
         told = {key: value for key, value in line.items() if key != "kind"}
         for name, kind in _PARTS.items():
@@ -287,7 +290,7 @@ class Episode(Conduct, Ending, Attempt):
                 told[name] = kind(**told[name])
         return cls(**told)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Line:
         """Return the line of a record; of what need not be there it has what is known, or may be null."""
         told = {name: value for name, value in vars(self).items() if value is not None or name in _NULL}
         for name in _PARTS.keys() & told.keys():

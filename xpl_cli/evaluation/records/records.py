@@ -14,20 +14,18 @@ import json
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.evaluation.records.fingerprints import digest_of
-from xpl_cli.evaluation.records.lines import LineError, NotJsonError, parsed
+from xpl_cli.evaluation.records.fingerprints import Facts, digest_of
+from xpl_cli.evaluation.records.lines import Line, LineError, NotJsonError, parsed
 from xpl_cli.evaluation.records.model import SCHEMA, Episode, Plan, name_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from xpl_cli.evaluation.records.model import Slot
-
-    Facts = Mapping[str, Any]
 
 FILE = "records.jsonl"
 _NEWLINE = b"\n"
@@ -190,7 +188,7 @@ class Writer:
             )
         return Run(folder, found.plan, found.machines, found.attempts, found.finals)
 
-    def _append(self, line: Mapping[str, Any]) -> None:
+    def _append(self, line: Line) -> None:
         data = json.dumps(line, separators=(",", ":"), ensure_ascii=False).encode() + _NEWLINE
         before = os.fstat(self._descriptor).st_size
         try:
@@ -279,7 +277,7 @@ def _sorted(run: Run, *, torn: bool) -> Run:
     return replace(run, finals=dict(sorted(run.finals.items())), torn=torn)
 
 
-def _plan(line: Mapping[str, Any], where: str) -> Plan:
+def _plan(line: Line, where: str) -> Plan:
     if line["kind"] != "run":
         raise RecordError(f"{where} must be the plan of a run, of schema {SCHEMA}")
     if line["run"] != name_of(line):
@@ -287,7 +285,7 @@ def _plan(line: Mapping[str, Any], where: str) -> Plan:
     return Plan.parse(line)
 
 
-def _add(line: Mapping[str, Any], places: Sequence[Slot], run: Run, where: str) -> None:
+def _add(line: Line, places: Sequence[Slot], run: Run, where: str) -> None:
     """Add what a line after the first tells.
 
     Raises:
@@ -323,7 +321,7 @@ def _take(episode: Episode, run: Run) -> None:
         run.finals[episode.index] = episode
 
 
-def _differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+def _differences(one: Line, other: Line) -> str:
     """Return the names of what differs between two plans, one level into those that are maps."""
     found = []
     for key in sorted((one.keys() | other.keys()) - {"run", "created"}):

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+Curves = dict[str, Any]
+"""What `read` returns."""
 STATE = "state"
 MOST_POINTS = 600
 """Points of a curve; of a longer one every n-th is drawn."""
@@ -29,7 +31,7 @@ _TITLES = {
 }
 
 
-def read(path: Path) -> dict[str, Any]:
+def read(path: Path) -> Curves:
     """Return the curves of a trace, ready for JSON.
 
     Returns:

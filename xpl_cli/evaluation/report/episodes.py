@@ -11,7 +11,7 @@ from xpl import _spec as sdk
 from xpl_cli.basics.strangers import in_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from xpl_cli.evaluation.records.model import Episode
     from xpl_cli.evaluation.records.records import Run
@@ -61,7 +61,7 @@ def packed(run: Run) -> dict[str, Any]:
     """
     pool = _Pool()
     finals = run.finals.values()
-    columns: dict[str, list[Any]] = {name: [getattr(episode, name) for episode in finals] for name in _PLAIN}
+    columns: dict[str, Sequence[object]] = {name: [getattr(episode, name) for episode in finals] for name in _PLAIN}
     columns |= {name: [pool.place(getattr(episode, name)) for episode in finals] for name in _SHARED}
     columns["outcome"] = [pool.place(verdict(episode)) for episode in finals]
     columns["attempt"] = [episode.attempt for episode in finals]
@@ -80,7 +80,7 @@ def table(run: Run) -> str:
     return as_csv(_COLUMNS, (_row(episode) for episode in run.finals.values()))
 
 
-def as_csv(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+def as_csv(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     """Return a table as CSV; what a spreadsheet would take for a formula is made a text."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
@@ -92,10 +92,10 @@ class _Pool:
     """Values, each kept once."""
 
     def __init__(self) -> None:
-        self.values: list[Any] = []
+        self.values: list[object] = []
         self._places: dict[str, int] = {}
 
-    def place(self, value: Any) -> int:
+    def place(self, value: object) -> int:
         key = value if isinstance(value, str) else json.dumps(value)
         known = self._places.setdefault(f"{type(value).__name__} {key}", len(self.values))
         if known == len(self.values):
@@ -108,7 +108,7 @@ def _milliseconds(episode: Episode) -> float | None:
     return None if seconds is None else round(1000 * seconds, 2)
 
 
-def _row(episode: Episode) -> list[Any]:
+def _row(episode: Episode) -> list[object]:
     """Return the values of a line of the table."""
     success, inference = episode.success, episode.inference
     known = {

@@ -6,7 +6,7 @@ import base64
 import hashlib
 import itertools
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import UserError
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.evaluation.records.model import Episode, File
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.report.curves import Curves
 
 TRACE, FILM = "trace", "film"
 MEDIA_TYPES = {
@@ -29,7 +30,30 @@ MEDIA_TYPES = {
 }
 
 
-def shown(run: Run, budget: int, link: str) -> dict[str, dict[str, Any]]:
+class Film(TypedDict):
+    """Where a film is, and whether it is a video, or else a picture that moves."""
+
+    source: str
+    video: bool
+
+
+class Shown(TypedDict, total=False):
+    """What the page shows of an episode.
+
+    Attributes:
+        film: of it.
+        curves: of it (`curves.read`).
+        trace: address of the file with its curves, where they are not embedded.
+        problem: a sentence, where a file is gone or was changed.
+    """
+
+    film: Film
+    curves: Curves
+    trace: str
+    problem: str
+
+
+def shown(run: Run, budget: int, link: str) -> dict[str, Shown]:
     """Return what the page shows of each episode that has a film or curves.
 
     Args:
@@ -38,12 +62,11 @@ def shown(run: Run, budget: int, link: str) -> dict[str, dict[str, Any]]:
         link: how the page's folder reaches the run's, with a slash at the end unless it is empty.
 
     Returns:
-        By index: `film` with `source`, an address, and `video`; `curves`, or `trace`, the address of the file;
-        `problem`, a sentence, where a file is gone or was changed.
+        what is shown, by index.
     """
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, Shown] = {}
     for episode in _in_turn(run):
-        entry: dict[str, Any] = {}
+        entry: Shown = {}
         for kind, file in ((FILM, episode.film), (TRACE, episode.trace)):
             if file is None:
                 continue
@@ -78,7 +101,7 @@ def locate(folder: Path, file: File, kind: str) -> Path:
     return path
 
 
-def _piece(kind: str, path: Path, file: File, budget: int) -> tuple[dict[str, Any] | None, int]:
+def _piece(kind: str, path: Path, file: File, budget: int) -> tuple[Shown | None, int]:
     """Return a film or curves to embed and their size; nothing where the budget does not bear them."""
     if path.stat().st_size > budget:
         return None, 0
@@ -86,7 +109,7 @@ def _piece(kind: str, path: Path, file: File, budget: int) -> tuple[dict[str, An
     if hashlib.sha256(content).hexdigest() != file.digest:
         raise UserError(f"{file.path} is not what was recorded: its digest differs")
     if kind == TRACE:
-        piece: dict[str, Any] = {"curves": curves.read(path)}
+        piece: Shown = {"curves": curves.read(path)}
         size = len(json.dumps(piece))
     else:
         address = f"data:{_media_type(path)};base64,{base64.b64encode(content).decode()}"
@@ -94,12 +117,11 @@ def _piece(kind: str, path: Path, file: File, budget: int) -> tuple[dict[str, An
     return (None, 0) if size > budget else (piece, size)
 
 
-def _linked(kind: str, address: str) -> dict[str, Any]:
+def _linked(kind: str, address: str) -> Shown:
     if kind == TRACE:
-        return {TRACE: address}
-    return {
-        FILM: {"source": address, "video": address.startswith("data:video/") or address.endswith((".mp4", ".webm"))}
-    }
+        return {"trace": address}
+    is_video = address.startswith("data:video/") or address.endswith((".mp4", ".webm"))
+    return {"film": {"source": address, "video": is_video}}
 
 
 def _media_type(path: Path) -> str:

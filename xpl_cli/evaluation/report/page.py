@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.basics import pages
 from xpl_cli.evaluation.report import episodes
@@ -12,10 +12,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.report.media import Shown
     from xpl_cli.evaluation.statistics.summaries import Summary
 
 
-def render(run: Run, summary: Summary, media: Mapping[str, Mapping[str, Any]]) -> str:
+def render(run: Run, summary: Summary, media: Mapping[str, Shown]) -> str:
     """Return the page of a run.
 
     Args:
@@ -32,7 +33,7 @@ def render(run: Run, summary: Summary, media: Mapping[str, Mapping[str, Any]]) -
     )
 
 
-def _media_said(media: Mapping[str, Mapping[str, Any]]) -> str:
+def _media_said(media: Mapping[str, Shown]) -> str:
     """Return what there is to see of the episodes."""
     films = sum("film" in entry for entry in media.values())
     drawn = sum("curves" in entry or "trace" in entry for entry in media.values())

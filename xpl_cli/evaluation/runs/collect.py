@@ -13,7 +13,7 @@ import contextlib
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
@@ -32,6 +32,7 @@ from xpl_cli.packages import environments, package
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from xpl.contract import Config
     from xpl_cli.basics.progress import Progress
     from xpl_cli.evaluation.lanes.orders import Demos
     from xpl_cli.evaluation.records.model import Episode
@@ -81,7 +82,7 @@ class Request:
     films: int = 0
     workers: int | None = 1
     resume: bool = False
-    overrides: dict[str, Any] | None = None
+    overrides: Config | None = None
     runtime: Runtime = field(default_factory=Runtime)
 
 
@@ -207,7 +208,7 @@ def _player(request: Request) -> Package:
     )
 
 
-def _asked(request: Request) -> tuple[dict[str, Any], Wishes]:
+def _asked(request: Request) -> tuple[Config, Wishes]:
     """Return the keys of deploy.yml that the policy is given, and what is to be played."""
     first = None if request.tasks in (None, plan.ALL) else request.tasks.partition(",")[0]
     facts = environments.manifest(environments.find(request.environment))

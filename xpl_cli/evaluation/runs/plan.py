@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl import get_embodiment
@@ -18,9 +18,10 @@ from xpl_cli.packages import environments, robots
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
+    from xpl.contract import Config
     from xpl.manifest import EnvManifest
     from xpl_cli.packages.package import Package
 
@@ -64,9 +65,7 @@ class Planned:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def make(
-    package: Package, folder: Path, config: Mapping[str, Any], wishes: Wishes, manner: Manner | None = None
-) -> Planned:
+def make(package: Package, folder: Path, config: Config, wishes: Wishes, manner: Manner | None = None) -> Planned:
     """Return the plan of a run.
 
     Args:
@@ -104,7 +103,7 @@ def renewed(recorded: Plan, package: Package, folder: Path, manner: Manner) -> P
     return replace(recorded, policy=policy, environment=environment).named()
 
 
-def _served_from(package: Package, version: str, config: Mapping[str, Any], manner: Manner) -> PlannedPolicy:
+def _served_from(package: Package, version: str, config: Config, manner: Manner) -> PlannedPolicy:
     """Return what a plan says of what answers for the policy: files, or what a foreign server announced."""
     if manner.announced is not None:
         digest = digest_of(dict(manner.announced))

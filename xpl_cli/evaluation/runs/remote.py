@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl import Client
 from xpl import _spec as sdk
@@ -16,8 +16,7 @@ from xpl_cli.packages import package
 from xpl_cli.serving.secrets import client_tls_context
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
+    from xpl.contract import Announcement, Config
     from xpl_cli.packages.package import Package
 
 WHOLE: Final = 1 << 16
@@ -40,7 +39,7 @@ class Remote:
     ca_file: Path | None = None
 
 
-def announced(remote: Remote, config: Mapping[str, Any]) -> dict[str, Any]:
+def announced(remote: Remote, config: Config) -> Announcement:
     """Connect to a server, and return what it says of itself and of its policy.
 
     A server that announces nothing, as those of other makes, still tells its generation.
@@ -63,7 +62,7 @@ def announced(remote: Remote, config: Mapping[str, Any]) -> dict[str, Any]:
         raise UserError(f"{remote.url}: {error}", code=ExitCode.NOT_RUN) from None
 
 
-def package_of(name: str, told: Mapping[str, Any] | None, overrides: Mapping[str, Any]) -> Package:
+def package_of(name: str, told: Announcement | None, overrides: Config) -> Package:
     """Return an adapter, or what stands for it where it is served elsewhere and its package is not here.
 
     Args:

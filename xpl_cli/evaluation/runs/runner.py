@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import atomic
@@ -18,10 +18,11 @@ from xpl_cli.evaluation.records.model import Episode, File
 from xpl_cli.evaluation.records.records import RecordError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from xpl_cli.evaluation.lanes.backend import Backend, Job, Outcome
+    from xpl_cli.evaluation.records.fingerprints import Facts
     from xpl_cli.evaluation.records.model import Plan
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.runs.schedule import Schedule
@@ -40,7 +41,7 @@ class Sink(Protocol):
 
     run: Run
 
-    def machine(self, facts: Mapping[str, Any]) -> str:
+    def machine(self, facts: Facts) -> str:
         """Return the digest of a machine's facts."""
 
     def add(self, line: Episode) -> None:

@@ -15,6 +15,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from xpl.contract import Config
     from xpl.manifest import Manifest
     from xpl_cli.packages.package import Package
 
@@ -37,7 +38,7 @@ def environment_for(variable: str | None = None) -> str:
     return str(name)
 
 
-def benchmark_for(config: Mapping[str, Any]) -> str | None:
+def benchmark_for(config: Config) -> str | None:
     """Return the environment of the benchmark that deploy.yml names, if one here plays its task; None if not.
 
     Launchers of the ecosystem say the benchmark by `bench_name`. `EVAL_ENV_TYPE` goes before it where it asks for
@@ -55,7 +56,7 @@ def benchmark_for(config: Mapping[str, Any]) -> str | None:
     return None
 
 
-def with_robot(package: Package, environment: str, overrides: Mapping[str, Any]) -> dict[str, Any]:
+def with_robot(package: Package, environment: str, overrides: Config) -> Config:
     """Return overrides with the first robot of policy.yml that the environment has, where nobody named one.
 
     Args:
@@ -75,7 +76,7 @@ def with_robot(package: Package, environment: str, overrides: Mapping[str, Any])
 def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs from another
     package: Package,
     environment: str,
-    config: Mapping[str, Any],
+    config: Config,
     *,
     task: str | None = None,
     setting: str | None = None,
