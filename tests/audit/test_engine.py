@@ -188,13 +188,6 @@ def test_a_crash_says_what_and_where(room: Room, adapter: Path) -> None:
     assert result.reason == f"ZeroDivisionError: on purpose ({file}:{len(file.read_text().splitlines())})"
 
 
-def test_a_rule_that_cannot_be_imported_is_an_error_and_hides_no_other(room: Room, adapter: Path) -> None:
-    file = room.rule("broken", "yield from ()", code="XPL101")
-    file.write_text('"""XPL101: A rule of a test."""\n\ndef broken(:\n')
-    room.rule("sound", "yield from ()", code="XPL102")
-    assert outcomes(adapter) == {"broken": Outcome.ERROR, "sound": Outcome.PASS}
-
-
 def test_rules_that_wait_for_each_other_are_a_mistake_of_the_registry(room: Room, adapter: Path) -> None:
     room.rule("one", "yield from ()", code="XPL101", after=("two",))
     room.rule("two", "yield from ()", code="XPL102", after=("three",))

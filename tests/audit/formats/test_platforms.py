@@ -39,44 +39,16 @@ def context(tmp_path: Path) -> Context:
 
 
 def test_sarif_is_what_code_scanning_reads(context: Context) -> None:
-    """Schema, and that results refer to their rules."""
+    """The schema holds, and results refer to their rules; MUST is an error, and what was waived no alert."""
     document = json.loads(render("sarif", sample.reports(), context))
     assert sample.problems(document, "sarif") == []
     (run,) = document["runs"]
     rules = run["tool"]["driver"]["rules"]
     assert all(rules[result["ruleIndex"]]["id"] == result["ruleId"] for result in run["results"])
+    assert all((result["level"] == "warning") == (result["ruleId"] == "XPL120") for result in run["results"])
+    assert "build.example" not in json.dumps(run)
     assert run["invocations"][0]["executionSuccessful"] is False
     assert len(run["invocations"][0]["toolExecutionNotifications"]) == 3
-
-
-def test_sarif_levels_follow_the_outcome_and_waived_findings_are_no_alerts(context: Context) -> None:
-    """MUST is an error, SHOULD a warning; an alert for what was accepted would be noise."""
-    (run,) = json.loads(render("sarif", sample.reports(), context))["runs"]
-    assert {(result["ruleId"], result["level"]) for result in run["results"]} == {
-        ("XPL101", "error"),
-        ("XPL109", "error"),
-        ("XPL110", "error"),
-        ("XPL120", "warning"),
-        ("XPL130", "error"),
-    }
-    assert "build.example" not in json.dumps(run)
-
-
-def test_sarif_carries_the_whole_documentation_of_a_rule(context: Context) -> None:
-    """Its Markdown is shown beside the alert."""
-    (run,) = json.loads(render("sarif", sample.reports(), context))["runs"]
-    told = run["tool"]["driver"]["rules"][0]["help"]["markdown"]
-    assert sample.RULES["XPL101"].documentation in told
-    assert "XPL-PKG-1 (MUST)" in told
-
-
-def test_a_rule_that_cannot_be_imported_is_in_sarif_all_the_same(context: Context) -> None:
-    """Its crash has to reach the reader, without the documentation that nobody can read."""
-    broken = Result("XPL199", "broken", "", "must", Outcome.ERROR, reason="ImportError: no")
-    report = TargetReport("policy/Foo", "Foo", "policy", [GateReport(Gate.STATIC, [broken])])
-    document = json.loads(render("sarif", [report], context))
-    assert sample.problems(document, "sarif") == []
-    assert document["runs"][0]["invocations"][0]["toolExecutionNotifications"][0]["associatedRule"]["id"] == "XPL199"
 
 
 def test_every_real_rule_fits_into_sarif(context: Context) -> None:
@@ -191,13 +163,8 @@ def test_github_gets_ten_of_a_kind_and_is_told_of_the_rest(count: int, context: 
     assert [entry["kind"] for entry in kinds].count("error") == min(count, CAP)
     assert [entry["kind"] for entry in kinds].count("warning") == min(count, CAP)
     told = [entry["message"] for entry in kinds if entry["kind"] == "notice"]
-    assert told.pop(0).startswith("policy/Foo: RED 1 rule failed (XPL109)")
-    if count <= CAP:
-        assert told == []
-    else:
-        more = "s" if count - CAP > 1 else ""
-        assert told[0].startswith(f"{count - CAP} more error{more} and {count - CAP} more warning{more} not shown")
-        assert "xpl audit policy/Foo" in told[0]
+    assert len(told) == 1 + (count > CAP)  # the verdict, and what was left out
+    assert count <= CAP or f"{count - CAP} more error" in told[1]
 
 
 # -- rdjson ------------------------------------------------------------------------------------------------------------

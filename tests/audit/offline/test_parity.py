@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from xpl_cli.audit.offline.parity.course import Course
 from xpl_cli.audit.offline.parity.fact import Compared, Parity
 from xpl_cli.audit.offline.parity.judgement import Judgement
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Finding, Outcome, Result
+from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, Result
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.native import names, pairs, record, script
 from xpl_cli.native.pairs import Session
@@ -274,18 +275,19 @@ def test_an_adapter_that_refuses_a_question_is_told_so(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
-    """Never recorded, or damaged; a version of the standard that does not ask for it."""
-    folder = parity.made(tmp_path / "Foo")
-    result = audited(folder)
-    assert (result.outcome, "was never recorded" in str(result.reason)) == (Outcome.NOT_RUN, True)
-    (folder / names.PAIRS).write_text("{}")
-    result = audited(folder)
-    assert (result.outcome, "missing" in str(result.reason)) == (Outcome.NOT_RUN, True)
-    for name in (names.CODE, names.PAIRS):
-        (folder / name).unlink()
-    result = audited(folder)
-    assert result.outcome is Outcome.NOT_APPLICABLE
-    assert result.reason == "there is no native.py: the conversions are unproven"
+    """Never recorded or damaged is not run; without the authors' code there is nothing to run."""
+
+    def told() -> str:
+        probe: Any = SimpleNamespace(package=SimpleNamespace(path=tmp_path), config={})
+        with pytest.raises((NotRun, NotApplicable)) as raised:
+            Parity(probe).pairs  # noqa: B018 - what is asked for
+        return raised.typename
+
+    assert told() == "NotApplicable"
+    (tmp_path / names.CODE).write_text("CONVENTIONS = {}\n")
+    assert told() == "NotRun"
+    (tmp_path / names.PAIRS).write_text("{}")
+    assert told() == "NotRun"
 
 
 @pytest.mark.slow

@@ -72,14 +72,6 @@ def test_a_policy_as_it_was_trained_is_green_and_says_by_how_many_episodes(works
     assert "demonstrations (6 episodes)" in json.loads(ran.stdout)["targets"][0]["statement"]
 
 
-def test_without_the_weights_it_is_not_run(workspace: Path) -> None:
-    """In shadow mode nothing can be said, and that is no success."""
-    ran = _audit(workspace, "Right", "--demos", "demos", "--json", "--shadow")
-    assert ran.returncode == ExitCode.NOT_RUN
-    result = _result(ran)
-    assert (result["outcome"], "only the real model can tell" in result["reason"]) == ("not_run", True)
-
-
 @pytest.mark.slow
 def test_episodes_that_differ_from_the_declared_ones_are_not_used(workspace: Path, tmp_path: Path) -> None:
     """`xpl data declare` writes digests; as long as they hold the audit looks without `--demos`, and then no more."""
