@@ -39,37 +39,11 @@ FITTING: dict[str, Any] = {
     "control_frequency": 20.0,
     "inputs": ["vision.cam_third_view", "vision.cam_head", "instruction"],
 }
-MISMATCHES: list[Any] = [
-    pytest.param(
-        {"embodiment": "piper"}, ["embodiment"], "started for embodiment franka_single, the environment has piper",
-        id="embodiment",
-    ),
-    pytest.param(
-        {"embodiment": "unicycle"}, ["embodiment"], "for embodiment franka_single, the environment has unicycle",
-        id="unknown embodiment",
-    ),
-    pytest.param(
-        {"action_type": "ee"}, ["action_type"], "started for action_type joint, the environment has ee",
-        id="action type",
-    ),
-    pytest.param(
-        {"control_frequency": 30}, ["control_frequency"], "meant for 20 Hz, the environment executes them at 30 Hz",
-        id="control frequency",
-    ),
-    pytest.param(
-        {"inputs": ["instruction"]}, ["inputs"], "does not offer vision.cam_head",
-        id="one input",
-    ),
-    pytest.param(
-        {"inputs": []}, ["inputs"], "does not offer instruction, vision.cam_head",
-        id="no input",
-    ),
-    pytest.param(
-        {"action_type": "ee", "control_frequency": 10, "inputs": []}, ["action_type", "control_frequency", "inputs"],
-        "has ee; .* at 10 Hz; .* does not offer instruction",
-        id="several",
-    ),
-]  # fmt: skip
+MISMATCHES: list[tuple[dict[str, Any], list[str]]] = [
+    ({"embodiment": "unicycle"}, ["embodiment"]),
+    ({"action_type": "ee", "control_frequency": 10, "inputs": []}, ["action_type", "control_frequency", "inputs"]),
+]
+"""What differs from the environment above; tests/client/test_agreement.py has each difference and its sentence."""
 
 
 @pytest.fixture(scope="module")
@@ -79,13 +53,13 @@ def shared(write_adapter: Callable[..., Path]) -> Iterator[RunningServer]:
         yield server
 
 
-@pytest.mark.parametrize(("change", "fields", "message"), MISMATCHES)
+@pytest.mark.parametrize(("change", "fields"), MISMATCHES)
 def test_an_environment_that_does_not_fit_is_refused_before_the_first_step(
-    shared: RunningServer, change: dict[str, Any], fields: list[str], message: str
+    shared: RunningServer, change: dict[str, Any], fields: list[str]
 ) -> None:
     """With every difference, at once: neither client tries again, and no place is taken."""
     environment = {**FITTING, **change}
-    with pytest.raises(EnvironmentMismatchError, match=f"policy and environment do not fit: .*{message}") as refusal:
+    with pytest.raises(EnvironmentMismatchError, match="policy and environment do not fit: ") as refusal:
         Client(shared.url, environment=environment)
     assert isinstance(refusal.value, PolicyServerError)
     assert (refusal.value.code, refusal.value.details["reason"]) == ("invalid_frame", "mismatch")
@@ -105,17 +79,7 @@ def test_an_environment_that_does_not_fit_is_refused_before_the_first_step(
     Client(shared.url, environment=FITTING, config={"max_connect_attempts": 1}).close()
 
 
-@pytest.mark.parametrize(
-    "environment",
-    [
-        FITTING,
-        {},
-        None,
-        {**FITTING, "embodiment": None, "inputs": None},
-        {"control_frequency": 20},
-        {**FITTING, "simulator": "another key"},
-    ],
-)
+@pytest.mark.parametrize("environment", [FITTING, None, {**FITTING, "embodiment": None, "inputs": None, "more": 1}])
 def test_an_environment_that_fits_is_served(shared: RunningServer, environment: dict[str, Any] | None) -> None:
     """What one side does not say is not compared; the client can read what the policy needs."""
     with Client(shared.url, environment=environment) as client:
@@ -141,7 +105,6 @@ def test_what_is_no_environment_does_not_break_the_server(shared: RunningServer,
     ("setting", "said"),
     [
         ("env_cfg_type=arx_x5", "declares the embodiments franka_single, piper, got env_cfg_type: arx_x5"),
-        ("env_cfg_type=unicycle", "got env_cfg_type: unicycle"),
         ("action_type=ee", "declares the action types joint, got action_type: ee"),
     ],
 )

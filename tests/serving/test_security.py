@@ -211,13 +211,6 @@ def test_what_is_not_safe_is_refused_before_anything_starts(
     assert "Traceback" not in run.stderr
 
 
-def test_insecure_says_that_no_token_is_wanted(subject: Path, serve: Callable[..., RunningServer]) -> None:
-    """Then every machine that reaches the address is let in."""
-    server = serve(subject, options=["--host", "0.0.0.0", "--insecure"])  # noqa: S104
-    with Client(server.url, config=ONCE) as client:
-        assert client.infer({}) == [1]
-
-
 # -- TLS ---------------------------------------------------------------------------------------------------------------
 
 
@@ -297,24 +290,18 @@ def hasty(subject: Path) -> Iterator[RunningServer]:
         yield server
 
 
-@pytest.mark.parametrize("begun", [b"", b"GET / HTTP/1.1\r\nHost: x\r\n"], ids=["silent", "half a request"])
-def test_a_connection_that_asks_for_nothing_is_ended(hasty: RunningServer, begun: bytes) -> None:
-    """Once the handshake's time is over."""
-    with dial(hasty.url) as silent:
-        silent.sendall(begun)
-        with contextlib.suppress(ConnectionResetError):
-            while silent.recv(4096):
-                pass
-    with Client(hasty.url, config=ONCE) as client:
-        client.heartbeat()
-
-
-def test_a_websocket_that_never_says_hello_is_told_so_and_closed(hasty: RunningServer) -> None:
-    """With the wire's code; one that said something may be silent afterwards."""
-    with greeted(hasty.url) as client:
-        silent = Raw(hasty.url)
+def test_connections_that_say_nothing_are_ended(hasty: RunningServer) -> None:
+    """Once the handshake's time is over, a WebSocket with the wire's code; one that spoke may be silent afterwards."""
+    begun = (b"", b"GET / HTTP/1.1\r\nHost: x\r\n")
+    with greeted(hasty.url) as client, contextlib.closing(Raw(hasty.url)) as silent, contextlib.ExitStack() as stack:
+        connections = [stack.enter_context(dial(hasty.url)) for _ in begun]
+        for connection, data in zip(connections, begun, strict=True):
+            connection.sendall(data)
         assert silent.closed() == (NO_HELLO, "nothing was said within 2 s")
-        silent.close()
+        for connection in connections:
+            with contextlib.suppress(ConnectionResetError):
+                while connection.recv(4096):
+                    pass
         assert client.ask("heartbeat").message_type == "heartbeat_ack"
 
 
