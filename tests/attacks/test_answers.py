@@ -155,7 +155,6 @@ LONGEST = 3 * telling.SENTENCE
 
 @pytest.fixture(scope="module")
 def subject(write_adapter: Callable[..., Path]) -> Path:
-    """Return the folder of the model above."""
     return write_adapter(MODEL)
 
 
@@ -167,7 +166,6 @@ def server(subject: Path) -> Iterator[RunningServer]:
 
 
 def worker(server: RunningServer) -> int:
-    """Return the process of the worker."""
     number: int = json.loads(page(server.url, "/healthz")[1])["workers"][0]["process"]
     return number
 
@@ -198,7 +196,6 @@ def test_the_log_of_an_error_is_not_forged(server: RunningServer) -> None:
 
 
 def test_the_log_of_a_frame_is_not_forged(server: RunningServer) -> None:
-    """Nor does what a client calls things."""
     with greeted(server.url) as peer:
         peer.send("\n[server] all is well\x1b[2J")
         peer.receive()
@@ -216,7 +213,6 @@ def test_the_log_of_a_frame_is_not_forged(server: RunningServer) -> None:
 def test_one_client_of_a_shared_model_never_costs_another_its_answer(
     write_adapter: Callable[..., Path], serve: Callable[..., RunningServer]
 ) -> None:
-    """Whatever is raised in their common batch."""
     server = serve(write_adapter(MODEL, serving={"shared": True}))
     with greeted(server.url) as bad, greeted(server.url) as good:
         for name in ("surrogate", "unspeakable", "stops", "generator"):
@@ -363,7 +359,6 @@ def test_structures_that_a_client_makes_up_are_not_kept() -> None:
 
 
 def test_a_structure_of_too_many_fields_is_refused() -> None:
-    """Before anything is made of them."""
     kind = [[f"f{number}", "<f4"] for number in range(5000)]
     tree = json.dumps({"@array": [0, kind, [0]]}).encode()
     with pytest.raises(packed.PackingError, match="fields"):

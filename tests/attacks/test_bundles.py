@@ -37,7 +37,6 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, bytes], d
 
 @pytest.fixture(scope="module")
 def packed(sound: tuple[dict[str, bytes], dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Return the bytes of that bundle."""
     return bundles.archived(tmp_path_factory.mktemp("packed") / "sound.zip", *sound).read_bytes()
 
 
@@ -134,7 +133,6 @@ def test_odd_names_are_refused(name: str, packed: bytes, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFIFO, stat.S_IFCHR, stat.S_IFDIR, stat.S_IFSOCK])
 def test_what_is_no_file_is_not_unpacked(kind: int, packed: bytes, tmp_path: Path) -> None:
-    """Links, pipes, devices, folders."""
     path = tmp_path / "link.zip"
     path.write_bytes(packed)
     with zipfile.ZipFile(path, "a") as odd:

@@ -58,7 +58,6 @@ def rude_server(farewell: bytes) -> Iterator[str]:
 
 @pytest.mark.parametrize("farewell", FAREWELLS.values(), ids=FAREWELLS)
 def test_a_server_that_closes_after_the_handshake_is_an_error_of_ours(farewell: bytes) -> None:
-    """And none of the library below."""
     with rude_server(farewell) as url, pytest.raises(ClientError):
         Client(url, config=ONCE)
     with rude_server(farewell) as url, pytest.raises(ClientError):

@@ -42,7 +42,6 @@ ONCE: dict[str, Any] = {"max_connect_attempts": 1, "connect_timeout_s": DEADLINE
 
 @pytest.fixture(scope="module")
 def subject(write_adapter: Callable[..., Path]) -> Path:
-    """Return the folder of an adapter."""
     return write_adapter(MODEL)
 
 
@@ -56,7 +55,6 @@ def server(subject: Path) -> Iterator[RunningServer]:
 
 @pytest.fixture(scope="module")
 def guarded(subject: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
-    """Serve it to who knows the token."""
     secret = tmp_path_factory.mktemp("secret") / "token"
     secret.write_text(TOKEN, encoding="ascii")
     secret.chmod(0o600)
@@ -142,7 +140,6 @@ def test_exactly_one_token_counts(guarded: RunningServer, other: str) -> None:
     [["--allow-host", "gpu:80"], ["--allow-host", ""], ["--allow-origin", "evil.example"], ["--allow-origin", "*"]],
 )
 def test_what_is_no_name_is_not_allowed(subject: Path, tmp_path: Path, arguments: list[str]) -> None:
-    """One sentence says what it should be."""
     run = xpl("serve", str(subject), "--port", "0", *arguments, cwd=tmp_path)
     assert (run.returncode, run.stdout) == (ExitCode.USAGE, "")
     assert f"{arguments[0]} takes" in run.stderr
@@ -164,7 +161,6 @@ def test_no_header_ends_in_more_than_a_sentence(hosts: list[str], origins: list[
 
 
 def test_a_name_is_checked_when_it_is_given() -> None:
-    """Not when the first client comes."""
     for given_names in ({"hosts": ["a b"]}, {"origins": ["https://"]}, {"origins": ["https://a/path"]}):
         with pytest.raises(UserError):
             Names("localhost", **given_names)
@@ -219,7 +215,6 @@ def test_a_refusal_never_raises(server: RunningServer, lines: list[str]) -> None
 
 
 def still_served(server: RunningServer) -> None:
-    """Connect as an honest client does, once."""
     with Client(server.url, config=ONCE) as client:
         assert client.infer({}) == [1]
 
@@ -276,7 +271,6 @@ def test_a_server_without_descriptors_turns_away_and_goes_on(tmp_path: Path) -> 
 
 
 def accepted(listening: socket.socket) -> bool:
-    """Accept a connection, if there is one."""
     with contextlib.suppress(BlockingIOError):
         listening.accept()[0].close()
         return True

@@ -35,7 +35,6 @@ def git(folder: Path, *arguments: str) -> str:
 
 
 def package(folder: Path, model: str = MODEL) -> Path:
-    """Write what counts as an adapter."""
     folder.mkdir(parents=True)
     (folder / "policy.yml").write_text("spec: v1\n")
     (folder / "model.py").write_text(model)
@@ -66,7 +65,6 @@ def marker(tmp_path: Path) -> Path:
 
 
 def ran(marker: Path) -> bool:
-    """Tell whether a program was run."""
     return (marker.parent / "ran").exists()
 
 
@@ -135,7 +133,6 @@ def test_auditing_all_runs_nothing_either(repository: Path, marker: Path) -> Non
 
 
 def test_a_folder_above_that_looks_like_a_repository_is_none(repository: Path, marker: Path) -> None:
-    """Between the package and the top, too."""
     embed(repository / "policy", marker)
     with pytest.raises(UserError, match="lies in a repository of its own"):
         select_changed("main", [find_target(repository / "policy/Foo")])

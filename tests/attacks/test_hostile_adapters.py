@@ -188,13 +188,11 @@ def test_time_that_is_over_ends_an_audit(audit: Callable[..., Any], write_adapte
 
 @pytest.mark.parametrize(("text", "seconds"), [("90s", 90.0), ("60m", 3600.0), ("1.5 h", 5400.0), ("20", 20.0)])
 def test_a_time_limit_is_read(text: str, seconds: float) -> None:
-    """In the units that people use."""
     assert Clock.parse(text).seconds == seconds
 
 
 @pytest.mark.parametrize("text", ["", "soon", "0", "-1h", "5 days", "1e9"])
 def test_what_is_no_time_is_refused(text: str) -> None:
-    """With the forms that there are."""
     with pytest.raises(UserError, match=r"90s.*60m.*none"):
         Clock.parse(text)
 
@@ -247,7 +245,6 @@ def test_a_process_that_waits_gives_no_sign_of_life() -> None:
 
 
 def test_a_process_that_asks_for_memory_makes_headway() -> None:
-    """However little processor time it takes."""
     with _running("print(flush=True)\nkept = []\nwhile input() is not None: kept.append(b'x' * 9_000_000)") as process:
         assert process.stdin is not None
         now = time.monotonic()

@@ -44,7 +44,6 @@ def server(write_adapter: Callable[..., Path]) -> Iterator[RunningServer]:
 
 
 def bomb(width: int, height: int) -> bytes:
-    """Return a PNG of one colour."""
     rows = zlib.compressobj(9)
     data = [rows.compress(bytes(1 + width)) for _ in range(height)]
     return png(struct.pack("!IIBBBBB", width, height, 8, 0, 0, 0, 0), b"".join([*data, rows.flush()]))
@@ -61,7 +60,6 @@ def png(header: bytes, data: bytes, *more: tuple[bytes, bytes]) -> bytes:
 
 
 def seen(*colors: bytes) -> dict[str, Any]:
-    """Return an observation with encoded images."""
     return {"vision": {f"cam_{number}": {"color": color} for number, color in enumerate(colors)}}
 
 
@@ -129,7 +127,6 @@ def test_a_header_that_lies_is_refused(data: bytes) -> None:
 
 
 def encoded(image: np.ndarray, kind: str) -> bytes:
-    """Return an image in a format."""
     target = io.BytesIO()
     Image.fromarray(image).save(target, kind, **({"lossless": True} if kind == "WEBP" else {}))
     return target.getvalue()
@@ -139,7 +136,6 @@ def encoded(image: np.ndarray, kind: str) -> bytes:
 @settings(max_examples=8, deadline=None)
 @given(width=st.integers(1, 80), height=st.integers(1, 80))
 def test_the_size_in_a_header_is_that_of_the_image(kind: str, width: int, height: int) -> None:
-    """In every format that is read."""
     data = encoded(np.zeros((height, width, 3), np.uint8), kind)
     assert images.size_of(data) == (width, height)
     assert images.decode(data).shape == (height, width, 3)
@@ -150,7 +146,6 @@ ANIMATED = {"save_all": True, "append_images": [Image.new("RGB", (9, 4))]}
 
 @pytest.mark.parametrize("options", [{}, {"lossless": True}, ANIMATED], ids=["lossy", "lossless", "animated"])
 def test_every_kind_of_webp_tells_its_size(options: dict[str, Any]) -> None:
-    """Lossy, lossless, animated."""
     target = io.BytesIO()
     Image.new("RGB", (9, 4), "red").save(target, "WEBP", **options)
     assert images.size_of(target.getvalue()) == (9, 4)

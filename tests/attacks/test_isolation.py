@@ -164,7 +164,6 @@ def outcome(request: pytest.FixtureRequest, bubblewrap: str) -> Iterator[dict[st
 
 @pytest.mark.parametrize("name", list(breakout.ATTACKS))
 def test_an_attack_from_inside_is_held(outcome: dict[str, Any], name: str) -> None:
-    """Refused, or without an effect outside."""
     assert outcome[name] is None
 
 

@@ -199,7 +199,6 @@ class _Stage:
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Stage]:
-    """Return a loop that runs statements."""
     folder = tmp_path_factory.mktemp("adapter")
     body = "exec((Path(__file__).parent / 'body').read_text(), {'env': env, 'policy': policy, '__file__': __file__})"
     code = f"from pathlib import Path\ndef eval_one_episode(env, policy):\n    {body}\n"

@@ -70,7 +70,6 @@ def strays(mark: str) -> list[int]:
 
 
 def states(mark: str) -> list[str]:
-    """Return the states of all processes."""
     found = []
     for pid in processes(mark):
         with contextlib.suppress(OSError):

@@ -33,13 +33,11 @@ FEW = settings(max_examples=examples(60), deadline=None)
 
 @pytest.fixture(scope="module")
 def scaffold(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A fresh scaffold."""
     return made_adapter(tmp_path_factory.mktemp("made") / "policy" / "Foo")
 
 
 @pytest.fixture
 def adapter(scaffold: Path, tmp_path: Path) -> Path:
-    """A copy of it, to spoil."""
     return shutil.copytree(scaffold, tmp_path / "policy" / "Foo")
 
 
@@ -156,7 +154,6 @@ def test_names_that_no_system_takes_are_no_crash(adapter: Path, name: str, added
 
 
 def test_the_nodes_of_a_manifest_are_read_once(adapter: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many keys nobody reads."""
     reads: list[bytes | str] = []
     real = yaml_text.read
 

@@ -29,12 +29,10 @@ XPL = shlex.join([sys.executable, "-m", "xpl_cli"])
 
 @pytest.fixture(scope="module")
 def subject(write_adapter: Callable[..., Path]) -> Path:
-    """Return the folder of an adapter."""
     return write_adapter(MODEL)
 
 
 def shell(line: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    """Run a line of a shell."""
     return subprocess.run(
         ["/bin/sh", "-c", line], capture_output=True, text=True, check=False, timeout=DEADLINE_S, **options
     )
@@ -50,7 +48,6 @@ def test_a_standard_input_that_ends_with_nobody_is_refused(subject: Path, stdin:
 
 
 def test_a_pipe_that_ends_at_once_ends_the_server(subject: Path) -> None:
-    """As asked."""
     done = shell(f": | {XPL} serve {subject} --port 0 --until-stdin-ends")
     assert done.returncode == ExitCode.CLEAN, done.stderr
 

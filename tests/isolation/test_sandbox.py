@@ -114,7 +114,6 @@ def test_a_size_is_read(text: str, size: int) -> None:
 
 
 def test_a_share_is_of_what_the_machine_has() -> None:
-    """And `none` is no limit."""
     limit = MemoryLimit.parse("50%")
     assert limit is not None
     assert limit.size == sandbox.machine_memory() // 2
@@ -123,7 +122,6 @@ def test_a_share_is_of_what_the_machine_has() -> None:
 
 @pytest.mark.parametrize("text", ["", "much", "-1GB", "0", "8XB", "GB"])
 def test_what_is_no_size_is_refused(text: str) -> None:
-    """With the forms that there are."""
     with pytest.raises(UserError, match=r"8GB.*80%.*none"):
         MemoryLimit.parse(text)
 
@@ -202,7 +200,6 @@ def _hangs_in(adapter: Path, function: str, options: Sequence[str] = ()) -> bool
 
 
 def test_a_load_that_hangs_has_a_deadline(write_adapter: Write) -> None:
-    """And the log shows where it hangs."""
     assert _hangs_in(write_adapter(SUBJECT), "__init__")
 
 
@@ -268,7 +265,6 @@ def test_isolation_without_bubblewrap_says_how_to_get_it(tmp_path: Path, monkeyp
 
 
 def test_a_bubblewrap_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With its last words."""
     _bwrap(tmp_path, "echo 'bwrap: no permission' >&2; exit 1", monkeypatch)
     with pytest.raises(UserError, match="bwrap: no permission") as raised:
         sandbox.check([tmp_path], memory_limit="none", isolate=True)

@@ -36,13 +36,11 @@ BASH = shutil.which("bash") or "bash"
 
 
 def sha(content: bytes) -> str:
-    """Return the digest of a content."""
     return hashlib.sha256(content).hexdigest()
 
 
 @pytest.fixture
 def given(tmp_path: Path) -> Path:
-    """A folder with weights and a configuration."""
     folder = tmp_path / "given"
     (folder / "a b").mkdir(parents=True)
     (folder / "weights.bin").write_bytes(WEIGHTS)
@@ -91,7 +89,6 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path, entry: dict[str, Any], 
 
 
 def test_the_digest_of_a_folder_is_that_of_common_tools(tmp_path: Path) -> None:
-    """The documented shell line gives the same."""
     (tmp_path / "b").mkdir()
     for name, content in {"b/é z": b"1", "a": b"2", "b.txt": b""}.items():
         (tmp_path / name).write_bytes(content)
@@ -165,13 +162,11 @@ def test_without_a_digest_nothing_is_taken_unless_that_is_wanted(given: Path, tm
 
 
 def test_what_is_not_there_is_told(tmp_path: Path) -> None:
-    """With the path that was looked at."""
     with pytest.raises(NotFoundError, match=r"there is no .*nowhere"):
         fetching.fetch(specified(tmp_path, source="nowhere", sha256="0" * 64))
 
 
 def test_the_hub_needs_a_commit(tmp_path: Path) -> None:
-    """Branches move."""
     one = specified(tmp_path, source="hf://owner/model", sha256="0" * 64, revision="main")
     with pytest.raises(UserError, match="expected the full commit"):
         fetching.fetch(one)
@@ -272,7 +267,6 @@ def test_an_authors_own_checkpoint_is_not_replaced(given: Path, tmp_path: Path) 
 
 
 def test_another_content_under_the_same_name_moves_the_link(given: Path, tmp_path: Path) -> None:
-    """In one step."""
     subject = adapter(tmp_path, {"name": "demo", "source": str(given / "weights.bin"), "sha256": sha(WEIGHTS)})
     run("fetch", tmp_path)
     config = given / "a b" / "config.json"

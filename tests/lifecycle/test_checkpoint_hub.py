@@ -116,7 +116,6 @@ def _sha(content: bytes) -> str:
 def fetch(
     folder: Path, hub: str, *options: str, command: str = "fetch", **entry: object
 ) -> subprocess.CompletedProcess[str]:
-    """Fetch a checkpoint of the hub."""
     place = folder / "Subject"
     place.mkdir(exist_ok=True)
     specified = {"name": "demo", "source": "hf://owner/model", "revision": COMMIT, "license": "MIT", **entry}
@@ -153,7 +152,6 @@ def test_what_is_not_what_policy_yml_means_is_refused(hub: str, tmp_path: Path) 
 
 
 def test_a_folder_of_a_repository(hub: str, tmp_path: Path) -> None:
-    """And only what `files` names in it."""
     content = FILES["weights/model.bin"]
     files = [{"path": "model.bin", "sha256": _sha(content), "size": len(content)}]
     done = fetch(tmp_path, hub, source="hf://owner/model/weights", files=files)

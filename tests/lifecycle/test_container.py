@@ -35,7 +35,6 @@ def instructions(text: str) -> list[tuple[str, str]]:
 
 
 def adapter(folder: Path, environment: dict[str, Any], **manifest: Any) -> package.Package:
-    """Return an adapter with an environment."""
     place = folder / "My_Policy"
     place.mkdir()
     (place / "deploy.yml").write_text("env_cfg_type: arx_x5\n")

@@ -19,7 +19,6 @@ HEAVY = ("numpy", "mujoco", "torch", "copier", "huggingface_hub", "jsonschema", 
 
 
 def put(folder: Path, name: str, script: str) -> None:
-    """Put a program on the way."""
     folder.mkdir(exist_ok=True)
     (folder / name).write_text(f"#!/bin/sh\n{script}\n")
     (folder / name).chmod(0o755)
@@ -61,7 +60,6 @@ def test_nothing_heavy_is_imported() -> None:
 
 
 def test_people_get_a_line_for_each_and_what_to_do(tmp_path: Path, programs_folder: Path) -> None:
-    """Without any program on PATH."""
     done = xpl("doctor", cwd=tmp_path)
     lines = done.stdout.splitlines()
     place = next(number for number, line in enumerate(lines) if line.startswith("absent  uv "))
@@ -79,7 +77,6 @@ def test_people_get_a_line_for_each_and_what_to_do(tmp_path: Path, programs_fold
     ],
 )
 def test_a_program_is_asked(programs_folder: Path, script: str | None, status: Status, found: str) -> None:
-    """That it lies on PATH says little."""
     if script is not None:
         put(programs_folder, "uv", script)
     check = programs.uv()
@@ -87,7 +84,6 @@ def test_a_program_is_asked(programs_folder: Path, script: str | None, status: S
 
 
 def test_what_does_as_well_is_found(programs_folder: Path) -> None:
-    """Micromamba for conda, podman for docker."""
     put(programs_folder, "micromamba", "echo 2.0.5")
     put(programs_folder, "podman", "echo podman version 5.1.0")
     assert programs.conda().found == "micromamba 2.0.5"
@@ -154,8 +150,6 @@ def test_isolation_is_proven_or_the_reason_told() -> None:
 
 
 def test_a_probe_that_fails_itself_spoils_no_other() -> None:
-    """It is reported as broken."""
-
     def fail() -> Check:
         raise ValueError("odd machine")
 

@@ -106,7 +106,6 @@ def planned(folder: Path, **environment: Any) -> Plan:
 
 
 def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run `xpl install Subject`."""
     return forked.run("install", "Subject", *arguments, cwd=cwd)
 
 
@@ -239,7 +238,6 @@ def test_a_lock_of_uv(surroundings: pytest.MonkeyPatch, shelf: Path, tmp_path: P
 
 
 def test_a_lock_of_uv_needs_uv(surroundings: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Pip cannot read it."""
     folder = subject(tmp_path, "version = 1\n", manager="venv", lock="uv.lock")
     (folder / "pyproject.toml").write_text("[project]\nname = 'subject'\nversion = '1'\n")
     surroundings.setenv("PATH", without("uv"))
@@ -299,7 +297,6 @@ def test_a_change_is_noticed_and_replaces(conda: Path, tmp_path: Path, capfd: py
 
 
 def test_a_failure_leaves_the_old_one_in_use(conda: Path, tmp_path: Path) -> None:
-    """Nothing half-made stays either."""
     first = place.install(_conda_plan(tmp_path, "numpy"))
     for lock, message in {"broken": "cannot be made", "nothing": "numpy"}.items():
         with pytest.raises(UserError, match=message) as caught:

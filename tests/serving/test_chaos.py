@@ -64,7 +64,6 @@ far_variants = pytest.mark.parametrize("options", [VARIANTS[name] for name in _F
 
 @pytest.fixture(scope="module")
 def adapter(write_adapter: Callable[..., Path]) -> Path:
-    """Return the counting policy."""
     return write_adapter(POLICY, methods=["large"])
 
 
@@ -421,7 +420,6 @@ def test_no_trial_goes_on_after_a_kill(
 
 
 def test_a_server_that_does_not_come_back_ends_the_trial(adapter: Path) -> None:
-    """When the request's time is up."""
     with Server(adapter) as server, Client(server.url, config=HASTE) as client:
         client.reset()
         server.kill("kill_front_end")

@@ -74,7 +74,6 @@ class Started:
     log: collections.deque[str] = field(default_factory=collections.deque)
 
     def wait_ready(self) -> None:
-        """Wait for the line that says so."""
         assert self.process.stdout is not None
         assert json.loads(self.process.stdout.readline())["event"] == "ready"
 
@@ -88,7 +87,6 @@ class Started:
 
 @pytest.fixture(scope="module")
 def subject(write_adapter: Callable[..., Path]) -> Path:
-    """Return the folder of the adapter above."""
     return write_adapter(SUBJECT)
 
 
@@ -124,13 +122,11 @@ def anew(arguments: list[str], constants: Mapping[str, float]) -> subprocess.Pop
 
 
 def read_lines(stream: IO[bytes], log: collections.deque[str]) -> None:
-    """Collect what a server writes."""
     for line in stream:
         log.append(line.decode().rstrip("\n"))
 
 
 def end(process: subprocess.Popen[bytes] | nursery.Hosted, reader: threading.Thread) -> None:
-    """End a server at once: both signals."""
     for _ in range(2):
         process.terminate()
     process.wait(DEADLINE_S)
@@ -250,7 +246,6 @@ def test_a_client_that_waits_is_told_when_the_model_cannot_be_loaded(start: Call
 
 @pytest.fixture(scope="module")
 def trace(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the file of the trace."""
     return tmp_path_factory.mktemp("trace") / "requests.jsonl"
 
 
@@ -275,13 +270,10 @@ def metrics(url: str) -> dict[tuple[str, ...], float]:
 
 
 def traced(path: Path) -> list[dict[str, Any]]:
-    """Return the lines of a trace."""
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
 def test_health_is_a_call_too(watched: RunningServer) -> None:
-    """Of both clients, at any time."""
-
     async def ask() -> dict[str, Any]:
         async with AsyncClient(watched.url) as client:
             return await client.health()

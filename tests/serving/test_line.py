@@ -26,7 +26,6 @@ def places(count: int) -> list[Place]:
 
 
 def taken(line: Line, now: float = 1.0) -> list[Job]:
-    """Return what runs now; nothing waits."""
     jobs, wait = line.next(now)
     assert wait == 0.0
     return jobs
@@ -64,7 +63,6 @@ def test_a_long_row_of_updates_is_cut() -> None:
 
 
 def test_a_request_whose_images_are_still_decoded_keeps_its_place() -> None:
-    """Nothing behind it overtakes."""
     line, place = Line(), Place(0, 0)
     jobs = [job(place, "update_obs"), job(place, "update_obs", ready=False), job(place)]
     for one in jobs:
@@ -112,7 +110,6 @@ def test_a_line_can_be_emptied() -> None:
 
 
 def test_a_worker_is_sent_what_its_request_needs() -> None:
-    """Nothing of the front end's own."""
     assert Job(codec.Frame("call", "e"), "get_action", Place(2, 3), segment=7).request() == (3, "get_action", 7, False)
     assert Job(codec.Frame("trial_end", "e"), "on_trial_end", Place(2, 3)).request() == (3, "on_trial_end", None, True)
 
@@ -144,7 +141,6 @@ def test_a_batch_is_no_larger_than_the_adapter_says() -> None:
 
 
 def test_clients_whose_images_are_decoded_hold_up_nobody_for_long() -> None:
-    """Their own later requests keep the order."""
     line = Line(shared=True)
     slow, quick = places(2)
     late = job(slow, ready=False)

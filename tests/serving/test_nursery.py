@@ -66,7 +66,6 @@ def test_folder_and_environment_are_those_of_the_moment(tmp_path: Path, monkeypa
 
 
 def test_a_signal_ends_it_and_is_told() -> None:
-    """As `subprocess` tells it."""
     hosted = nursery.start(WAITS)
     assert hosted.poll() is None
     with pytest.raises(subprocess.TimeoutExpired):

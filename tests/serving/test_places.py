@@ -27,7 +27,6 @@ class Clock:
 
 @pytest.fixture
 def clock() -> Clock:
-    """Return a clock."""
     return Clock()
 
 
@@ -211,12 +210,10 @@ class Coming(RuleBasedStateMachine):
 
     @rule(seconds=st.sampled_from([1.0, GRACE]))
     def wait(self, seconds: float) -> None:
-        """Let time pass."""
         self.clock.now += seconds
 
     @invariant()
     def everyone_has_one_place_of_their_own(self) -> None:
-        """And the books agree."""
         assert all(self.places.of(connection) is place for connection, place in self.held.items())
         assert len({id(place) for place in self.held.values()}) == len(self.held) <= self.places.taken()
 

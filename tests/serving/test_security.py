@@ -70,20 +70,17 @@ PROTOCOL_ERROR, TOO_BIG = 1002, 1009
 
 @pytest.fixture(scope="module")
 def subject(write_adapter: Callable[..., Path]) -> Path:
-    """Return the folder of the adapter above."""
     return write_adapter(SUBJECT, methods=["journal", "fail", "_private", "reset_envs"])
 
 
 @pytest.fixture(scope="module")
 def shared(subject: Path) -> Iterator[RunningServer]:
-    """Serve it to whoever comes."""
     with serving(subject) as server:
         yield server
 
 
 @pytest.fixture
 def peer(shared: RunningServer) -> Iterator[Peer]:
-    """Return a connection that has said hello."""
     with greeted(shared.url) as connection:
         yield connection
 
@@ -97,7 +94,6 @@ def raw(shared: RunningServer) -> Iterator[Raw]:
 
 
 def message(kind: str = "heartbeat", payload: dict[str, Any] | None = None) -> bytes:
-    """Return the bytes of a request."""
     return codec.encode(codec.Frame(kind, "e", payload or {}))
 
 
@@ -117,7 +113,6 @@ def token_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def secret(path: Path, text: str, mode: int = 0o600) -> Path:
-    """Write a file of a mode."""
     path.write_text(text, encoding="utf-8")
     path.chmod(mode)
     return path
@@ -203,7 +198,6 @@ def test_a_token_file_that_keeps_no_secret_is_refused(tmp_path: Path, text: str,
 def test_what_is_not_safe_is_refused_before_anything_starts(
     subject: Path, tmp_path: Path, arguments: list[str], problem: str
 ) -> None:
-    """As one sentence on the command line."""
     secret(tmp_path / "open", TOKEN, 0o644)
     run = xpl("serve", str(subject), "--port", "0", *arguments, cwd=tmp_path)
     assert (run.returncode, run.stdout) == (ExitCode.USAGE, "")
@@ -248,7 +242,6 @@ def test_both_clients_speak_tls(encrypted: RunningServer, certificate: tuple[Pat
 
 
 def test_a_certificate_that_is_not_trusted_is_refused_for_good(encrypted: RunningServer) -> None:
-    """By the client, without trying again."""
     with pytest.raises(ServerConnectionError, match=r"no secure connection to wss://.*CERTIFICATE_VERIFY_FAILED"):
         Client(encrypted.url, token=TOKEN)
     with pytest.raises(ServerConnectionError, match=r"no secure connection to wss://.*CERTIFICATE_VERIFY_FAILED"):
@@ -285,7 +278,6 @@ def test_files_that_make_no_pair_are_refused(certificate: tuple[Path, Path], tmp
 
 @pytest.fixture(scope="module")
 def hasty(subject: Path) -> Iterator[RunningServer]:
-    """Serve the adapter with short deadlines."""
     with serving(subject, SHORT) as server:
         yield server
 

@@ -101,7 +101,6 @@ OBS = {"state": {"arm_joint_state": np.arange(7.0)}}
 
 @pytest.fixture(scope="module")
 def subject(write_adapter: Callable[..., Path]) -> Path:
-    """Return the folder of the adapter above."""
     return write_adapter(SUBJECT, methods=["declared", "report", "_private"])
 
 
@@ -114,7 +113,6 @@ def shared(subject: Path) -> Iterator[RunningServer]:
 
 @pytest.fixture
 def peer(shared: RunningServer) -> Iterator[Peer]:
-    """Return a connection that has said hello."""
     with greeted(shared.url) as connection:
         yield connection
 
@@ -143,7 +141,6 @@ def let_go(fifo: Path) -> None:
 def test_every_request_is_answered_by_its_type_and_with_its_identifiers(
     peer: Peer, request_type: str, payload: dict[str, Any]
 ) -> None:
-    """What clients send besides is accepted."""
     fields = {"action_case_id": "c", "trial_id": "t", "repeat_index": 4, "step": 9}
     peer.ask("reset")
     request = peer.send(request_type, payload, **fields)
@@ -156,7 +153,6 @@ def test_every_request_is_answered_by_its_type_and_with_its_identifiers(
 
 
 def test_hello_tells_instance_and_capabilities(peer: Peer, shared: RunningServer) -> None:
-    """The same instance for every client."""
     payload = peer.ask("hello").payload
     assert payload["server"].startswith("xpl ")
     assert isinstance(payload["capabilities"], dict)
@@ -164,7 +160,6 @@ def test_hello_tells_instance_and_capabilities(peer: Peer, shared: RunningServer
 
 
 def test_close_is_not_answered_and_closes(shared: RunningServer) -> None:
-    """The server closes."""
     connection = greeted(shared.url)
     connection.send("close")
     with pytest.raises(ConnectionClosed, match="1000"):
@@ -172,7 +167,6 @@ def test_close_is_not_answered_and_closes(shared: RunningServer) -> None:
 
 
 def test_hooks_are_called_with_the_payload(peer: Peer) -> None:
-    """And their results come back."""
     assert peer.ask("prepare_case", {"action_case_id": "c7"}).payload["result"] == {"case": "c7", "color": None}
     assert peer.ask("trial_end", {"trial_id": "t", "success": True}).payload["result"] == {
         "heard": ["success", "trial_id"]
@@ -180,7 +174,6 @@ def test_hooks_are_called_with_the_payload(peer: Peer) -> None:
 
 
 def test_reset_infer_and_calls_reach_the_adapter(peer: Peer) -> None:
-    """In the order in which they came."""
     peer.ask("reset")
     peer.ask("call", {"func_name": "update_obs", "obs": {"n": 1}})
     peer.ask("call", {"func_name": "get_action"})
@@ -210,7 +203,6 @@ def test_requests_in_flight_stay_in_order_even_if_one_has_images(peer: Peer) -> 
 
 
 def test_a_result_map_with_actions_passes_through(peer: Peer) -> None:
-    """With its other keys."""
     payload = peer.ask("infer", {"observation": {"do": "map"}}).payload
     assert (payload["actions"], payload["confidence"]) == (["a"], 0.5)
     assert payload["latency_ms"] > 0
@@ -318,7 +310,6 @@ def test_a_frame_that_cannot_be_decoded_is_answered_if_its_id_can_be_read(peer: 
 
 
 def test_output_of_the_adapter_goes_to_the_log_and_nowhere_else(peer: Peer, shared: RunningServer) -> None:
-    """A lot of it, on any descriptor."""
     assert peer.ask("infer", {"observation": {"do": "print"}}).message_type == "infer_result"
     wait_until(lambda: any("raw bytes" in line for line in shared.log), "the output arrived")
     assert "the model prints while it loads" in shared.log
@@ -333,12 +324,10 @@ def test_output_of_the_adapter_goes_to_the_log_and_nowhere_else(peer: Peer, shar
 
 
 def runs(peer: Peer) -> int:
-    """Return how often the model ran."""
     return int(peer.ask("call", {"func_name": "report"}).payload["result"]["runs"])
 
 
 def test_a_repeated_id_is_answered_and_runs_nothing(peer: Peer) -> None:
-    """Finished ones from memory, failed ones too."""
     before = runs(peer)
     first = peer.ask("infer", {"observation": OBS}, message_id="repeated")
     assert runs(peer) == before + 1
@@ -350,7 +339,6 @@ def test_a_repeated_id_is_answered_and_runs_nothing(peer: Peer) -> None:
 
 
 def test_a_repeated_id_joins_the_request_that_runs(peer: Peer, fifo: Path) -> None:
-    """Three questions, one run, three answers."""
     before = runs(peer)
     for _ in range(3):
         peer.send("infer", {"observation": {"do": "wait", "fifo": str(fifo)}}, message_id="joined")
@@ -523,7 +511,6 @@ def test_no_signal_leaves_a_process_behind(
 def test_an_adapter_is_served_in_the_oldest_supported_python(
     write_adapter: Callable[..., Path], serve: Callable[..., RunningServer], old_python: str
 ) -> None:
-    """With numpy alone installed there."""
     model = """
         import sys
         import numpy as np

@@ -48,7 +48,6 @@ def test_an_error_frame_says_what_went_wrong() -> None:
 
 
 def test_packed_entries_pass_unread() -> None:
-    """Only their lengths are checked."""
     data = b"".join(packed.encode({"obs": 1}))
     assert session.packed_payload(codec.Frame("call", "e", {"packed": data})) == data
     assert session.packed_payload(codec.Frame("call", "e", {"obs": 1})) is None

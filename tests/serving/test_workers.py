@@ -89,7 +89,6 @@ def subject(write_adapter: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="module")
 def pair(subject: Path) -> Iterator[RunningServer]:
-    """Serve two copies of it."""
     with serving(subject, options=["--workers", "2"]) as server:
         yield server
 
@@ -109,12 +108,10 @@ def free(pair: RunningServer, sharing: RunningServer) -> None:
 
 
 def actions(peer: Peer, n: int, step: int = 0) -> Any:
-    """Return the answer to an observation."""
     return peer.ask("infer", {"observation": {"n": n}}, step=step).payload["actions"]
 
 
 def goodbye(*peers: Peer) -> None:
-    """Leave in order."""
     for peer in peers:
         with contextlib.suppress(ConnectionClosed):
             peer.send("close")
@@ -308,7 +305,6 @@ def test_a_model_that_cannot_be_shared_is_refused(write_adapter: Callable[..., P
 
 @pytest.mark.usefixtures("free")
 def test_a_new_client_on_a_used_place_finds_nothing_of_the_one_before(pair: RunningServer) -> None:
-    """Although it never resets."""
     for n in range(4):  # twice as many as there are workers
         peer = greeted(pair.url)
         assert actions(peer, n)["seen"] == [n]
