@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,22 +11,20 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
-from tests.support.adapters.recurrent import MODEL, advance
 from tests.support.examples import examples
-from xpl import Client
 from xpl import _spec as spec
 from xpl.memory import MemoryUseError
 from xpl.policy import Policy, PolicyStateError
-from xpl_cli.serving.launch import serving
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 CONFIG: dict[str, Any] = {"env_cfg_type": "franka_single", "action_type": "joint"}
 CLIENT = spec.LIMITS["client_envs"]
 ENVS = (0, 1, 2, CLIENT, CLIENT + 1)
 """Environments of two clients that share the model."""
+
+
+def advance(state: float, number: float) -> float:
+    """Return a memory that tells which observations were asked about, and in which order."""
+    return (state * 31 + number) % 1009
 
 
 class UnhappyError(Exception):
@@ -175,25 +173,3 @@ def test_an_answer_without_anything_kept_leaves_it_as_it_was() -> None:
         policy.update_obs({"number": number})
         seen.append(float(policy.get_action()[0]["arm_joint_state"][0]))
     assert seen == [0, 1, 1, 3, 3]
-
-
-def test_clients_that_share_a_model_keep_memories_of_their_own(write_adapter: Callable[..., Path]) -> None:
-    folder = write_adapter(MODEL, serving={"shared": True}, temporal={"kind": "memory", "chunk": 1})
-    with serving(folder) as server, Client(server.url) as first, Client(server.url) as second:
-        states = {first: 0.0, second: 0.0}
-        for client in states:
-            client.reset()
-        for number in (3, 5, 8):
-            for client, state in states.items():
-                mine = number + (client is second)
-                states[client] = advance(state, mine)
-                client.update_obs({"number": mine})
-                assert [_state(client), _state(client)] == [states[client]] * 2
-        second.reset()
-        second.update_obs({"number": 1})
-        assert _state(second) == advance(0.0, 1)
-        assert _state(first) == states[first]
-
-
-def _state(client: Client) -> float:
-    return float(client.get_action()[0]["arm_joint_state"][0])

@@ -135,13 +135,13 @@ def start(client: Path) -> Iterator[Callable[..., VectorEnv]]:
 def test_workers_play_what_one_process_plays_bit_by_bit() -> None:
     pytest.importorskip("mujoco")
     path = room("envs") / "mujoco" / "client.py"
-    config = {"task": "lift_cube", "embodiment": "arx_x5", "num_envs": 3, "cameras": [24, 32], "max_steps": 12}
+    config = {"task": "lift_cube", "embodiment": "arx_x5", "num_envs": 2, "cameras": [24, 32], "max_steps": 6}
     arms = ("left_arm_joint_state", "left_ee_joint_state", "right_arm_joint_state", "right_ee_joint_state")
 
     def play(env: Any) -> list[Any]:
         told: list[Any] = []
         for options in (None, {"setting": "randomized", "privileged": True}):
-            env.reset(None if options else [7, 8, 9], options)
+            env.reset(None if options else [7, 8], options)
             rng = np.random.default_rng(0)
             while not env.is_episode_end():
                 running = env.get_running_env_idx_list()
@@ -165,8 +165,8 @@ def test_workers_play_what_one_process_plays_bit_by_bit() -> None:
     with contextlib.closing(load_module(path).make(config)) as together:
         wanted = play(together)
     np.testing.assert_equal(found, wanted)
-    assert wanted[-1][0]["seed"] == 10
-    assert [len(entry[0]) for entry in wanted[:5]] == [3, 3, 3, 3, 2]
+    assert wanted[-1][0]["seed"] == 9
+    assert [len(entry[0]) for entry in wanted[:5]] == [2, 2, 2, 2, 1]
 
 
 @given(st.integers(1, 40), st.integers(1, 40))
