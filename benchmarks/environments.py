@@ -31,6 +31,8 @@ RENDERERS = (ours.RAYCAST, "egl", "osmesa")
 LEAST_RATIO = 0.8
 MOST_MS = {(224, 224): 10.0, (480, 640): 60.0}
 EPISODE_S = 10.0
+FEW_ROUNDS = 15
+"""Of what takes long: whole episodes, and pictures."""
 PROCESS_S = 300.0
 
 
@@ -38,11 +40,15 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--no-peers", action="store_true", help="our environment only")
+    parser.add_argument("--rounds", type=int, default=101, help="of each measurement at the most (default: 101)")
     parser.add_argument("--json", type=Path, help="write the figures to this file, too")
     options = parser.parse_args()
-    physics = _physics()
-    rows: list[dict[str, Any]] = [{"environment": "xpl mujoco", **ours.figures(*task)} for task in TASKS]
-    cameras = _cameras(TASKS[1][0])
+    few = min(options.rounds, FEW_ROUNDS)
+    physics = _physics(few)
+    rows: list[dict[str, Any]] = [
+        {"environment": "xpl mujoco", **ours.figures(*task, options.rounds)} for task in TASKS
+    ]
+    cameras = _cameras(TASKS[1][0], few)
     peers = [] if options.no_peers else [{"environment": name, **_peer(name)} for name in PEERS]
     fastest = min(row["ms"] for row in cameras if row["ms"] is not None and row["size"] == ours.SIZES[0])
     rows = [{**row, "pictures": "3x224x224", "picture_ms": fastest} for row in rows]
@@ -52,14 +58,14 @@ def main() -> None:
         options.json.write_text(json.dumps(figures, indent=2) + "\n")
 
 
-def _physics() -> list[dict[str, Any]]:
+def _physics(rounds: int) -> list[dict[str, Any]]:
     """Measure and print every task's physics."""
     print(f"{'physics':<34} {'control us':>10} {'mj_step us':>10} {'ratio':>6}   target {LEAST_RATIO} in joint control")
     rows: list[dict[str, Any]] = []
     for task, action_type in (*((task, "joint") for task in ours.tasks()), TASKS[-1]):
         row: dict[str, Any] = {"task": f"{task}, {ours.ROBOT}, {action_type}"}
         try:
-            row.update(ours.physics(task, action_type))
+            row.update(ours.physics(task, action_type, rounds))
             act, raw = 1e3 * row["act_ms"], 1e3 * row["raw_ms"]
             print(f"{row['task']:<34} {act:>10.0f} {raw:>10.0f} {raw / act:>6.2f}")
         except RuntimeError as error:
@@ -69,14 +75,14 @@ def _physics() -> list[dict[str, Any]]:
     return rows
 
 
-def _cameras(task: str) -> list[dict[str, Any]]:
+def _cameras(task: str, rounds: int) -> list[dict[str, Any]]:
     """Measure and print three cameras by renderer and size."""
     print(f"\n{'three cameras of ' + task:<34} {'renderer':>9} {'ms':>8} {'target':>9}")
     rows = []
     for size in ours.SIZES:
         for renderer in RENDERERS:
             name, goal = f"{size[0]}x{size[1]}", MOST_MS[size]
-            command = [sys.executable, "-m", ours.__name__, task, *map(str, size), renderer]
+            command = [sys.executable, "-m", ours.__name__, task, renderer, *map(str, (*size, rounds))]
             row: dict[str, Any] = {"size": size, "renderer": renderer, "ms": None, **_figures_of(command, {})}
             if row["ms"] is None:
                 shown = f" not_run: {row['not_run']}"

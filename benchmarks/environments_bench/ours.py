@@ -26,7 +26,7 @@ def tasks() -> list[str]:
     return [name for name, entry in facts["tasks"].items() if 2 in entry["arms"]]
 
 
-def physics(task: str, action_type: str, embodiment: str = ROBOT) -> dict[str, float]:
+def physics(task: str, action_type: str, rounds: int) -> dict[str, float]:
     """Measure the expert's whole episode, played again.
 
     Returns:
@@ -36,28 +36,28 @@ def physics(task: str, action_type: str, embodiment: str = ROBOT) -> dict[str, f
     Raises:
         RuntimeError: the world of the task does something that `mj_step` does not.
     """
-    episode = _replay(task, action_type, embodiment)
-    times = alternate({"act": episode.play, "raw": episode.play_raw}, 1, rounds=15, before=episode.rewind)
+    episode = _replay(task, action_type)
+    times = alternate({"act": episode.play, "raw": episode.play_raw}, 1, rounds=rounds, before=episode.rewind)
     return {f"{name}_ms": taken / len(episode.actions) for name, taken in times.items()}
 
 
-def check(task: str, action_type: str, embodiment: str = ROBOT) -> int:
+def check(task: str, action_type: str) -> int:
     """Play the expert's episode again by `mj_step` alone and return its control steps; raises as `physics` does."""
-    episode = _replay(task, action_type, embodiment)
+    episode = _replay(task, action_type)
     episode.play_raw()
     return len(episode.actions)
 
 
-def _replay(task: str, action_type: str, embodiment: str) -> _Replay:
-    env = _make(task, embodiment, action_type, cameras=False)
-    return _Replay(env, _experts_actions(task, embodiment, action_type))
+def _replay(task: str, action_type: str) -> _Replay:
+    env = _make(task, action_type, cameras=False)
+    return _Replay(env, _experts_actions(task, action_type))
 
 
-def figures(task: str, action_type: str, embodiment: str = ROBOT) -> dict[str, Any]:
+def figures(task: str, action_type: str, rounds: int) -> dict[str, Any]:
     """Measure one task with commands that hold the pose, as a peer is measured."""
-    env = _make(task, embodiment, action_type, cameras=False)
+    env = _make(task, action_type, cameras=False)
     obs = env.get_obs()
-    hold = {key: obs["state"][key] for key in get_embodiment(embodiment).dims(action_type)}
+    hold = {key: obs["state"][key] for key in get_embodiment(ROBOT).dims(action_type)}
     scene = env.episodes[0].physics
     hertz = round(obs["additional_info"]["frequency"])
     count = round(1.0 / (hertz * scene.model.opt.timestep))
@@ -68,9 +68,10 @@ def figures(task: str, action_type: str, embodiment: str = ROBOT) -> dict[str, A
             "look": env.get_obs,
         },
         10,
+        rounds,
     )
     return {
-        "task": f"{task}, {embodiment}, {action_type}",
+        "task": f"{task}, {ROBOT}, {action_type}",
         "hz": hertz,
         "physics_steps": count,
         "step_ms": times["act"] + times["look"],
@@ -120,13 +121,13 @@ class _Replay:
             raise RuntimeError("mj_step alone ends elsewhere: the world acts by itself in this task")
 
 
-def pictures(task: str, size: tuple[int, int], renderer: str) -> float:
+def pictures(task: str, size: tuple[int, int], renderer: str, rounds: int) -> float:
     """Return the milliseconds for the pictures of all cameras of one observation.
 
     Raises:
         RuntimeError: this machine lacks what the renderer needs.
     """
-    env = _make(task, ROBOT, "joint", cameras=list(size), renderer=renderer)
+    env = _make(task, "joint", cameras=list(size), renderer=renderer)
     episode = env.episodes[0]
 
     def look() -> None:
@@ -134,16 +135,16 @@ def pictures(task: str, size: tuple[int, int], renderer: str) -> float:
             camera.render(episode.physics.data)
 
     measure = alternate if renderer == RAYCAST else wall
-    taken = measure({"look": look}, 1, rounds=15)["look"]
+    taken = measure({"look": look}, 1, rounds)["look"]
     env.close()
     return taken
 
 
-def _experts_actions(task: str, embodiment: str, action_type: str) -> list[dict[str, Any]]:
+def _experts_actions(task: str, action_type: str) -> list[dict[str, Any]]:
     """Return the actions with which the expert solves the task."""
-    env = _make(task, embodiment, action_type, cameras=False, privileged=True)
+    env = _make(task, action_type, cameras=False, privileged=True)
     expert = load_module(room("policy") / "scripted_expert" / "model.py").Model(
-        {"env_cfg_type": embodiment, "action_type": action_type}
+        {"env_cfg_type": ROBOT, "action_type": action_type}
     )
     actions: list[dict[str, Any]] = []
     while not env.is_episode_end():
@@ -153,13 +154,14 @@ def _experts_actions(task: str, embodiment: str, action_type: str) -> list[dict[
     return actions
 
 
-def _make(task: str, embodiment: str, action_type: str, **config: Any) -> Any:
+def _make(task: str, action_type: str, **config: Any) -> Any:
     make = load_module(room("envs") / "mujoco" / "client.py").make
-    settings = {"task": task, "embodiment": embodiment, "action_type": action_type, "max_steps": 10**9}
+    settings = {"task": task, "embodiment": ROBOT, "action_type": action_type, "max_steps": 10**9}
     env = make({**settings, **config})
     env.reset([SEED])
     return env
 
 
 if __name__ == "__main__":  # a process has one OpenGL library, so each has a process of its own
-    print(json.dumps({"ms": pictures(sys.argv[1], (int(sys.argv[2]), int(sys.argv[3])), sys.argv[4])}))
+    height, width, count = map(int, sys.argv[3:])
+    print(json.dumps({"ms": pictures(sys.argv[1], (height, width), sys.argv[2], count)}))

@@ -33,7 +33,7 @@ class Size:
 
 
 FULL = Size(latency.Turns(rounds=5, requests=200, seconds=2.0), 5.0, (1, 8, 32), 10)
-QUICK = Size(latency.Turns(rounds=2, requests=20, seconds=1.0), 1.0, (1,), 1)
+QUICK = Size(latency.Turns(rounds=2, requests=5, seconds=0.2), 0.3, (1,), 1)
 PHASES = ("latency", "throughput", "responsiveness")
 
 

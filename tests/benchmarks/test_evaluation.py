@@ -17,7 +17,7 @@ pytest.importorskip("mujoco")
 def test_speed_and_cost_of_recorded_runs_are_measured(tmp_path: Path) -> None:
     """Episodes per hour with one worker and two; wall and processor time with a record and without."""
     file = tmp_path / "figures.json"
-    command = [sys.executable, "benchmarks/evaluation.py", "--episodes", "4", "--rounds", "2", "--json", str(file)]
+    command = [sys.executable, "benchmarks/evaluation.py", "--episodes", "2", "--rounds", "1", "--json", str(file)]
     done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
     assert "speed-up" in done.stdout
     figures = json.loads(file.read_text())
