@@ -57,10 +57,8 @@ class PackedSet(DelegatingSet):
         numbers: what is packed and has single numbers for rows.
     """
 
-    format = NAME
-
     def __init__(self, inner: Demonstrations) -> None:
-        super().__init__(inner)
+        super().__init__(inner, NAME)
         first = inner[0]
         self.layout = layout_of(first)
         parts = (part for parts in self.layout.values() for part, _ in parts)
@@ -80,12 +78,10 @@ class UnpackedSet(DelegatingSet):
         layout: how series were packed.
     """
 
-    format = STANDARD
-
     def __init__(
         self, inner: Demonstrations, names: Mapping[str, str], numbers: frozenset[str], layout: Layout
     ) -> None:
-        super().__init__(inner)
+        super().__init__(inner, STANDARD)
         self._names, self._numbers, self._layout = names, numbers, layout
 
     def _around(self, episode: Episode) -> Episode:

@@ -29,8 +29,8 @@ Rows = dict[str, np.ndarray]
 class _MappedSet(DelegatingSet):
     """A set and the mapping that says what its columns mean, or shall mean."""
 
-    def __init__(self, inner: Demonstrations, mapping: Conventions) -> None:
-        super().__init__(inner)
+    def __init__(self, inner: Demonstrations, mapping: Conventions, name: str | None = None) -> None:
+        super().__init__(inner, name)
         self._mapping = mapping
 
     @property
@@ -42,7 +42,8 @@ class _MappedSet(DelegatingSet):
 class StandardSet(_MappedSet):
     """A set of the field, read by a mapping: its episodes have the standard's names."""
 
-    format = NAME
+    def __init__(self, inner: Demonstrations, mapping: Conventions) -> None:
+        super().__init__(inner, mapping, NAME)
 
     @property
     def robot(self) -> str | None:

@@ -41,6 +41,7 @@ class DiffusionSet(Demonstrations):
     """A store."""
 
     def __init__(self, path: Path) -> None:
+        super().__init__(path, NAME)
         self._path = path
         with _opened(path) as store:
             ends = store.get(ENDS)
@@ -52,16 +53,6 @@ class DiffusionSet(Demonstrations):
         starts = [0, *self._ends]
         if any(end < start for start, end in zip(starts, self._ends, strict=False)):
             raise DataError(f"{path}: {ENDS} does not rise")
-
-    @property
-    def path(self) -> str:
-        """The folder or ZIP file."""
-        return str(self._path)
-
-    @property
-    def format(self) -> str:
-        """The name of its format."""
-        return NAME
 
     @property
     def extras(self) -> Mapping[str, Any]:

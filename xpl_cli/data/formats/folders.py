@@ -33,17 +33,8 @@ class FolderSet(Demonstrations):
     """
 
     def __init__(self, path: Path, name: str, files: list[Path], opens: Callable[[Path, str], Episode]) -> None:
-        self._path, self._name, self._files, self._opens = path, name, files, opens
-
-    @property
-    def path(self) -> str:
-        """The file or folder."""
-        return str(self._path)
-
-    @property
-    def format(self) -> str:
-        """The name of its format."""
-        return self._name
+        super().__init__(path, name)
+        self._files, self._opens = files, opens
 
     @functools.cached_property
     def rate_hz(self) -> float | None:
@@ -83,7 +74,7 @@ class FolderSet(Demonstrations):
     def _episodes(self) -> list[Episode]:
         names = [path.stem for path in self._files]
         is_unique = len(set(names)) == len(names)
-        keys = names if is_unique else [path.relative_to(self._path).with_suffix("").as_posix() for path in self._files]
+        keys = names if is_unique else [path.relative_to(self.path).with_suffix("").as_posix() for path in self._files]
         return [self._opens(path, key) for path, key in zip(self._files, keys, strict=True)]
 
 

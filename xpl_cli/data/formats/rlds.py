@@ -65,22 +65,12 @@ class RldsSet(Demonstrations):
                 f"{path} is RLDS, which is read through tensorflow-datasets, and that cannot be imported: {error}",
                 hint="pip install tensorflow-datasets tensorflow importlib_resources",
             ) from None
-        self._path = path
+        super().__init__(path, NAME)
         self._tfds = tfds
         self._builder = tfds.builder_from_directory(str(path))
         self._count = int(self._builder.info.splits[_SPLIT].num_examples)
         self._next: tuple[int, Iterator[Any]] | None = None
         self._read: tuple[int, list[dict[str, Any]]] = (-1, [])
-
-    @property
-    def path(self) -> str:
-        """The folder."""
-        return str(self._path)
-
-    @property
-    def format(self) -> str:
-        """The name of its format."""
-        return NAME
 
     @property
     def extras(self) -> Mapping[str, Any]:

@@ -51,17 +51,8 @@ class RobomimicSet(Demonstrations):
     """
 
     def __init__(self, path: Path, files: list[Path]) -> None:
-        self._path, self._files = path, files
-
-    @property
-    def path(self) -> str:
-        """The file or folder."""
-        return str(self._path)
-
-    @property
-    def format(self) -> str:
-        """The name of its format."""
-        return NAME
+        super().__init__(path, NAME)
+        self._files = files
 
     @property
     def rate_hz(self) -> float | None:
@@ -109,7 +100,7 @@ class RobomimicSet(Demonstrations):
                     key = name if len(self._files) == 1 else f"{path.stem}/{name}"
                     found.append(Hdf5Episode(path, f"data/{name}", key, _STEPS, _language(meta) or told))
             if len(found) > _MOST_EPISODES:
-                raise DataError(f"{self._path} has more than {_MOST_EPISODES} episodes")
+                raise DataError(f"{self.path} has more than {_MOST_EPISODES} episodes")
         return found
 
 

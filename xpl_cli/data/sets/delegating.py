@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.data.sets.interface import Demonstrations, Episode
+from xpl_cli.data.sets.interface import Demonstrations
+from xpl_cli.data.sets.outlined import DescribedEpisode
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from xpl_cli.data.sets.interface import Camera, Column
+    from xpl_cli.data.sets.interface import Episode
 
 
 class DelegatingSet(Demonstrations):
@@ -18,20 +19,13 @@ class DelegatingSet(Demonstrations):
 
     Args:
         inner: the other one.
+        name: of the format that it speaks; None for that of the other one.
     """
 
-    def __init__(self, inner: Demonstrations) -> None:
+    def __init__(self, inner: Demonstrations, name: str | None = None) -> None:
+        super().__init__(inner.path, name or inner.format)
         self._inner = inner
-
-    @property
-    def path(self) -> str:
-        """The file or folder."""
-        return self._inner.path
-
-    @property
-    def format(self) -> str:
-        """The name of the format that it speaks."""
-        return self._inner.format
+        self.is_forkable = inner.is_forkable
 
     @property
     def base_format(self) -> str:
@@ -53,11 +47,6 @@ class DelegatingSet(Demonstrations):
         """What else the set says of itself."""
         return self._inner.extras
 
-    @property
-    def is_forkable(self) -> bool:
-        """Whether processes that are forked from one that opened it may read it."""
-        return self._inner.is_forkable
-
     def __len__(self) -> int:
         """How many episodes there are."""
         return len(self._inner)
@@ -70,7 +59,7 @@ class DelegatingSet(Demonstrations):
         raise NotImplementedError
 
 
-class DelegatingEpisode(Episode):
+class DelegatingEpisode(DescribedEpisode):
     """An episode around another one.
 
     Args:
@@ -78,37 +67,12 @@ class DelegatingEpisode(Episode):
     """
 
     def __init__(self, inner: Episode) -> None:
+        super().__init__(inner.key)
         self._inner = inner
 
     @property
-    def key(self) -> str:
-        """Its name in its set."""
-        return self._inner.key
-
-    @property
-    def length(self) -> int:
-        """How many steps it has."""
-        return self._inner.length
-
-    @property
-    def instructions(self) -> tuple[str, ...]:
-        """What the robot was told."""
-        return self._inner.instructions
-
-    @property
-    def columns(self) -> Mapping[str, Column]:
-        """The columns."""
-        return self._inner.columns
-
-    @property
-    def cameras(self) -> Mapping[str, Camera]:
-        """The cameras."""
-        return self._inner.cameras
-
-    @property
-    def extras(self) -> Mapping[str, Any]:
-        """What else is said of it."""
-        return self._inner.extras
+    def _described(self) -> Episode:
+        return self._inner
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""

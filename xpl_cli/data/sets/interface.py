@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 from xpl import _spec as sdk
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import numpy as np
 
 
@@ -101,15 +103,24 @@ class Episode(Protocol):
 
 
 class Demonstrations(Protocol):
-    """A set of episodes. Opening it lists them and reads none."""
+    """A set of episodes. Opening it lists them and reads none.
 
-    @property
-    def path(self) -> str:
-        """The file or folder."""
+    Args:
+        path: the file or folder.
+        name: of its format.
 
-    @property
-    def format(self) -> str:
-        """The name of its format: `xpl`, `lerobot-v2.1`, `lerobot-v3.0`, `robomimic`, `aloha`, `robotwin`, ..."""
+    Attributes:
+        path: the file or folder.
+        format: the name of its format: `xpl`, `lerobot-v2.1`, `lerobot-v3.0`, `robomimic`, `aloha`, `robotwin`, ...
+        is_forkable: whether processes that are forked from one that opened it may read it: not where threads do it.
+    """
+
+    path: str
+    format: str
+    is_forkable: bool = True
+
+    def __init__(self, path: str | Path, name: str) -> None:
+        self.path, self.format = str(path), name
 
     @property
     def rate_hz(self) -> float | None:
@@ -125,11 +136,6 @@ class Demonstrations(Protocol):
     def extras(self) -> Mapping[str, Any]:
         """What else the set says of itself, plain data under its own names."""
         return {}
-
-    @property
-    def is_forkable(self) -> bool:
-        """Whether processes that are forked from one that opened the set may read it: not where threads do it."""
-        return True
 
     def __len__(self) -> int:
         """How many episodes there are."""

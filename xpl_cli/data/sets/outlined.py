@@ -24,8 +24,8 @@ class Outline:
     extras: Mapping[str, Any] = field(default_factory=dict)
 
 
-class OutlinedEpisode(Episode):
-    """An episode that answers from its outline; `outline`, `read` and `frames` are its format's.
+class DescribedEpisode(Episode):
+    """An episode that something else describes: an outline, or another episode.
 
     Args:
         key: its name in the set.
@@ -35,6 +35,10 @@ class OutlinedEpisode(Episode):
         self._key = key
 
     @property
+    def _described(self) -> Outline | Episode:
+        raise NotImplementedError
+
+    @property
     def key(self) -> str:
         """Its name in the set."""
         return self._key
@@ -42,30 +46,34 @@ class OutlinedEpisode(Episode):
     @property
     def length(self) -> int:
         """How many steps it has."""
-        return self._outline.length
+        return self._described.length
 
     @property
     def instructions(self) -> tuple[str, ...]:
         """What the robot was told."""
-        return self._outline.instructions
+        return self._described.instructions
 
     @property
     def columns(self) -> Mapping[str, Column]:
         """The columns of numbers and texts."""
-        return self._outline.columns
+        return self._described.columns
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
         """The cameras."""
-        return self._outline.cameras
+        return self._described.cameras
 
     @property
     def extras(self) -> Mapping[str, Any]:
-        """What else the file says of it."""
-        return self._outline.extras
+        """What else is said of it."""
+        return self._described.extras
+
+
+class OutlinedEpisode(DescribedEpisode):
+    """An episode that answers from its outline; `outline`, `read` and `frames` are its format's."""
 
     @functools.cached_property
-    def _outline(self) -> Outline:
+    def _described(self) -> Outline:
         return self.outline()
 
     def outline(self) -> Outline:

@@ -16,7 +16,8 @@ from xpl.images import PIXELS
 from xpl_cli.data.formats import libraries, pictures, video
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Episode
+from xpl_cli.data.sets.interface import Camera, Column, Demonstrations
+from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -58,16 +59,7 @@ class LeRobotSet(Demonstrations):
     def __init__(self, root: Path) -> None:
         self.root = root
         self.info = layout.information(root)
-
-    @property
-    def path(self) -> str:
-        """The folder."""
-        return str(self.root)
-
-    @property
-    def format(self) -> str:
-        """The name of its format."""
-        return f"lerobot-{self.info.version}"
+        super().__init__(root, f"lerobot-{self.info.version}")
 
     @property
     def rate_hz(self) -> float | None:
@@ -96,6 +88,11 @@ class LeRobotSet(Demonstrations):
     def columns(self) -> Mapping[str, Column]:
         """The columns of every episode."""
         return {name: _column(name, feature) for name, feature in self.info.features.items() if not feature.is_camera}
+
+    @functools.cached_property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras of every episode."""
+        return {name: _camera(name, feature) for name, feature in self.info.features.items() if feature.is_camera}
 
     @functools.lru_cache(maxsize=8)  # noqa: B019 - a set lives as long as what reads it
     def group(self, path: str, number: int, column: str) -> np.ndarray:
@@ -184,46 +181,20 @@ class LeRobotSet(Demonstrations):
         raise DataError(f"{where} is not in the table; sets that keep images in files of their own are not read")
 
 
-class LeRobotEpisode(Episode):
+class LeRobotEpisode(OutlinedEpisode):
     """An episode of a LeRobot dataset."""
 
     def __init__(self, owner: LeRobotSet, entry: layout.Entry) -> None:
+        super().__init__(f"episode_{entry.index:06d}")
         self._owner, self.entry = owner, entry
 
-    @property
-    def key(self) -> str:
-        """Its name in the set."""
-        return f"episode_{self.entry.index:06d}"
-
-    @property
-    def length(self) -> int:
-        """How many steps it has."""
-        return self.entry.length
-
-    @property
-    def instructions(self) -> tuple[str, ...]:
-        """What the robot was told."""
-        return self.entry.tasks
-
-    @property
-    def columns(self) -> Mapping[str, Column]:
-        """The columns of numbers."""
-        return self._owner.columns
-
-    @functools.cached_property
-    def cameras(self) -> Mapping[str, Camera]:
-        """The cameras, in the order of the features."""
-        features = self._owner.info.features.items()
-        return {name: _camera(name, feature) for name, feature in features if feature.is_camera}
-
-    @property
-    def extras(self) -> Mapping[str, Any]:
-        """What else `meta/` says of it."""
-        told = self.entry.extras.get(layout.EXTRAS)
-        if not isinstance(told, str):
-            return self.entry.extras
-        rest = {key: value for key, value in self.entry.extras.items() if key != layout.EXTRAS}
-        return {**layout.object_of(told, f"{self._owner.root}, {self.key}"), **rest}
+    def outline(self) -> Outline:
+        """Return what `meta/` says of it; cameras are in the order of the features."""
+        entry, extras = self.entry, self.entry.extras
+        if isinstance(told := extras.get(layout.EXTRAS), str):
+            rest = {key: value for key, value in extras.items() if key != layout.EXTRAS}
+            extras = {**layout.object_of(told, f"{self._owner.root}, {self.key}"), **rest}
+        return Outline(entry.length, entry.tasks, self._owner.columns, self._owner.cameras, extras)
 
     def video(self, camera: str) -> Clip | None:
         """Return where a camera's video lies; None if its images are in the table."""
