@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.examples import examples
 from xpl import _spec as spec
 from xpl import get_embodiment, rotation
 from xpl.action import ActionError, check_step, pack, unpack
@@ -63,7 +64,7 @@ def test_what_is_safe_passes_untouched(robot: str, control: str) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("control", spec.ACTION_TYPES)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(data=st.data())
 def test_whatever_comes_what_is_executed_keeps_every_limit(robot: str, control: str, data: st.DataObject) -> None:
     embodiment = get_embodiment(robot)

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.support.examples import examples
 from xpl import _spec as sdk
 from xpl import images, trajectory
 from xpl.trajectory import TrajectoryError, Writer
@@ -101,7 +102,7 @@ def test_what_a_simulator_tells_is_kept_on_request_its_numbers_that_stay_in_form
     }
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(20), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(episode=_episodes(), form=st.sampled_from(("raw", "png")))
 def test_every_step_is_read_back_as_it_was(tmp_path: Path, episode: list[Any], form: str) -> None:
     path = tmp_path / "episode_0000000.hdf5"

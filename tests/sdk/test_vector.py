@@ -18,6 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.examples import examples
 from tests.support.peer import MARK, processes, wait_until
 from tests.support.places import ROOT
 from xpl.action import ActionError
@@ -191,7 +192,7 @@ def test_indices_and_the_shrinking_list_are_those_of_one_process(client: Path) -
     together = load_module(client).make({"num_envs": 5})
     with contextlib.closing(VectorEnv(client, {"num_envs": 5}, workers=3)) as apart:
 
-        @settings(max_examples=30, deadline=None)
+        @settings(max_examples=examples(30), deadline=None)
         @given(st.lists(st.integers(0, 6), min_size=5, max_size=5), st.permutations(range(5)))
         def equal(lengths: list[int], order: list[int]) -> None:
             played = []
@@ -209,13 +210,13 @@ def test_indices_and_the_shrinking_list_are_those_of_one_process(client: Path) -
 # -- misfortunes -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("what", "said"),
     [
+        ("hang", "did not answer within 0.5 s"),
         ("die", "SIGKILL"),
         ("exit", "exit code 3"),
-        ("hang", "did not answer within 0.5 s"),
         ("raise", "RuntimeError: the gears are jammed"),
     ],
 )

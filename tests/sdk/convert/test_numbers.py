@@ -130,7 +130,6 @@ def test_numbers_are_read_from_files(file: str, tmp_path: Path) -> None:
     assert numbers.encode(np.array([1.0, 4.0])).tolist() == [-1, 1]
 
 
-@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("how", "told"),
     [
@@ -154,8 +153,9 @@ def test_numbers_are_read_from_files(file: str, tmp_path: Path) -> None:
 def test_numbers_that_cannot_be_had(how: dict[str, Any], told: str, tmp_path: Path) -> None:
     _files(tmp_path)
     (tmp_path / "deep.json").write_text("[" * 100_000)
-    with zipfile.ZipFile(tmp_path / "large.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("low.npy", bytes(2**26 + 1))
+    if how.get("file") == "large.npz":
+        with zipfile.ZipFile(tmp_path / "large.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("low.npy", bytes(2**26 + 1))
     for name in ("broken.json", "broken.npz", "broken.safetensors"):
         (tmp_path / name).write_text("{")
     (tmp_path / "text.json").write_text('{"a": "many", "b": 3}')
