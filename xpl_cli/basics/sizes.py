@@ -22,9 +22,17 @@ def parse_size(text: str, option: str) -> int:
     Raises:
         UserError: if it is no size.
     """
+    size = size_of(text)
+    if size is None:
+        raise UserError(f"{option} takes a size such as 500MB, 20GiB or a number of bytes, got {text[:80]!r}")
+    return size
+
+
+def size_of(text: str) -> int | None:
+    """Return the number of bytes that a text stands for; None if it is no size."""
     found = _SIZE.fullmatch(text.strip())
     if found is None or len(found[1]) > _MOST_DIGITS:
-        raise UserError(f"{option} takes a size such as 500MB, 20GiB or a number of bytes, got {text[:80]!r}")
+        return None
     number, unit, binary = found.groups()
     base = 1024 if binary else 1000
     return int(float(number) * float(base ** _POWERS[unit.upper()]))

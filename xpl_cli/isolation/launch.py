@@ -199,10 +199,9 @@ def _prctl(option: int, value: int, told: str) -> None:
     _check(_libc.prctl(option, ctypes.c_ulong(value), *[ctypes.c_ulong(0)] * 3), told)
 
 
-def _mount(source: str, target: str, flags: int, kind: str | None = None, options: str | None = None) -> None:
+def _mount(source: str, target: str, flags: int, kind: str | None = None) -> None:
     given = [None if text is None else os.fsencode(text) for text in (source, target, kind)]
-    data = None if options is None else options.encode()
-    _check(_libc.mount(*given, ctypes.c_ulong(flags), data), f"mount {target}")
+    _check(_libc.mount(*given, ctypes.c_ulong(flags), None), f"mount {target}")
 
 
 def _write(path: str, text: str) -> None:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.sizes import told_size
+from xpl_cli.basics.sizes import size_of, told_size
 from xpl_cli.isolation import family, plan, seccomp
 
 if TYPE_CHECKING:
@@ -32,12 +32,9 @@ if TYPE_CHECKING:
 
 _EVERY_S = 0.1
 _LOOKS_PER_SEARCH = 5
-_UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
-_BINARY_UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
-_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*(?:([KMGT]?)(i?)B?|(%))", re.IGNORECASE)
+_SHARE = re.compile(r"(\d{1,18}(?:\.\d+)?)\s*%")
 _CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 _NO_LIMIT = "none"
-_MOST_DIGITS = 18
 
 _KEPT = {"HF_HOME": ".cache/huggingface", "TORCH_HOME": ".cache/torch", "PYTHONUSERBASE": ".local"}
 """What is found below the home folder, readable as before, although isolated adapters have another home folder."""
@@ -87,14 +84,12 @@ class MemoryLimit:
         asked = text.strip()
         if asked.lower() == _NO_LIMIT:
             return None
-        found = _SIZE.fullmatch(asked)
-        if found is None or len(found[1]) > _MOST_DIGITS or not float(found[1]):
+        share = _SHARE.fullmatch(asked)
+        size = size_of(asked) if share is None else int(float(share[1]) / 100.0 * machine_memory())
+        if not size:
             told = f"{text[:80]!r}{'...' if len(text) > 80 else ''}"
             raise UserError(f"--memory-limit takes a size such as 8GB, a share such as 80%, or none; got {told}")
-        number, unit, binary, share = found.groups()
-        if share:
-            return cls(int(float(number) / 100.0 * machine_memory()), asked)
-        return cls(int(float(number) * (_BINARY_UNITS if binary else _UNITS)[unit.upper()]), asked)
+        return cls(size, asked)
 
     async def hold(self, process: Held) -> None:
         """Watch a worker until it ends, and end it with a clear reason when it holds more."""

@@ -10,7 +10,6 @@ sources are the installed ones), and the same sources give the same bytes. `SOUR
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 import tempfile
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import xpl
+from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import UserError
 
 _README = """\
@@ -72,7 +72,8 @@ def build(out: Path, *, overwrite: bool = False) -> SdkWheel:
                 hint="pass --overwrite to replace it, or choose another folder with --out",
             )
         if state != "unchanged":
-            _write_whole(path, content)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            atomic.write_file(path, content)
     except OSError as error:
         raise UserError(
             f"the wheel cannot be written to {path}: {error.strerror}", hint="choose another folder with --out"
@@ -135,17 +136,3 @@ def _compare(path: Path, content: bytes) -> Literal["written", "unchanged", "rep
     if not path.exists():
         return "written"
     return "unchanged" if path.read_bytes() == content else "replaced"
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that nobody, not even after an interrupt, sees half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-        Path(partial).chmod(0o644)  # mkstemp makes files private
-        Path(partial).replace(path)
-    except BaseException:
-        Path(partial).unlink()
-        raise

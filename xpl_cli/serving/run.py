@@ -11,7 +11,7 @@ import shlex
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -70,9 +70,7 @@ class Options:
         shadow: do not load the model; a function of its inputs answers (`xpl.worker.shadow`).
         working_directory: of the adapter; its own folder by default.
         memory_limit: what each worker may hold; None means what the machine has.
-        isolate: keep the adapter from the network, and from writing to anything but a temporary folder.
-        apart: let the adapter see and signal no process but its own.
-        proven: the way by which either is done, which whoever starts this has just tried.
+        bounds: what the adapter is kept from.
         patience: how long it may be silent while it loads or answers, s; None for as long as it takes.
         renew: build the model anew for every client.
         also: what is spoken besides, each at a port of its own: the name of a wire, or `NAME:PORT`.
@@ -95,9 +93,7 @@ class Options:
     shadow: bool = False
     working_directory: Path | None = None
     memory_limit: MemoryLimit | None = None
-    isolate: bool = False
-    apart: bool = False
-    proven: str | None = None
+    bounds: Bounds = field(default_factory=Bounds)
     patience: float | None = None
     renew: bool = False
     also: Sequence[str] = ()
@@ -122,8 +118,7 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     except UserError as error:
         _failed(package, str(error), {"kind": "environment", "name": "; ".join(filter(None, (str(error), error.hint)))})
         raise
-    kept = Bounds(options.isolate, options.apart, options.proven).around(package.path)
-    with _trace(options.trace) as trace, kept as isolation:
+    with _trace(options.trace) as trace, options.bounds.around(package.path) as isolation:
         observer = Observer(metrics=options.metrics, trace=trace) if options.metrics or trace else None
         run = _Run(package, config, settings, options, python, observer, isolation, others)
         reason = asyncio.run(_serve(run))
@@ -380,13 +375,9 @@ async def _tell(front_end: FrontEnd, name: str, say: Any) -> None:
 
 
 def _url(server: asyncio.Server, settings: Settings) -> str:
-    host, port = _address(server, settings.host)
-    return f"{'ws' if settings.tls is None else 'wss'}://{host}:{port}"
-
-
-def _address(server: asyncio.Server, host: str) -> tuple[str, int]:
-    """Return host and port to connect to. `localhost` has two addresses, and a port that was chosen may be on one."""
+    """Return where to connect to. `localhost` has two addresses, and a port that was chosen may be on one."""
     bound, port = server.sockets[0].getsockname()[:2]
-    if host not in LOOPBACK:
-        return host, port
-    return (f"[{bound}]" if ":" in bound else bound), port
+    host = settings.host
+    if host in LOOPBACK:
+        host = f"[{bound}]" if ":" in bound else bound
+    return f"{'ws' if settings.tls is None else 'wss'}://{host}:{port}"

@@ -113,6 +113,7 @@ def serve(
 ) -> None:
     """Serve a policy until interrupted. Prints one JSON line on stdout when it is ready."""
     from xpl import _spec as spec
+    from xpl_cli.isolation.bounds import Bounds
     from xpl_cli.isolation.sandbox import MemoryLimit
     from xpl_cli.packages import package
     from xpl_cli.serving.run import Options, run_server
@@ -140,9 +141,7 @@ def serve(
         shadow=shadow,
         working_directory=chdir,
         memory_limit=MemoryLimit.parse(memory_limit),
-        isolate=isolate,
-        apart=apart,
-        proven=proven,
+        bounds=Bounds(isolate, apart, proven),
         patience=patience,
         renew=renew,
         also=also,

@@ -25,10 +25,11 @@ _MEMORY = 0.3
 """Weight of the newest value in running means."""
 
 
+@dataclass(eq=False)
 class Job:
     """A request in the line.
 
-    Args:
+    Attributes:
         frame: the request.
         method: what the worker is to do: `infer`, or the method that is called.
         place: for whom.
@@ -37,37 +38,22 @@ class Job:
         entry: where its answer is remembered; None if nobody is told.
         packs: the client reads packed answers.
         size: bytes of the request.
-
-    Attributes:
         received: when it came, s.
         arrived: when it was put into the line, s.
         started: when it was sent to the worker, s.
     """
 
-    def __init__(  # noqa: PLR0913 - a record, made once for every request
-        self,
-        frame: Frame,
-        method: str,
-        place: Place,
-        *,
-        payload: bytes | None = None,
-        segment: int | None = None,
-        entry: Entry | None = None,
-        packs: bool = False,
-        size: int = 0,
-        received: float = 0.0,
-    ) -> None:
-        self.frame = frame
-        self.method = method
-        self.place = place
-        self.payload = payload
-        self.segment = segment
-        self.entry = entry
-        self.packs = packs
-        self.size = size
-        self.received = received
-        self.arrived = 0.0
-        self.started = 0.0
+    frame: Frame
+    method: str
+    place: Place
+    payload: bytes | None = None
+    segment: int | None = None
+    entry: Entry | None = None
+    packs: bool = False
+    size: int = 0
+    received: float = 0.0
+    arrived: float = 0.0
+    started: float = 0.0
 
     @property
     def ready(self) -> bool:
