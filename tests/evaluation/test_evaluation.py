@@ -253,33 +253,25 @@ def test_the_environment_runs_in_the_python_it_is_given(frail: Path, tmp_path: P
 # -- processes -------------------------------------------------------------------------------------------------------
 
 
+CORES = len(os.sched_getaffinity(0))
+
+
 @pytest.mark.parametrize(
-    ("num_envs", "workers", "wanted"),
+    ("num_envs", "workers", "expected"),
     [
-        (None, "1", (1, 1)),
-        (None, "0", (1, 0)),
-        (None, "3", (3, 3)),
-        (8, "2", (8, 2)),
-        (8, "0", (8, 0)),
-        (1, "auto", (1, 1)),
+        *((None, "1", (1, 1)), (None, "0", (1, 0)), (None, "3", (3, 3)), (8, "2", (8, 2)), (8, "0", (8, 0))),
+        *((None, "auto", (CORES, CORES)), (1, "auto", (1, 1)), (CORES + 5, "auto", (CORES + 5, CORES))),
+        *((2, "3", None), (None, "many", None)),
     ],
 )
-def test_environments_and_workers(num_envs: int | None, workers: str, wanted: tuple[int, int]) -> None:
-    assert look.places(num_envs, workers) == wanted
-
-
-def test_automatic_workers_are_as_many_as_cores_and_no_more_than_environments() -> None:
-    cores = len(os.sched_getaffinity(0))
-    assert look.places(None, "auto") == (cores, cores)
-    assert look.places(cores + 5, "auto") == (cores + 5, cores)
-
-
-@pytest.mark.parametrize(
-    ("num_envs", "workers", "said"), [(2, "3", "3 workers for 2 environments"), (None, "many", "a number or auto")]
-)
-def test_workers_that_cannot_be_are_refused(num_envs: int | None, workers: str, said: str) -> None:
-    with pytest.raises(UserError, match=said):
-        look.places(num_envs, workers)
+def test_there_is_one_environment_for_each_worker_unless_told_otherwise(
+    num_envs: int | None, workers: str, expected: tuple[int, int] | None
+) -> None:
+    if expected is None:
+        with pytest.raises(UserError):
+            look.places(num_envs, workers)
+    else:
+        assert look.places(num_envs, workers) == expected
 
 
 SEES = """

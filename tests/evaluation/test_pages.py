@@ -71,18 +71,14 @@ def test_the_page_fits_desk_and_phone_by_day_and_night(page: Page, url: str, wid
     assert page("[...document.querySelectorAll('section')].every(one => one.offsetHeight > 40)")
 
 
-def test_the_page_asks_nobody_for_anything(page: Page, url: str) -> None:
-    """All that a reader sees was in the file."""
+def test_an_episode_opens_with_film_and_curves(page: Page, url: str) -> None:
+    """Each joint has a panel with what was measured, what was commanded, and where chunks begin."""
     page.requests.clear()
     page.open(url)
     page("document.querySelector('#episode-0').click()")
     wait_until(lambda: page("document.querySelector('.look img').naturalWidth") > 0, "the film is shown")
-    assert set(page.requests) == {url}
-
-
-def test_an_episode_opens_with_film_and_curves(page: Page, url: str) -> None:
-    """Each joint has a panel with what was measured, what was commanded, and where chunks begin."""
-    page.open(url)
+    assert set(page.requests) == {url}  # the page asks nobody for anything
+    page("document.querySelector('#episode-0').click()")
     page("document.querySelector('#episode-1').click()")
     assert page("document.querySelectorAll('.panel').length") == 14
     assert page("document.querySelectorAll('.panel path.state').length") == 14

@@ -85,10 +85,6 @@ def test_a_last_line_of_zeros_counts_for_nothing(folder: Path) -> None:
     assert len(records.read(folder).finals) == 6
 
 
-def _damaged(lines: list[Any]) -> list[Any]:
-    return [*lines[:3], lines[3]["index"], *lines[4:]]
-
-
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
@@ -97,22 +93,12 @@ def _damaged(lines: list[Any]) -> list[Any]:
         (lambda lines: [*lines, {**lines[-1], "index": 5}], "episode 5 of the plan is"),
         (lambda lines: [{**lines[0], "embodiment": "piper"}, *lines[1:]], "it was changed"),
         (lambda lines: lines[1:], "must be the plan"),
-        (lambda lines: [*lines[:3], [1], *lines[3:]], "no line of"),
-        (lambda lines: [*lines[:3], {"kind": "note"}, *lines[3:]], "whose kind is one of"),
     ],
-    ids=["twice", "beyond", "other seed", "other plan", "no plan", "list", "other kind"],
+    ids=["twice", "beyond", "other seed", "other plan", "no plan"],
 )
 def test_a_record_that_contradicts_itself_is_refused(folder: Path, spoil: Any, said: str) -> None:
     _write(folder, spoil(_lines(folder)))
     with pytest.raises(RecordError, match=said):
-        records.read(folder)
-
-
-def test_damage_before_the_last_line_is_refused(folder: Path) -> None:
-    content = (folder / records.FILE).read_bytes().splitlines(keepends=True)
-    content[3] = content[3][:50] + b"\n"
-    (folder / records.FILE).write_bytes(b"".join(content))
-    with pytest.raises(RecordError, match="line 4 is no line of"):
         records.read(folder)
 
 

@@ -18,6 +18,7 @@ from xpl_cli.audit.rules.profiles import Choice, Profile
 from xpl_cli.audit.rules.registry import entries, own
 from xpl_cli.audit.rules.verdict import PARITY, Verdict, Word, judged
 from xpl_cli.audit.static.source import Source
+from xpl_cli.basics.words import listed
 from xpl_cli.native import pairs
 from xpl_cli.packages.package import POLICY
 
@@ -76,7 +77,7 @@ class Audited:
             yield f"the audit ran without the gates {', '.join(missing)}"
         if verdict.word in (Word.RED, Word.INCOMPLETE):
             open_rules = [f"{result.code} {result.outcome.value}" for result in report.results if _is_against(result)]
-            found = _listed(open_rules) or "nothing passed"
+            found = listed(open_rules, _SHOWN) or "nothing passed"
             yield f"the audit is not green: its rules make it {verdict.word} ({found})"
         yield from self._overstated(verdict, adapter)
         for gate in report.gates:
@@ -132,9 +133,9 @@ def _incomplete(gate: GateReport) -> Iterator[str]:
     here = [entry for entry in known if not (entry.closes or entry.needs_demonstrations) and entry.runs_in(gate.name)]
     wanted = {entry.code for entry in here}
     if lacking := sorted(wanted.difference(told)):
-        yield f"the audit's {gate.name} gate is without the rules {_listed(lacking)}"
+        yield f"the audit's {gate.name} gate is without the rules {listed(lacking, _SHOWN)}"
     if twice := sorted({code for code in told if told.count(code) > 1}):
-        yield f"the audit's {gate.name} gate has two results of {_listed(twice)}"
+        yield f"the audit's {gate.name} gate has two results of {listed(twice, _SHOWN)}"
 
 
 def _unbound(report: TargetReport, adapter: Path, variant: str | None) -> Iterator[str]:
@@ -164,8 +165,3 @@ def _is_against(result: Result) -> bool:
 def _gravity(outcome: Outcome) -> int:
     order = (Outcome.NOT_APPLICABLE, Outcome.PASS, Outcome.WARN, Outcome.NOT_RUN, Outcome.ERROR, Outcome.FAIL)
     return order.index(outcome)
-
-
-def _listed(names: list[str]) -> str:
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return f"{', '.join(names[:_SHOWN])}{more}"

@@ -7,18 +7,21 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
+from xpl.vector import INFRASTRUCTURE
+from xpl_cli.basics.words import listed
 from xpl_cli.evaluation.records import fingerprints
-from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, cells
+from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction, is_open
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from xpl_cli.evaluation.records.model import Episode
     from xpl_cli.evaluation.records.records import Run
 
 _SUCCESS_OF = {None: (True, None), "task": (False,), "policy": (False, None), INFRASTRUCTURE: (None,)}
 """What `success` may be for each class of failure."""
+_SHOWN = 8
 _SLACK_S = 0.01
 """Clocks are read at different moments and rounded."""
 
@@ -38,9 +41,8 @@ def problems(run: Run) -> Iterator[str]:
         yield from _episode(line, run)
     yield from _attempts(run)
     yield from _unjudged(run)
-    spoilt = sum(line.failure == INFRASTRUCTURE for line in run.finals.values())
-    if spoilt > MOST_SPOILT * len(run.finals):
-        told = f"{spoilt} of its {len(run.finals)} episodes were spoilt by the infrastructure"
+    if run.is_spoilt:
+        told = f"{run.spoilt} of its {len(run.finals)} episodes were spoilt by the infrastructure"
         yield f"{told}, more than {MOST_SPOILT:.0%}"
     missing = sum(cell.unplayed for cell in cells(run))
     if missing:
@@ -78,7 +80,8 @@ def _attempts(run: Run) -> Iterator[str]:
     for index, lines in sorted(by_index.items()):
         numbers = [line.attempt for line in lines]
         if numbers != list(range(1, len(lines) + 1)) or len(lines) > most:
-            yield f"episode {index} has the attempts {_listed(numbers)}: expected 1, 2, ..., at most {most}"
+            told = listed([str(number) for number in numbers], _SHOWN)
+            yield f"episode {index} has the attempts {told}: expected 1, 2, ..., at most {most}"
         if lines[-1].final and lines[-1].failure == INFRASTRUCTURE and len(lines) < most:
             yield f"episode {index} was given up after {len(lines)} attempts: its plan allows {most}"
         if not all(is_open(line) for line in lines[:-1]):
@@ -88,11 +91,6 @@ def _attempts(run: Run) -> Iterator[str]:
 def _unjudged(run: Run) -> Iterator[str]:
     """Yield episodes that have neither success nor failure in a task where others have: they would not count."""
     for cell in cells(run):
-        silent = [line.index for line in cell.counted if line.success is None and line.failure is None]
+        silent = [str(line.index) for line in cell.counted if line.success is None and line.failure is None]
         if silent and cell.outcomes:
-            yield f"episodes {_listed(silent)} neither succeeded nor failed, while others of {cell.task} did"
-
-
-def _listed(numbers: Sequence[object]) -> str:
-    shown = ", ".join(map(str, numbers[:8]))
-    return f"{shown}, ..." if len(numbers) > 8 else shown
+            yield f"episodes {listed(silent, _SHOWN)} neither succeeded nor failed, while others of {cell.task} did"

@@ -125,8 +125,7 @@ def _checkpoints(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
     if told.loaded is not None and (told.name not in known or known[told.name].digest != told.loaded):
         yield f"the checkpoint that was loaded ({told.loaded[:12]}...) is not the one called {told.name!r}"
     for run in runs:
-        checkpoint = run.plan.policy.checkpoint
-        if (None if checkpoint is None else checkpoint.digest) != told.loaded:
+        if run.plan.policy.weights != told.loaded:
             yield f"run {run.plan.run[:12]} loaded another checkpoint than {bundle.CHECKPOINTS} says"
 
 

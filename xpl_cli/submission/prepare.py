@@ -15,7 +15,6 @@ from xpl_cli.audit.rules.verdict import judged
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.records import fingerprints, manner, records, stand_ins
-from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.lifecycle.checkpoints import specification
 from xpl_cli.packages import environments
 from xpl_cli.packages import package as packages
@@ -129,8 +128,7 @@ def _problems(package: Package, runs: Sequence[Run]) -> Iterator[str]:
     if len({run.plan.policy.variant for run in runs}) > 1:
         yield "the runs are of different variants: a bundle is about one"
     declared = specification.declared(_played(package, runs[0]))
-    loaded = {_loaded(run) for run in runs}
-    if len(loaded) > 1:
+    if len({run.plan.policy.weights for run in runs}) > 1:
         yield "the runs loaded different checkpoints: a bundle is about one"
     for run in runs:
         about = f"{run.folder}: "
@@ -158,11 +156,6 @@ def _environment(run: Run) -> Iterator[str]:
         return
     if fingerprints.package_digest(folder) != told.digest:
         yield f"it was played in another version of {told.name} than the one here: evaluate again"
-
-
-def _loaded(run: Run) -> str | None:
-    checkpoint = run.plan.policy.checkpoint
-    return None if checkpoint is None else checkpoint.digest
 
 
 def _played(adapter: Package, run: Run) -> Package:
@@ -229,7 +222,7 @@ def _files(request: Request, runs: Sequence[Run], report: TargetReport) -> dict[
 
 def _checkpoints(package: Package, run: Run) -> bundle.Checkpoints:
     known = specification.declared(package)
-    loaded = _loaded(run)
+    loaded = run.plan.policy.weights
     name = next((name for name, one in known.items() if loaded is not None and one.digest == loaded), None)
     return bundle.Checkpoints(loaded, name, [dict(entry.data) for entry in package.manifest.checkpoints])
 
@@ -251,6 +244,6 @@ def _notes(runs: Sequence[Run]) -> Iterator[str]:
     elsewhere = sum(here not in run.machines for run in runs)
     if elsewhere:
         yield f"{elsewhere} of the runs were played on other machines: environment.json tells of this one"
-    spoilt = sum(line.failure == INFRASTRUCTURE for run in runs for line in run.finals.values())
+    spoilt = sum(run.spoilt for run in runs)
     if spoilt:
         yield f"{spoilt} episodes were spoilt by the infrastructure, and count as failed"

@@ -14,7 +14,8 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, cells
+from xpl.vector import INFRASTRUCTURE
+from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.evaluation.statistics.intervals import CONFIDENCE, Interval, Pairs, exact, mcnemar, paired
 
 if TYPE_CHECKING:

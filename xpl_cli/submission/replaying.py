@@ -8,13 +8,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
+from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.lanes.backend import Job
 from xpl_cli.evaluation.lanes.local import LocalBackend, shared
 from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records import fingerprints
-from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.runs import evaluate, runner
 from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.lifecycle.checkpoints import fetch, specification

@@ -159,17 +159,12 @@ def test_a_rehearsal_plays_the_stand_in_and_tells_no_number(name: str, task: str
 
 
 WRONG = {
-    "no JSON": "{",
     "no details": "{}",
     "a layout twice": {"0": DETAILS["0"], "1": DETAILS["0"]},
-    "a score above 1": {"0": {"layout_id": 0, "success": False, "score": 15.0}},
-    "a success that is a number": {"0": {"layout_id": 0, "success": 1, "score": 1.0}},
     "a layout that is a text": {"0": {"layout_id": "0", "success": True, "score": 1.0}},
     "success with nothing": {"0": {"layout_id": 0, "success": True, "score": 0}},
     "no score": {"0": {"layout_id": 0, "success": True}},
     "a rate that contradicts its layouts": json.dumps({"success_rate": 0.9, "details": DETAILS}),
-    "NaN": '{"details": {"0": {"layout_id": 0, "success": false, "score": NaN}}}',
-    "deep": '{"details": ' + "[" * 100_000,
 }
 
 

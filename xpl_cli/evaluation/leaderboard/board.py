@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.strangers import in_markdown
+from xpl_cli.basics.words import amount
 from xpl_cli.evaluation.leaderboard.field import is_barrier
 from xpl_cli.evaluation.report import episodes, markdown
 from xpl_cli.evaluation.report.phrases import points
@@ -56,8 +57,8 @@ def as_csv(ranking: Ranking) -> str:
 def title(ranking: Ranking) -> str:
     """Return the heading: what was ranked, and by which episodes."""
     tasks, settings = len(ranking.tasks), len(ranking.settings)
-    runs = wording.many(len(ranking.rows), "run")
-    what = f"{wording.many(tasks, 'task')} in {wording.many(settings, 'setting')}"
+    runs = amount(len(ranking.rows), "run")
+    what = f"{amount(tasks, 'task')} in {amount(settings, 'setting')}"
     limits = ["by the episodes that all runs played"] if ranking.common else []
     if any(is_barrier(difference.what) for difference in ranking.differences):
         limits.append("in spite of differences")

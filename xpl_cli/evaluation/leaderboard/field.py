@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import stand_ins
-from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, cells
+from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction
 from xpl_cli.evaluation.statistics.matching import Difference, differences
 
@@ -95,13 +95,11 @@ def _refuse_contradictions(run: Run) -> None:
 
 def _spoilt(run: Run) -> str | None:
     """Return why so much of a run was spoilt that it is not ranked, or None."""
-    finals = run.finals.values()
-    count = sum(line.failure == INFRASTRUCTURE for line in finals)
-    if count <= MOST_SPOILT * len(finals):
+    if not run.is_spoilt:
         return None
     return (
-        f"{run.folder} is not ranked: the infrastructure spoilt {count} of its {len(finals)} episodes, more than "
-        f"{MOST_SPOILT:.0%}."
+        f"{run.folder} is not ranked: the infrastructure spoilt {run.spoilt} of its {len(run.finals)} episodes, more "
+        f"than {MOST_SPOILT:.0%}."
     )
 
 

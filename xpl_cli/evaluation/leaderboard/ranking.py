@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
+from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import one_of
-from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.statistics import cautions, intervals
 from xpl_cli.evaluation.statistics.comparison import IncomparableError, compare
 from xpl_cli.evaluation.statistics.documents import Document
@@ -181,7 +181,7 @@ def _row(run: Run, summary: Summary, gap: Gap | None, rank: int) -> Row:
         folder=str(run.folder),
         run=run.plan.run,
         policy=policy.name,
-        checkpoint=None if policy.checkpoint is None else policy.checkpoint.digest,
+        checkpoint=policy.weights,
         planned=overall.planned,
         successes=overall.successes,
         success_rate=overall.success_rate,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from xpl.vector import INFRASTRUCTURE
 from xpl_cli.evaluation.runs.stopping import stopping_point
 from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs, bootstrap, exact, wilson
 
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.model import Ending, Episode, PlannedCell
     from xpl_cli.evaluation.records.records import Run
 
-INFRASTRUCTURE: Final = "infrastructure"
 FAILURES: Final = ("task", "policy", INFRASTRUCTURE)
 METHODS: Final[dict[str, Callable[[int, int], Interval]]] = {
     "wilson": lambda successes, count: wilson(successes / count, count),

@@ -50,6 +50,11 @@ class PlannedPolicy:
         variant: str | None = self.config.get(sdk.Deploy.VARIANT)
         return variant
 
+    @property
+    def weights(self) -> str | None:
+        """Digest of the checkpoint; None without one."""
+        return None if self.checkpoint is None else self.checkpoint.digest
+
 
 @dataclass(frozen=True)
 class PlannedEnvironment:

@@ -16,8 +16,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
+from xpl_cli.evaluation.records.failures import MOST_SPOILT
 from xpl_cli.evaluation.records.fingerprints import Facts, digest_of
 from xpl_cli.evaluation.records.lines import Line, LineError, NotJsonError, parsed
 from xpl_cli.evaluation.records.model import SCHEMA, Episode, Plan, name_of
@@ -60,6 +62,16 @@ class Run:
     finals: dict[int, Episode] = field(default_factory=dict)
     torn: bool = False
     skipped: tuple[str, ...] = ()
+
+    @property
+    def spoilt(self) -> int:
+        """Number of episodes that the infrastructure spoilt for good."""
+        return sum(line.failure == INFRASTRUCTURE for line in self.finals.values())
+
+    @property
+    def is_spoilt(self) -> bool:
+        """Whether these are more than a run may have (`MOST_SPOILT`)."""
+        return self.spoilt > MOST_SPOILT * len(self.finals)
 
 
 def read(path: Path, *, skip: bool = False) -> Run:

@@ -6,7 +6,6 @@ import contextlib
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes import backends
@@ -204,7 +203,7 @@ def orders(  # noqa: PLR0913 - all that travels with a run
         UserError: the environment does not have what the plan asks for.
     """
     config, how = manner.without(planned.policy.config), manner.of(planned)
-    cell, checkpoint = planned.cells[0], planned.policy.checkpoint
+    cell = planned.cells[0]
     settings = environment_settings(package, str(folder), config, task=cell.task, setting=cell.setting)
     lane_orders = Orders(
         policy=str(package.path),
@@ -224,7 +223,7 @@ def orders(  # noqa: PLR0913 - all that travels with a run
     server_orders = ServerOrders(
         policy=str(package.path),
         policy_digest=planned.policy.digest,
-        checkpoint_digest=None if checkpoint is None else checkpoint.digest,
+        checkpoint_digest=planned.policy.weights,
         overrides=config,
         python=runtime.python,
         env=runtime.env,
@@ -247,9 +246,8 @@ def check(run: Run) -> None:
     Raises:
         UserError: episodes were spoilt by the infrastructure for good.
     """
-    spoilt = sum(line.failure == INFRASTRUCTURE for line in run.finals.values())
-    if spoilt:
+    if run.spoilt:
         raise UserError(
-            f"{spoilt} of {len(run.finals)} episodes were spoilt by the infrastructure, and count as failed",
+            f"{run.spoilt} of {len(run.finals)} episodes were spoilt by the infrastructure, and count as failed",
             code=ExitCode.NOT_RUN,
         )

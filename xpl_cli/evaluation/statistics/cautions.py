@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from xpl.vector import INFRASTRUCTURE
+from xpl_cli.basics.words import amount
 from xpl_cli.evaluation.records import stand_ins
-from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, outcome
+from xpl_cli.evaluation.records.cells import outcome
 from xpl_cli.evaluation.records.failures import MOST_SPOILT
 from xpl_cli.evaluation.records.manner import INSTRUCTIONS
 from xpl_cli.evaluation.runs.stopping import episodes_needed
-from xpl_cli.evaluation.statistics.wording import interval, many, percent, were
+from xpl_cli.evaluation.statistics.wording import interval, percent, were
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -54,8 +56,8 @@ def of_course(beyond: int, machines: int, revived: int) -> list[str]:
     notes = []
     if revived:
         notes.append(
-            f"{many(revived, 'episode')} succeeded in an attempt that followed one that the infrastructure had spoilt: "
-            "more than a few of these may mean that a policy spoils attempts that it is about to lose."
+            f"{amount(revived, 'episode')} succeeded in an attempt that followed one that the infrastructure had spoilt"
+            ": more than a few of these may mean that a policy spoils attempts that it is about to lose."
         )
     if beyond:
         notes.append(
@@ -99,7 +101,7 @@ def of_stopping() -> str:
 def _of_what_is_missing(overall: Row, found: Sequence[Cell]) -> Iterator[str]:
     if overall.unplayed:
         yield (
-            f"{many(overall.unplayed, 'episode')} of {overall.planned} still to be played: the rows tell of "
+            f"{amount(overall.unplayed, 'episode')} of {overall.planned} still to be played: the rows tell of "
             "those that were."
         )
     yield from _of_what_was_spoilt(overall, found)
@@ -121,8 +123,8 @@ def _of_what_was_spoilt(overall: Row, found: Sequence[Cell]) -> Iterator[str]:
         yield f"{were(spoilt, 'episode')} spoilt by the infrastructure: nothing can be said of them."
     if revived:
         yield (
-            f"{many(revived, 'episode')} succeeded only after the policy's process had died in an earlier attempt, and "
-            "counted as failed."
+            f"{amount(revived, 'episode')} succeeded only after the policy's process had died in an earlier attempt, "
+            "and counted as failed."
         )
     if overall.if_spoilt:
         worst, best = map(percent, overall.if_spoilt)
@@ -148,7 +150,7 @@ def _of_width(rows: Sequence[Row]) -> Iterator[str]:
     if high - low > _NARROW:
         needed = episodes_needed(_NARROW, rate=min(max(0.5, low), high))
         yield (
-            f"With {many(widest.judged, 'episode')}, the rate of {widest.task} ({widest.setting}) is known no "
+            f"With {amount(widest.judged, 'episode')}, the rate of {widest.task} ({widest.setting}) is known no "
             f"better than {interval(low, high)}; an interval of {_NARROW * 100:.0f} points takes up to {needed}."
         )
 

@@ -164,12 +164,12 @@ def _row(task: str | None, setting: str | None, matches: Sequence[_Matches]) -> 
 
 
 def _side(run: Run) -> Side:
-    plan, checkpoint = run.plan, run.plan.policy.checkpoint
+    plan = run.plan
     return Side(
         folder=str(run.folder),
         run=plan.run,
         policy=plan.policy.name,
-        checkpoint=None if checkpoint is None else checkpoint.digest,
+        checkpoint=plan.policy.weights,
         environment=plan.environment.name,
         embodiment=plan.embodiment,
         action_type=plan.action_type,

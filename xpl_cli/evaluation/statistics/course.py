@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
+from xpl.vector import INFRASTRUCTURE
 from xpl_cli.evaluation.statistics import cautions
 from xpl_cli.evaluation.statistics.summaries import Course, Error, Latency
 

@@ -10,8 +10,9 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from xpl.vector import INFRASTRUCTURE
 from xpl_cli.evaluation.records import manner
-from xpl_cli.evaluation.records.cells import FAILURES, INFRASTRUCTURE, Cell, cells, matched
+from xpl_cli.evaluation.records.cells import FAILURES, Cell, cells, matched
 from xpl_cli.evaluation.statistics import cautions, intervals
 from xpl_cli.evaluation.statistics.course import course
 from xpl_cli.evaluation.statistics.summaries import Contrast, Methods, Row, Summary

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from xpl_cli.basics.words import amount
 from xpl_cli.evaluation.statistics import cautions
-from xpl_cli.evaluation.statistics.wording import NOTHING, aligned, many, percent, points, were
+from xpl_cli.evaluation.statistics.wording import NOTHING, aligned, percent, points, were
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,7 +37,7 @@ def verdict(result: Comparison) -> str:
     if not row.only_first + row.only_second:
         said = f"{first} and {second} succeeded in the same episodes: {row.both} of {row.pairs}."
         return f"{said} A difference of {points(low, high)} points fits these data all the same."
-    told = f"{many(row.pairs, 'pair')}, {_p(row.p_value)}"
+    told = f"{amount(row.pairs, 'pair')}, {_p(row.p_value)}"
     if row.p_value >= _ALPHA:
         return (
             f"Neither is shown to be better: {first} has {rates[0]}, {second} has {rates[1]} ({told}). "
@@ -102,7 +103,7 @@ def _of_test(row: Row) -> Iterator[str]:
     least = 2 * 0.5**discordant
     if discordant and least >= _ALPHA:
         yield (
-            f"Only {discordant} of {many(row.pairs, 'pair')} ended differently. Had all of them favoured "
+            f"Only {discordant} of {amount(row.pairs, 'pair')} ended differently. Had all of them favoured "
             f"one side, it would still be {_p(least)}: so few cannot show which is better."
         )
     low, high = row.interval
@@ -131,7 +132,7 @@ def _of_pairs(result: Comparison) -> Iterator[str]:
     if same == pairs:
         yield "In all pairs the two moved exactly alike: these are the same policy, as far as can be seen."
     elif same:
-        yield f"In {same} of {many(pairs, 'pair')} the two moved exactly alike."
+        yield f"In {same} of {amount(pairs, 'pair')} the two moved exactly alike."
     if not result.known_layouts:
         yield "The records do not tell where things stood: that equal seeds drew equal scenes is taken on trust."
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Protocol
 
+from xpl_cli.basics.words import amount
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -43,14 +45,9 @@ def points(low: float, high: float) -> str:
     return f"{round(low * 100):+d} to {round(high * 100):+d}"
 
 
-def many(count: int, thing: str) -> str:
-    """Return a number of things: `1 episode`, `3 episodes`."""
-    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
-
-
 def were(count: int, thing: str, which: str = "") -> str:
     """Return a number of things with a verb: `1 episode was`, `3 episodes of Foo were`."""
-    return f"{many(count, thing)}{which and ' ' + which} {'was' if count == 1 else 'were'}"
+    return f"{amount(count, thing)}{which and ' ' + which} {'was' if count == 1 else 'were'}"
 
 
 def rate(row: Rated) -> str:
