@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 
 from xpl import _spec as sdk
+from xpl.contract import Observation
 from xpl.simulator.process import EnvRaisedError
 from xpl_cli.audit import Finding, NotApplicable, rule
 from xpl_cli.audit.environments.stage import Offer, Play, Stage, motion
@@ -98,7 +98,7 @@ def _reported(play: Play, action: dict[str, np.ndarray]) -> str | None:
     return None if corrections else f"is executed without a word: the report says {report!r}"
 
 
-def _outside(offer: Offer, obs: Mapping[str, Any]) -> str | None:
+def _outside(offer: Offer, obs: Observation) -> str | None:
     state, arm = obs[sdk.Obs.STATE], offer.robot.arms[0]
     joints = state.get(arm.prefix + sdk.State.ARM_JOINT_STATE)
     opening = state.get(arm.prefix + sdk.State.EE_JOINT_STATE)

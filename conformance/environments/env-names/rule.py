@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from collections.abc import Set as AbstractSet
+from collections.abc import Collection, Iterable, Iterator
 from difflib import get_close_matches
 
 from xpl import _spec as sdk
@@ -59,7 +58,7 @@ def env_names(source: Source) -> Iterator[Finding]:
             )
 
 
-def _unknown(source: Source, key: str, given: object, known: AbstractSet[str], what: str) -> Iterator[Finding]:
+def _unknown(source: Source, key: str, given: object, known: Collection[str], what: str) -> Iterator[Finding]:
     entries: Iterable[object] = given if isinstance(given, (list, dict)) else ()
     for entry in entries:
         if isinstance(entry, str) and entry not in known:

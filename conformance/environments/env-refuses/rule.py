@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from xpl import _spec as sdk
+from xpl.contract import Action
 from xpl.simulator.process import EnvRaisedError
 from xpl_cli.audit import Finding, rule
 from xpl_cli.audit.environments.stage import Offer, Play, Stage, motion
@@ -97,7 +97,7 @@ def _mistakes(stage: Stage, offer: Offer) -> Iterator[Finding]:
                 play.reset(0)
 
 
-def _sent(play: Play, actions: Mapping[int, Mapping[str, Any]]) -> str | None:
+def _sent(play: Play, actions: Mapping[int, Action]) -> str | None:
     try:
         play.act(actions)
     except EnvRaisedError as error:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from xpl import _spec as spec
+from xpl.contract import ObservationDict
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.served.compare import difference, error_code, same
 from xpl_cli.audit.served.probe import Probe, blame
@@ -68,5 +68,5 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
         )
 
 
-def _bare(obs: dict[str, Any]) -> dict[str, Any]:
+def _bare(obs: ObservationDict) -> ObservationDict:
     return {key: value for key, value in obs.items() if key != spec.Obs.ENV_IDX}

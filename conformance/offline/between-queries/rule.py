@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
 
 from xpl import _spec as spec
+from xpl.contract import ObservationDict
 from xpl.manifest import Native
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.served import inputs
 from xpl_cli.audit.served.compare import answers, first_step, same
 from xpl_cli.audit.served.effects import Scale, is_negligible, is_weak
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.session import Answer
 
 _GROUPS = {"images": spec.Obs.VISION, "state": spec.Obs.STATE}
 """Parts of an observation, as the native block calls them."""
-_Second = Callable[..., Any]
+_Second = Callable[..., "Answer"]
 """Plays the episode with these observations after the first question, and returns the second answer."""
 
 
@@ -49,7 +50,7 @@ def between_queries(probe: Probe) -> Iterator[Finding]:
     shown = [{**probe.observation(scene, scene), spec.Obs.ENV_IDX: 0} for scene in range(max(span, 2) + 1)]
     first, *between, newest = shown
 
-    def second(*shown: dict[str, Any]) -> Any:
+    def second(*shown: ObservationDict) -> Answer:
         with probe.run() as policy:
             policy.act(first)
             for obs in shown:
@@ -71,7 +72,7 @@ def between_queries(probe: Probe) -> Iterator[Finding]:
 
 
 def _with_a_history(
-    probe: Probe, second: _Second, between: list[dict[str, Any]], newest: dict[str, Any], all_shown: Any
+    probe: Probe, second: _Second, between: list[ObservationDict], newest: ObservationDict, all_shown: Answer
 ) -> Iterator[Finding]:
     """Find that what is older counts for more than the newest observation, or for nothing."""
     manifest = probe.package.manifest
@@ -100,14 +101,14 @@ def _with_a_history(
             yield _finding(f"{problem}: frames are missing", all_shown)
 
 
-def _changed(obs: dict[str, Any], names: Iterable[str]) -> dict[str, Any]:
+def _changed(obs: ObservationDict, names: Iterable[str]) -> ObservationDict:
     """Return an observation with some inputs changed, the instruction not: an episode has one."""
     for name in names:
         obs = obs if name == spec.Obs.INSTRUCTION else inputs.varied(obs, name)
     return obs
 
 
-def _finding(problem: str, second: Any) -> Finding:
+def _finding(problem: str, second: Answer) -> Finding:
     return blame(
         f"the answer after observations in the middle of a chunk {problem}",
         expected="an answer that follows what was shown last, and the declared history",

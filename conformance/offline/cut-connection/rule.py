@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from xpl.client import ClientError
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.served.compare import answers, brief, difference, first_step
 from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.relay import Relay
+from xpl_cli.audit.served.session import Answer
 
 _CUTS = (None, "confirmation", "action", "observation", None)
 """What is lost in each step of the episode."""
@@ -42,7 +42,7 @@ def cut_connection(probe: Probe) -> Iterator[Finding]:
     probe.ready()
     with probe.run() as policy:
         expected = probe.episode(policy, steps=len(_CUTS))
-    answered: list[Any] = []
+    answered: list[Answer] = []
     cuts: list[str] = []
     try:
         with probe.own_server({}) as server, Relay(server.url) as relay, probe.connected(relay.url) as policy:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from xpl import _spec as spec
+from xpl.contract import ObservationDict
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.served.compare import answers, difference, first_step, same
 from xpl_cli.audit.served.inputs import with_gripper
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.session import Answer
 
 
 @rule(code="XPL221", requirement="XPL-CFG-9")
@@ -80,7 +81,7 @@ def _nothing_kept(probe: Probe, history: int) -> Iterator[Finding]:
     closed, opened = (_with_grippers(probe, scenes[0], value) for value in (spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN))
     short = [[scenes[2]], [scenes[3]]]
     long = [[scenes[2], closed, scenes[3], scenes[1]], [scenes[3], opened, *scenes[:2]]]
-    groups: list[list[list[Any]]] = [short, long, [[]]]
+    groups: list[list[list[Answer]]] = [short, long, [[]]]
     ended = [[_last_answer(probe, [*past, *now]) for past in pasts] for pasts in groups]
     if not all(same(answer, group[0]) for group in ended for answer in group):
         return
@@ -98,12 +99,12 @@ def _nothing_kept(probe: Probe, history: int) -> Iterator[Finding]:
     )
 
 
-def _asked_twice(probe: Probe, obs: dict[str, Any]) -> tuple[Any, Any]:
+def _asked_twice(probe: Probe, obs: ObservationDict) -> tuple[Answer, Answer]:
     with probe.run() as policy:
         return policy.act(obs), policy.get_action()
 
 
-def _last_answer(probe: Probe, shown: Sequence[dict[str, Any]]) -> Any:
+def _last_answer(probe: Probe, shown: Sequence[ObservationDict]) -> Answer:
     """Return the last answer of an episode in which every observation is asked about."""
     with probe.run() as policy:
         policy.reset()
@@ -113,11 +114,11 @@ def _last_answer(probe: Probe, shown: Sequence[dict[str, Any]]) -> Any:
     return answer
 
 
-def _in_environment_0(probe: Probe, scene: int) -> dict[str, Any]:
+def _in_environment_0(probe: Probe, scene: int) -> ObservationDict:
     return {**probe.observation(scene), spec.Obs.ENV_IDX: 0}
 
 
-def _with_grippers(probe: Probe, obs: dict[str, Any], value: float) -> dict[str, Any]:
+def _with_grippers(probe: Probe, obs: ObservationDict, value: float) -> ObservationDict:
     for arm in probe.embodiment.arms:
         obs = with_gripper(obs, arm.prefix + spec.State.EE_JOINT_STATE, value)
     return obs

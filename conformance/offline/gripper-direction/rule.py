@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.served.compare import structure_problem
 from xpl_cli.audit.served.inputs import with_gripper
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.session import Answer
 
 _OPENINGS = np.linspace(spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN, 6)
 _ORDERS = ([0, 1, 2, 3, 4, 5], [3, 0, 4, 1, 5, 2])
@@ -80,7 +80,7 @@ def gripper_direction(probe: Probe) -> Iterator[Finding]:
         )
 
 
-def _answers(probe: Probe, keys: Sequence[str], scene: int) -> list[Any]:
+def _answers(probe: Probe, keys: Sequence[str], scene: int) -> list[Answer]:
     """Return the chunks that answer each opening in one scene."""
     plain = {**probe.observation(scene), spec.Obs.ENV_IDX: 0}
     chunks = []
@@ -95,7 +95,7 @@ def _answers(probe: Probe, keys: Sequence[str], scene: int) -> list[Any]:
     return chunks
 
 
-def _lines(chunks: Sequence[Any], keys: Sequence[str], key: str) -> Iterator[list[float] | None]:
+def _lines(chunks: Sequence[Answer], keys: Sequence[str], key: str) -> Iterator[list[float] | None]:
     """Yield of each action step how it follows the grippers: a slope for each and an offset; None if it does not."""
     openings = [_OPENINGS[_ORDERS[number % 2]] for number in range(len(keys))]
     columns = np.stack([*openings, np.ones(len(_OPENINGS))], axis=1)

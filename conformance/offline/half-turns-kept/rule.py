@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
+from xpl.contract import ObservationDict
 from xpl.embodiment import get_embodiment
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.rotations import HALF_TURNS, NEARLY, ORDINARY, first_turns, rotation_difference
@@ -12,6 +12,7 @@ from xpl_cli.audit.offline.semantics import Semantics, answers_poses
 from xpl_cli.audit.served.compare import answers, same, structure_problem
 from xpl_cli.audit.served.inputs import turned
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.session import Answer
 
 _FOLLOWS, _LOST = 0.1, 0.5
 """An action that stays this near to the observed orientation in an ordinary pose, rad, and goes this far off in a half
@@ -69,7 +70,7 @@ def half_turns_kept(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     yield from _confused(plain, {what: chunks[what][1] for what in HALF_TURNS})
 
 
-def _lost(ordinary: dict[str, Any], plain: Any, obs: dict[str, Any], chunk: Any) -> str | None:
+def _lost(ordinary: ObservationDict, plain: Answer, obs: ObservationDict, chunk: Answer) -> str | None:
     for before, after in zip(first_turns(ordinary, plain), first_turns(obs, chunk), strict=True):
         if after.is_identity and not before.is_identity:
             return f"{after.key} is commanded to the identity"
@@ -81,7 +82,7 @@ def _lost(ordinary: dict[str, Any], plain: Any, obs: dict[str, Any], chunk: Any)
     return None
 
 
-def _confused(plain: Any, about: dict[str, Any]) -> Iterator[Finding]:
+def _confused(plain: Answer, about: ObservationDict) -> Iterator[Finding]:
     """Yield two different half turns that are answered alike, unless no orientation matters."""
     names = list(about)
     alike = [

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from xpl import _spec as spec
+from xpl.contract import ObservationDict
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.compare import error_code
@@ -39,7 +39,7 @@ def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     obs = probe.observation()
     text = obs[spec.Obs.INSTRUCTION]
     rest = {key: value for key, value in obs.items() if key != spec.Obs.INSTRUCTION}
-    forms: dict[str, dict[str, Any]] = {
+    forms: dict[str, ObservationDict] = {
         "`instructions`": {**rest, spec.Obs.INSTRUCTIONS: [text, "an alternative wording"]},
         "a text under `instructions`": {**rest, spec.Obs.INSTRUCTIONS: text},
         "a list under `instruction`": {**rest, spec.Obs.INSTRUCTION: [text]},

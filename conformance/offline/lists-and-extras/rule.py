@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from xpl import _spec as spec
+from xpl.contract import ObservationDict
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.inputs import only
@@ -54,7 +54,7 @@ def lists_and_extras(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
             )
 
 
-def _forms(obs: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def _forms(obs: ObservationDict) -> dict[str, ObservationDict]:
     state, vision = obs[spec.Obs.STATE], obs[spec.Obs.VISION]
     camera = next(iter(vision.values()))
     more = {

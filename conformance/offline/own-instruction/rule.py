@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, rule
 from xpl_cli.audit.served.compare import answers, difference, first_step, same
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.session import Answer
 
 
 @rule(code="XPL220", requirement="XPL-BAT-6", after=("batch-order", "batch-independent"))
@@ -37,7 +37,7 @@ def own_instruction(probe: Probe) -> Iterator[Finding]:
     scene = probe.observation(0)
     one, other = (probe.observation(env)[spec.Obs.INSTRUCTION] for env in (0, 1))
 
-    def answered(*texts: str) -> list[Any]:
+    def answered(*texts: str) -> list[Answer]:
         batch = [{**scene, spec.Obs.ENV_IDX: env, spec.Obs.INSTRUCTION: text} for env, text in enumerate(texts)]
         chunks = probe.batch_answer(batch, [0, 1])
         if not answers(chunks, 2):

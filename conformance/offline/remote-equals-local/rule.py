@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
+from xpl.contract import Config
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline import inprocess
 from xpl_cli.audit.served.exact import Mismatch, mismatch
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.session import Answer
 
 _STEPS = 3
 _ENVS = (5, 2)
 _SIZE = (96, 128)
 """Of the images: large enough to travel through shared memory."""
-_WAYS: dict[str, dict[str, Any]] = {
+_WAYS: dict[str, Config] = {
     "packed, in shared memory": {},
     "packed, in the message": {sdk.Capability.SHARED_MEMORY: False},
     "as plain msgpack": {sdk.Capability.PACKED: False},
@@ -77,12 +78,12 @@ def _script(probe: Probe) -> list[inprocess.Call]:
     return script
 
 
-def _played(probe: Probe, url: str, wishes: dict[str, Any], script: list[inprocess.Call]) -> list[Any]:
+def _played(probe: Probe, url: str, wishes: Config, script: list[inprocess.Call]) -> list[Answer]:
     with probe.connected(url, **wishes) as policy:
         return [getattr(policy, method)(*arguments) for method, arguments in script]
 
 
-def _apart(remote: Any, local: inprocess.Answer) -> Mismatch | None:
+def _apart(remote: Answer, local: inprocess.Answer) -> Mismatch | None:
     """Return where an answer of the server and one of the model differ; two errors are alike."""
     failed = isinstance(remote, PolicyServerError)
     if failed or local.error is not None:

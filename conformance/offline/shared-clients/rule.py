@@ -5,14 +5,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from xpl import _spec as spec
 from xpl.client import PolicyServerError
 from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, rule
 from xpl_cli.audit.served.compare import answers, brief, difference, first_step, same
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.session import Session
+from xpl_cli.audit.served.session import Answer, Session
 
 _ENVS = ([0, 1], [1, 0])  # of each client: the same numbers, which only the server tells apart
 _SCENES = ([0, 1], [2, 3])  # what each of these environments shows
@@ -29,7 +28,7 @@ class _Turn:
     method: str
     episode: int
     step: int
-    answer: Any
+    answer: Answer
 
     def __str__(self) -> str:
         return f"{self.method} in step {self.step} of episode {self.episode}"
@@ -125,7 +124,7 @@ def _finding(client: int, alone: _Turn, beside: _Turn, found: str, other: _Turn 
     )
 
 
-def _shown(answer: Any, place: int) -> Any:
+def _shown(answer: Answer, place: int) -> Answer:
     if answers(answer):
         return first_step(answer[place])
     return str(answer) if isinstance(answer, PolicyServerError) else brief(answer)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl.client import ClientError
@@ -13,7 +13,8 @@ from xpl_cli.audit.served.compare import answers, brief, difference, error_code,
 from xpl_cli.audit.served.probe import Probe, blame
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.served.session import Session
+    from xpl.contract import Config
+    from xpl_cli.audit.served.session import Answer, Session
 
 _HOOK: Final = {sdk.Message.PREPARE_CASE: sdk.Method.PREPARE_CASE, sdk.Message.TRIAL_END: sdk.Method.ON_TRIAL_END}
 
@@ -43,7 +44,7 @@ def trial_hooks(probe: Probe) -> Iterator[Finding]:
     """
     probe.ready()
     case = case_of(probe)
-    played: list[list[Any]] = []
+    played: list[list[Answer]] = []
     try:
         with probe.fresh_session() as policy:
             for number in range(2):
@@ -71,7 +72,7 @@ def trial_hooks(probe: Probe) -> Iterator[Finding]:
     yield from _compared(probe, *played)
 
 
-def _trial(probe: Probe, policy: Session, case: dict[str, Any]) -> tuple[tuple[str, Any] | None, list[Any]]:
+def _trial(probe: Probe, policy: Session, case: Config) -> tuple[tuple[str, Answer] | None, list[Answer]]:
     """Play a trial; return the hook that raised with its answer, if one did, and the chunks of the episode."""
     told = policy.prepare_case(case)
     if error_code(told) is not None:
@@ -83,7 +84,7 @@ def _trial(probe: Probe, policy: Session, case: dict[str, Any]) -> tuple[tuple[s
     return None, chunks
 
 
-def _compared(probe: Probe, first: list[Any], second: list[Any]) -> Iterator[Finding]:
+def _compared(probe: Probe, first: list[Answer], second: list[Answer]) -> Iterator[Finding]:
     """Yield where the first trial fails, or the second one goes otherwise."""
     refused = next((chunk for chunk in first if error_code(chunk) is not None), None)
     if refused is not None:

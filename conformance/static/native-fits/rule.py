@@ -11,6 +11,7 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl import checkpoint, get_embodiment, robots
+from xpl.contract import Entry
 from xpl.convert import Interface, NativeError, compile_interface
 from xpl.convert.gaps import filled
 from xpl.manifest import CameraNeeds
@@ -74,7 +75,7 @@ def native_fits(source: Source) -> Iterator[Finding | Proof]:
     yield Proof({"statistics_absent": len(lacking)})
 
 
-def _convert(interface: Interface, cameras: Mapping[str, CameraNeeds], block: Mapping[str, Any]) -> None:
+def _convert(interface: Interface, cameras: Mapping[str, CameraNeeds], block: Entry) -> None:
     """Put black images of the declared sizes through a block.
 
     Raises:
@@ -101,22 +102,22 @@ def _folders(source: Source) -> list[Path]:
         return [source.path]
 
 
-def _lacking(source: Source, native: Mapping[str, Any], folders: Sequence[Path]) -> list[str]:
+def _lacking(source: Source, native: Entry, folders: Sequence[Path]) -> list[str]:
     """Return the files of statistics that are not there, or that a link leads to out of the package."""
     here = source.path.resolve()
     named = dict.fromkeys(filter(None, map(_file, _vectors(native))))
     return [file for file in named if not any(inside(here, str(folder.resolve() / file)) for folder in folders)]
 
 
-def _vectors(native: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _vectors(native: Entry) -> list[Entry]:
     return [*native.get("state", ()), native["action"]]
 
 
-def _file(vector: Mapping[str, Any]) -> str | None:
+def _file(vector: Entry) -> str | None:
     return _map(vector.get("normalize")).get("file")
 
 
-def _outside(source: Source, native: Mapping[str, Any]) -> Iterator[Finding]:
+def _outside(source: Source, native: Entry) -> Iterator[Finding]:
     """Yield a finding for a file of statistics that is named by a path out of the package."""
     for file in dict.fromkeys(filter(None, map(_file, _vectors(native)))):
         if Path(file).is_absolute() or ".." in Path(file).parts:
@@ -127,7 +128,7 @@ def _outside(source: Source, native: Mapping[str, Any]) -> Iterator[Finding]:
             )
 
 
-def _undeclared(source: Source, native: Mapping[str, Any]) -> Iterator[Finding]:
+def _undeclared(source: Source, native: Entry) -> Iterator[Finding]:
     """Yield a finding for all that the block reads and the manifest does not list."""
     listed = set(source.manifest.read)
     for name, path in dict(_read(native)).items():
@@ -151,7 +152,7 @@ _FIELDS = {
 }
 
 
-def _read(native: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str | int, ...]]]:
+def _read(native: Entry) -> Iterator[tuple[str, tuple[str | int, ...]]]:
     """Yield the inputs of the manifest that the block reads, with the place that says so."""
     for index, image in enumerate(native.get("images", ())):
         for camera in image["cameras"] if isinstance(image["cameras"], list) else ():
@@ -171,7 +172,7 @@ def _read(native: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str | int, ...
         yield sdk.Obs.INSTRUCTION, (sdk.Obs.INSTRUCTION,)
 
 
-def _map(value: Any) -> Mapping[str, Any]:
+def _map(value: object) -> Entry:
     return value if isinstance(value, Mapping) else {}
 
 

@@ -70,12 +70,12 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
                 fix=Fix("advice", "compare whole names, or use xpl.checkpoint.resolve"),
             )
         given = _given(function)
-        for node in _unrefused(adapter, function, given):
+        for place in _unrefused(adapter, function, given):
             yield Finding(
                 f"where {min(given)} names a checkpoint that does not exist, the search goes on and loads another one",
-                **source.start(function.file, node),
+                **source.start(function.file, place),
                 expected="an error after the checkpoint was not found",
-                got=ast.unparse(node).split("\n")[0],
+                got=ast.unparse(place).split("\n")[0],
                 fix=Fix("advice", "raise where the checkpoint was not found"),
             )
         for loop in _neighbours(function):
@@ -144,10 +144,11 @@ def _unrefused(adapter: Adapter, function: Function, given: set[str]) -> Iterato
             sought.add(name)
     entries = _entries(adapter, function) - sought
     for node in function.of(ast.Return, ast.Assign, ast.For):
+        is_choice = False
         if isinstance(node, ast.For):
             leaves = any(isinstance(child, (ast.Return, ast.Break)) for child in ast.walk(node))
             is_choice = leaves and bool(names(node.iter) & entries) and not names(node) & sought
-        else:
+        elif isinstance(node, (ast.Return, ast.Assign)):
             picked = [child for child in ast.walk(node.value) if _picks(child)] if node.value is not None else []
             is_choice = any(names(child) & entries or _listed(child, sought) for child in picked)
         if is_choice and not _is_refused(node, function, given, sought):

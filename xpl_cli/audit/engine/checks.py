@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import contextmanager, nullcontext
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules.facts import wanted
 from xpl_cli.audit.rules.gates import Gate
@@ -15,10 +15,11 @@ from xpl_cli.audit.rules.registry import RegistryError, needed
 from xpl_cli.audit.static.limits import LONGEST_S, TooLong, deadline
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from xpl_cli.audit.engine.cache import Shelf
     from xpl_cli.audit.rules.facts import Facts
+    from xpl_cli.audit.rules.model import Numbers
     from xpl_cli.audit.rules.registry import Entry, Rule
 
 _DEAF = "the policy answers the same whatever it is shown: that answers are alike proves nothing"
@@ -133,7 +134,7 @@ class Checks:
         outcome: Outcome,
         findings: tuple[Finding, ...] = (),
         reason: str | None = None,
-        proof: Mapping[str, Any] | None = None,
+        proof: Numbers | None = None,
     ) -> Result:
         return Result(rule.code, rule.slug, rule.requirement, rule.severity, outcome, findings, reason, proof=proof)
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from xpl import contract
+    from xpl.contract import Action, State
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.rules.registry import Entry
 
@@ -139,18 +141,18 @@ class _StandIn(Episode):
     def reset(self, seed: int) -> None:
         """Begin at home; the seed shows in the truth alone."""
         self._seed = seed
-        self._state: dict[str, Any] = {}
+        self._state: contract.ObservationDict = {}
         for arm in self.setup.embodiment.arms:
             middle = np.zeros(arm.dof) if arm.lower is None or arm.upper is None else (arm.lower + arm.upper) / 2
             self._state[arm.prefix + sdk.State.ARM_JOINT_STATE] = middle
             self._state[arm.prefix + sdk.State.EE_JOINT_STATE] = np.full(arm.ee_dim, sdk.GRIPPER_OPEN)
             self._state[arm.prefix + sdk.State.EE_POSE] = pose([0.3, 0.0, 0.3], [1.0, 0.0, 0.0, 0.0])
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return what was commanded last."""
         return self._state
 
-    def step(self, action: Mapping[str, Any]) -> None:
+    def step(self, action: Action) -> None:
         """Take the targets over."""
         self._state = {**self._state, **action}
 
@@ -158,7 +160,7 @@ class _StandIn(Episode):
         """Nothing is ever done."""
         return 0.0
 
-    def vision(self) -> Mapping[str, Mapping[str, Any]]:
+    def vision(self) -> Mapping[str, contract.Entry]:
         """Return pictures that show nothing, of the size that env.yml declares."""
         sizes = {
             name: ((told or {}).get("height") or 8, (told or {}).get("width") or 8)
@@ -168,6 +170,6 @@ class _StandIn(Episode):
             name: {sdk.Camera.COLOR: np.zeros((*size, sdk.COLOR_CHANNELS), np.uint8)} for name, size in sizes.items()
         }
 
-    def truth(self) -> Mapping[str, Any]:
+    def truth(self) -> contract.Entry:
         """Return the seed, so that seeds differ."""
         return {sdk.Deploy.SEED: self._seed}

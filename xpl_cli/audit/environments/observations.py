@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,17 +10,17 @@ from xpl import _spec as sdk
 from xpl.nested import written
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from xpl import Embodiment
+    from xpl.contract import Entry, ObservationDict, State
     from xpl_cli.audit.environments.stage import Offer, Stage
-    from xpl_cli.audit.served.inputs import Observation
 
 _POSES = (sdk.State.EE_POSE, sdk.State.TCP_POSE, sdk.State.DELTA_EE_POSE)
 _GIVE = 0.02  # part of the gripper's range: fingers give a little at their stops
 
 
-def problems(stage: Stage, offer: Offer, obs: Observation) -> Iterator[str]:
+def problems(stage: Stage, offer: Offer, obs: ObservationDict) -> Iterator[str]:
     """Yield what is wrong with an observation, each in one sentence.
 
     Args:
@@ -41,7 +41,7 @@ def problems(stage: Stage, offer: Offer, obs: Observation) -> Iterator[str]:
     yield from _vision(stage, obs.get(sdk.Obs.VISION) or {})
 
 
-def _labels(stage: Stage, offer: Offer, obs: Observation) -> Iterator[str]:
+def _labels(stage: Stage, offer: Offer, obs: ObservationDict) -> Iterator[str]:
     if obs.get(sdk.Obs.ENV_IDX) != 0:
         yield f"{sdk.Obs.ENV_IDX} is {obs.get(sdk.Obs.ENV_IDX)!r}, and the only environment is 0"
     if not obs.get(sdk.Obs.INSTRUCTION) and not obs.get(sdk.Obs.INSTRUCTIONS):
@@ -52,7 +52,7 @@ def _labels(stage: Stage, offer: Offer, obs: Observation) -> Iterator[str]:
         yield f"{sdk.Obs.FREQUENCY} is {told:g} Hz, and env.yml declares {declared:g} Hz"
 
 
-def _state(offer: Offer, state: Mapping[str, Any]) -> Iterator[str]:
+def _state(offer: Offer, state: State) -> Iterator[str]:
     keys = offer.robot.dims(offer.action_type)
     missing = [key for key in keys if key not in state]
     if missing:
@@ -85,7 +85,7 @@ def _is_of(key: str, robot: Embodiment) -> bool:
     return prefix in robot.prefixes
 
 
-def _poses(prefix: str, state: Mapping[str, Any]) -> Iterator[str]:
+def _poses(prefix: str, state: State) -> Iterator[str]:
     for name in _POSES:
         pose = state.get(prefix + name)
         if pose is None:
@@ -95,7 +95,7 @@ def _poses(prefix: str, state: Mapping[str, Any]) -> Iterator[str]:
             yield f"the quaternion of state.{prefix}{name} has length {norm:.4g}, and not 1"
 
 
-def _vision(stage: Stage, vision: Mapping[str, Any]) -> Iterator[str]:
+def _vision(stage: Stage, vision: Entry) -> Iterator[str]:
     declared = stage.manifest.cameras
     for name, camera in vision.items():
         if name not in declared:

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl import Embodiment
+    from xpl.contract import Action, Announcement, ObservationDict, Result
     from xpl_cli.audit.rules.options import Options
-    from xpl_cli.audit.served.inputs import Observation
 
 STEPS = 12
 """Control steps of one trial: enough to move, few enough for every pull request."""
@@ -65,7 +65,7 @@ class Offer:
 class Play:
     """An environment that was made; its operations, each of which may raise what `EnvProcess` raises."""
 
-    def __init__(self, process: EnvProcess, about: Mapping[str, Any]) -> None:
+    def __init__(self, process: EnvProcess, about: Announcement) -> None:
         self._process = process
         self.guarded = bool(about["guarded"])
 
@@ -84,23 +84,24 @@ class Play:
         """Begin episodes."""
         self.call(sdk.Method.RESET, list(seeds))
 
-    def observe(self, *envs: int) -> list[Observation]:
+    def observe(self, *envs: int) -> list[ObservationDict]:
         """Return observations, of all running environments by default."""
-        found: list[Observation] = self.call("get_obs_batch", list(envs) or None)
+        found: list[ObservationDict] = self.call("get_obs_batch", list(envs) or None)
         return found
 
-    def act(self, actions: Mapping[int, Mapping[str, Any]]) -> Any:
-        """Execute one action step in some environments; return what the environment reports."""
-        return self.call("take_action_batch", list(actions.values()), list(actions))
+    def act(self, actions: Mapping[int, Action]) -> list[object] | None:
+        """Execute one action step in some environments; return what the environment reports of each."""
+        found: list[object] | None = self.call("take_action_batch", list(actions.values()), list(actions))
+        return found
 
     def running(self) -> list[int]:
         """Return the environments whose episode goes on."""
         found: list[int] = self.call("get_running_env_idx_list")
         return found
 
-    def results(self) -> list[dict[str, Any]]:
+    def results(self) -> list[Result]:
         """Return the outcome of every environment's episode."""
-        found: list[dict[str, Any]] = self.call("results")
+        found: list[Result] = self.call("results")
         return found
 
     def trial(self, offer: Offer, *seeds: int, steps: int = STEPS) -> list[Trial]:
@@ -317,7 +318,7 @@ class Stage:
             raise NotRun(f"{self._python} cannot be started: {error.strerror}") from None
 
 
-def motion(offer: Offer, first: Observation, step: int) -> dict[str, np.ndarray]:
+def motion(offer: Offer, first: ObservationDict, step: int) -> dict[str, np.ndarray]:
     """Return the action of a small motion around the state of an episode's first observation.
 
     Raises:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from xpl import _spec as sdk
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from xpl_cli.audit.served.inputs import Observation
+    from xpl.contract import ObservationDict, Result
 
 
 @dataclass(frozen=True)
@@ -24,8 +22,8 @@ class Trial:
         result: what the environment says of the episode.
     """
 
-    seen: tuple[Observation, ...]
-    result: Mapping[str, Any]
+    seen: tuple[ObservationDict, ...]
+    result: Result
 
 
 def difference(first: Trial, second: Trial, tolerance: float = 0.0) -> str | None:
@@ -62,5 +60,5 @@ def _difference(one: object, other: object, tolerance: float, where: str = "") -
     return None if one == other else f"{where} is {one!r} and {other!r}"
 
 
-def _without_index(obs: Observation) -> dict[str, Any]:
+def _without_index(obs: ObservationDict) -> ObservationDict:
     return {key: value for key, value in obs.items() if key != sdk.Obs.ENV_IDX}

@@ -10,7 +10,7 @@ from xpl import _spec as sdk
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from xpl_cli.audit.served.inputs import Observation
+    from xpl.contract import ObservationDict
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.audit.served.session import Answer, Session
 
@@ -32,10 +32,10 @@ def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[Session], 
     yield "an unknown environment", lambda policy: policy.get_action_batch([_UNKNOWN])
 
 
-def _shown(policy: Session, obs: Observation) -> Answer:
+def _shown(policy: Session, obs: ObservationDict) -> Answer:
     """Show an observation and ask; the first error counts, because an adapter may read it late."""
     return policy.update_obs(obs) or policy.get_action()
 
 
-def _shown_batch(policy: Session, observations: list[Observation]) -> Answer:
+def _shown_batch(policy: Session, observations: list[ObservationDict]) -> Answer:
     return policy.update_obs_batch(observations) or policy.get_action_batch([0, 1])

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from xpl_cli.audit.served.inputs import state_keys
 from xpl_cli.audit.served.probe import blame
 
 if TYPE_CHECKING:
+    from xpl.contract import Entry, ObservationDict
     from xpl_cli.audit.rules.model import Finding, Fix
-    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.session import Answer, Session
 
 
@@ -33,7 +33,7 @@ class Case:
 
     name: str
     fault: str
-    obs: Observation
+    obs: ObservationDict
     names: tuple[str, ...]
 
     def is_told_by(self, error: PolicyServerError) -> bool:
@@ -41,7 +41,7 @@ class Case:
         return any(name in str(error) for name in self.names)
 
 
-def missing(obs: Observation, name: str) -> Iterator[Case]:
+def missing(obs: ObservationDict, name: str) -> Iterator[Case]:
     """Yield the observation without one input: all of it, one arm's share, a camera's picture, the whole group."""
     group, _, leaf = name.partition(".")
     if not leaf:
@@ -59,7 +59,7 @@ def missing(obs: Observation, name: str) -> Iterator[Case]:
     yield Case(name, f"without any {group}", _without(obs, group), (group, *entries))
 
 
-def damaged(obs: Observation, name: str) -> Iterator[Case]:
+def damaged(obs: ObservationDict, name: str) -> Iterator[Case]:
     """Yield the observation with one input damaged in different ways."""
     group, _, leaf = name.partition(".")
     if group == sdk.Obs.INSTRUCTION:
@@ -121,5 +121,5 @@ def _vectors(values: np.ndarray) -> Iterator[tuple[str, object]]:
         yield "one value too few", values[:-1].copy()
 
 
-def _without(entries: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+def _without(entries: Entry, *keys: str) -> ObservationDict:
     return {key: value for key, value in entries.items() if key not in keys}

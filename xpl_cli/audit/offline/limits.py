@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,10 +12,11 @@ from xpl import _spec as sdk
 from xpl import rotation
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
 
+    from xpl.contract import Action, State
     from xpl.embodiment import Embodiment
 
 _ROUNDING = 1e-3
@@ -42,9 +43,7 @@ class Excess:
         return f"{self.what}: {self.value:.3g} {self.unit}, possible are {self.limit:.3g}"
 
 
-def jumps(
-    embodiment: Embodiment, before: Mapping[str, Any], after: Mapping[str, Any], frequency: float
-) -> Iterator[Excess]:
+def jumps(embodiment: Embodiment, before: State, after: Action, frequency: float) -> Iterator[Excess]:
     """Yield what changes more between two states or actions than the robot can move in one control step.
 
     Grippers may jump: they are told to close, not how far.
@@ -68,7 +67,7 @@ def jumps(
             yield from _pose_jumps(pose, _values(before[pose]), _values(after[pose]), frequency)
 
 
-def outside(embodiment: Embodiment, action: Mapping[str, Any], allowed: float = 0.0) -> Iterator[Excess]:
+def outside(embodiment: Embodiment, action: Action, allowed: float = 0.0) -> Iterator[Excess]:
     """Yield the joints of an action step that are commanded past their limits, where these are known.
 
     Args:
@@ -87,7 +86,7 @@ def outside(embodiment: Embodiment, action: Mapping[str, Any], allowed: float = 
             yield Excess(f"{key}[{index}]", float(values[index]), float(arm.lower[index]), "rad")
 
 
-def farthest(embodiment: Embodiment, state: Mapping[str, Any], chunk: Sequence[Mapping[str, Any]]) -> float:
+def farthest(embodiment: Embodiment, state: State, chunk: Sequence[Action]) -> float:
     """Return how far any joint is commanded from where it is observed, rad."""
     keys = [arm.prefix + sdk.State.ARM_JOINT_STATE for arm in embodiment.arms]
     moved = [np.abs(_values(step[key]) - _values(state[key])).max() for step in chunk for key in keys if key in step]

@@ -17,7 +17,7 @@ from xpl_cli.audit.served.servers import PATIENCE
 from xpl_cli.isolation import family
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.served.inputs import Observation
+    from xpl.contract import ObservationDict
     from xpl_cli.audit.served.probe import Probe
 
 _ENLARGED = 3
@@ -104,7 +104,7 @@ def _play(probe: Probe, policy: Client, first: int, most: int) -> int:
     return played
 
 
-def _enlarged(obs: Observation) -> Observation:
+def _enlarged(obs: ObservationDict) -> ObservationDict:
     vision = {}
     for name, camera in obs[sdk.Obs.VISION].items():
         larger = {
@@ -116,5 +116,5 @@ def _enlarged(obs: Observation) -> Observation:
     return {**obs, sdk.Obs.VISION: vision}
 
 
-def _size(obs: Observation) -> int:
+def _size(obs: ObservationDict) -> int:
     return sum(value.nbytes for camera in obs[sdk.Obs.VISION].values() for value in camera.values())

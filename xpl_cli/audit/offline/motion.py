@@ -17,7 +17,7 @@ from xpl_cli.audit.served.compare import structure_problem
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.served.inputs import Observation
+    from xpl.contract import ObservationDict
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.audit.served.session import Session
 
@@ -38,7 +38,7 @@ class Answer:
         batched: whether it was asked for together with that of other environments.
     """
 
-    obs: Observation
+    obs: ObservationDict
     step: int
     chunk: Any
     batched: bool

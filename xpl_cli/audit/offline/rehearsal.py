@@ -18,7 +18,7 @@ from xpl_cli.audit.served.transports import FORMS, decoded, encoded
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from xpl_cli.audit.served.inputs import Observation
+    from xpl.contract import ObservationDict
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.isolation.errand import Answer
 
@@ -91,7 +91,7 @@ def rehearse(probe: Probe) -> Rehearsal:
     return Rehearsal(noted, tuple(broken.result), dict(zip(FORMS, pairs, strict=True)))
 
 
-def _pictures(probe: Probe) -> list[Observation]:
+def _pictures(probe: Probe) -> list[ObservationDict]:
     """Return observations with decoded and encoded pictures in turn, for each form."""
     sent = [encoded(probe.observation(), form) for form in FORMS]
     return [obs for one in sent for obs in (decoded(one), one)]

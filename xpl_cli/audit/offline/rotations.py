@@ -12,10 +12,10 @@ from xpl import rotation
 from xpl_cli.audit.served.compare import difference
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Sequence
 
+    from xpl.contract import Action, Entry, ObservationDict
     from xpl.manifest import Native
-    from xpl_cli.audit.served.inputs import Observation
 
 # An axis a robot may well turn about, and none of the coordinate axes.
 _OBLIQUE = (0.36, 0.48, 0.8)
@@ -59,7 +59,7 @@ class Turn:
         return bool(rotation.angle_between(rotation.identity(), self.quaternion) < sdk.QUATERNION_TOLERANCE)
 
 
-def first_turns(obs: Observation, chunk: Any) -> list[Turn]:
+def first_turns(obs: ObservationDict, chunk: Sequence[Action]) -> list[Turn]:
     """Return the orientations that the first step of a chunk commands, one for each arm; none if it commands none."""
     turns = []
     for key, values in chunk[0].items():
@@ -90,7 +90,7 @@ def told_as_they_come(native: Native) -> list[str]:
     return found
 
 
-def _quaternions(vector: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _quaternions(vector: Entry) -> list[Entry]:
     """Return the rotations of a vector that are given as quaternions."""
     rotations = [part["rotation"] for part in vector.get("parts") or () if "rotation" in part]
     return [how for how in rotations if how["form"].startswith("quaternion")]

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Literal
 
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
+from xpl.contract import ObservationDict
 from xpl.embodiment import get_embodiment
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.served import inputs
 from xpl_cli.audit.served.compare import difference, same
-from xpl_cli.audit.served.inputs import Observation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.served.session import Answer, Session
 
 Kind = Literal["input", "colours", "cameras", "sides", "value"]
-Episode = tuple[Observation, ...]
+Episode = tuple[ObservationDict, ...]
 """Observations of one environment, in order."""
 
 
@@ -42,7 +42,7 @@ class Change:
     kind: Kind
     input: str
     what: str
-    obs: Observation
+    obs: ObservationDict
 
 
 class Semantics:
@@ -140,7 +140,7 @@ class Semantics:
         used = declared[0] if poses & set(self._probe.required) else None
         return next((pair for pair in declared if answers_poses(pair[1])), used)
 
-    def posed_observation(self, step: int = 0) -> Observation:
+    def posed_observation(self, step: int = 0) -> ObservationDict:
         """Return the scripted observation of the robot whose poses matter."""
         assert self.posed is not None  # noqa: S101 - who asks has looked
         return self._probe.observation(step=step, embodiment=get_embodiment(self.posed[0]))
@@ -151,7 +151,7 @@ def answers_poses(action_type: str) -> bool:
     return sdk.ACTION_KEYS[action_type][0] == sdk.State.EE_POSE
 
 
-def _changes(obs: Observation, required: Sequence[str]) -> Iterator[Change]:
+def _changes(obs: ObservationDict, required: Sequence[str]) -> Iterator[Change]:
     present = inputs.present(obs)
     for name in present:
         yield Change("input", name, f"another {name}", inputs.varied(obs, name))
@@ -167,7 +167,7 @@ def _changes(obs: Observation, required: Sequence[str]) -> Iterator[Change]:
             yield from _state_changes(obs, name)
 
 
-def _state_changes(obs: Observation, name: str) -> Iterator[Change]:
+def _state_changes(obs: ObservationDict, name: str) -> Iterator[Change]:
     keys = inputs.state_keys(obs, name.partition(".")[2])
     if len(keys) > 1:
         yield Change("sides", name, f"{' and '.join(keys)} exchanged", inputs.sides_exchanged(obs, name))

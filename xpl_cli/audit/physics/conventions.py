@@ -6,9 +6,9 @@ is far from that, and time and again near the same thing expressed otherwise, th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from xpl.kinematics import Chain, KinematicsError
 from xpl.poses import compose, invert
 
 if TYPE_CHECKING:
+    from xpl.contract import State
     from xpl.embodiment import Arm, Embodiment
     from xpl_cli.audit.physics.loop import Query
 
@@ -26,8 +27,6 @@ _LEAST_QUERIES = 3
 _JOINTS_APART, _POSES_APART = 0.1, 0.03  # rad, m: nearer to the observed state, nothing is mistaken
 _METRES_PER_RADIAN = 0.1  # how much of a position one radian of a rotation counts
 _NEARER = 5.0  # times, in every query
-
-State = Mapping[str, Any]
 
 
 @dataclass(frozen=True)

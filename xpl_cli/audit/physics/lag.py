@@ -19,9 +19,9 @@ from xpl_cli.audit.served.effects import Scale, is_weak
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from xpl.contract import ObservationDict
     from xpl_cli.audit.physics.loop import Show
     from xpl_cli.audit.physics.simulation import Simulation
-    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.session import Answer
 
 _CONSTANT = (sdk.Obs.INSTRUCTION, sdk.Obs.PRIVILEGED)
@@ -89,7 +89,7 @@ def reactions(simulation: Simulation) -> list[Reaction]:
     return found
 
 
-def _changeable(simulation: Simulation, obs: Observation) -> list[str]:
+def _changeable(simulation: Simulation, obs: ObservationDict) -> list[str]:
     held = inputs.present(obs)
     names = [name for name in simulation.probe.required or held if name in held and name not in _CONSTANT]
     if not names:
@@ -97,14 +97,14 @@ def _changeable(simulation: Simulation, obs: Observation) -> list[str]:
     return names
 
 
-def _with_change(show: Show, step: int, names: Sequence[str]) -> tuple[Observation, ...]:
+def _with_change(show: Show, step: int, names: Sequence[str]) -> tuple[ObservationDict, ...]:
     obs = show.observations[step]
     for name in names:
         obs = inputs.varied(obs, name)
     return (*show.observations[:step], obs, *show.observations[step + 1 :])
 
 
-def _replayed(simulation: Simulation, show: Show, observations: Sequence[Observation]) -> list[Answer]:
+def _replayed(simulation: Simulation, show: Show, observations: Sequence[ObservationDict]) -> list[Answer]:
     """Show observations one after the other and return the answers.
 
     Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 import numpy as np
 
@@ -17,15 +17,13 @@ from xpl_cli.audit.served.compare import structure_problem
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from xpl import contract
+    from xpl.contract import Action, ObservationDict
     from xpl.embodiment import Embodiment
     from xpl_cli.audit.rules.figures import Course
-    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.session import Answer, Session
 
 _SOUND_ENDS = ("success", "max_steps")
-
-Action = Mapping[str, Any]
-"""One action step."""
 
 
 class Playing(Protocol):
@@ -34,13 +32,13 @@ class Playing(Protocol):
     def get_running_env_idx_list(self) -> list[int]:
         """Return the environments whose episode goes on."""
 
-    def get_obs_batch(self, env_idx_list: Sequence[int]) -> list[Observation]:
+    def get_obs_batch(self, env_idx_list: Sequence[int]) -> list[ObservationDict]:
         """Return observations of some environments."""
 
-    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> Any:
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> list[contract.Report]:
         """Execute one action step in some environments, and return a report of each."""
 
-    def results(self) -> list[dict[str, Any]]:
+    def results(self) -> list[contract.Result]:
         """Return the outcome of every environment's episode."""
 
 
@@ -67,7 +65,7 @@ class Result:
     digest: str
 
     @classmethod
-    def read(cls, told: Mapping[str, Any]) -> Self:
+    def read(cls, told: contract.Result) -> Self:
         """Read one of `results` of an environment of the SDK."""
         reason = told["end_reason"]
         return cls(bool(told["success"]), float(told["score"]), reason, dict(told["corrections"]), str(told["digest"]))
@@ -82,7 +80,7 @@ class Show:
         asked: steps at which an answer is asked for.
     """
 
-    observations: tuple[Observation, ...]
+    observations: tuple[ObservationDict, ...]
     asked: tuple[int, ...]
 
 
@@ -98,7 +96,7 @@ class Query:
     """
 
     step: int
-    state: Mapping[str, Any]
+    state: contract.State
     chunk: np.ndarray
     waited: float
 
@@ -167,7 +165,7 @@ class Driver:
     played: Rollout
     only: int | None = None
     watch: Watch | None = None
-    shown: list[Observation] | None = None
+    shown: list[ObservationDict] | None = None
     follows: Rollout | None = None
     copied: bool = False
 
@@ -221,18 +219,18 @@ class Driver:
             {env: answers[env] if self.follows is None else self._then(self.follows, env) for env in running}
         )
 
-    def _then(self, earlier: Rollout, env: int) -> list[dict[str, np.ndarray]]:
+    def _then(self, earlier: Rollout, env: int) -> list[contract.ActionStep]:
         """Return the chunk with which an earlier loop answered the question that was asked last."""
         chunk = earlier.queries[env][len(self.played.queries[env]) - 1].chunk
         return [unpack(action, self.played.robot, self.played.course.action_type) for action in chunk]
 
-    def _seen(self, running: Sequence[int]) -> list[Observation]:
+    def _seen(self, running: Sequence[int]) -> list[ObservationDict]:
         observations = self.env.get_obs_batch(running)
         if self.shown is not None:
             self.shown.extend(observations)
         return observations
 
-    def _with_copies(self, observations: list[Observation]) -> list[Observation]:
+    def _with_copies(self, observations: list[ObservationDict]) -> list[ObservationDict]:
         """Return what the policy is shown: in a copy's place stands what the one environment shows."""
         if not self.copied or self.follows is None:
             return observations

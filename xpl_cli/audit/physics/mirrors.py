@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from xpl import _spec as sdk
 from xpl_cli.audit.served import inputs
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
+    from xpl.contract import Action, ObservationDict, Report, Result, State
     from xpl.embodiment import Embodiment
-    from xpl_cli.audit.physics.loop import Action, Playing
-    from xpl_cli.audit.served.inputs import Observation
+    from xpl_cli.audit.physics.loop import Playing
 
 COLOURS, CAMERAS, GRIPPERS = "colours", "cameras", "grippers"
 COMMANDS, OBSERVATIONS = "commands", "observations"
@@ -97,21 +97,21 @@ class Mirror:
         """Return the environments whose episode goes on."""
         return self._env.get_running_env_idx_list()
 
-    def results(self) -> list[dict[str, Any]]:
+    def results(self) -> list[Result]:
         """Return the outcome of every environment's episode."""
         return self._env.results()
 
-    def get_obs_batch(self, env_idx_list: Sequence[int]) -> list[Observation]:
+    def get_obs_batch(self, env_idx_list: Sequence[int]) -> list[ObservationDict]:
         """Return observations of some environments."""
         return [self._seen(obs) for obs in self._env.get_obs_batch(env_idx_list)]
 
-    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> Any:
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> list[Report]:
         """Execute one action step in some environments."""
         is_turned = COMMANDS in self._world.names
         turned = [self._turned(action) for action in actions] if is_turned else list(actions)
         return self._env.take_action_batch(turned, env_idx_list)
 
-    def _seen(self, obs: Observation) -> Observation:
+    def _seen(self, obs: ObservationDict) -> ObservationDict:
         world = self._world
         if world.kind == COLOURS:
             for camera in obs[sdk.Obs.VISION]:
@@ -124,6 +124,6 @@ class Mirror:
             obs = {**obs, sdk.Obs.STATE: self._turned(obs[sdk.Obs.STATE])}
         return obs
 
-    def _turned(self, values: Mapping[str, Any]) -> dict[str, Any]:
+    def _turned(self, values: State) -> State:
         swung = {key: np.float32(sdk.GRIPPER_OPEN + sdk.GRIPPER_CLOSED) - np.asarray(values[key]) for key in self._keys}
         return {**values, **swung}

@@ -17,10 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from xpl.contract import Action, ObservationDict, Report
     from xpl.environment import TaskEnv
-    from xpl_cli.audit.physics.loop import Action
     from xpl_cli.audit.rules.options import Options
-    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.session import Answer, Session
 
 _LACKING = (ImportError.__name__, ModuleNotFoundError.__name__)
@@ -61,21 +60,21 @@ class Stage:
         self,
         env_idx_list: Sequence[int] | None = None,
         last_frame: bool = False,  # noqa: FBT001, FBT002 - as loops pass it
-    ) -> list[Observation]:
+    ) -> list[ObservationDict]:
         """Return observations of some environments, by default of those that run."""
         wanted = self.get_running_env_idx_list() if env_idx_list is None else env_idx_list
         return self.env.get_obs_batch(wanted, last_frame)
 
-    def take_action(self, action: Action) -> Any:
+    def take_action(self, action: Action) -> Report:
         """Execute one action step in the only environment."""
         return self.take_action_batch([action], [0])[0]
 
-    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> Any:
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> list[Report]:
         """Execute one action step in some environments; none in those that have ended."""
         running = self.get_running_env_idx_list()
         ended = [env for env in env_idx_list if env not in running]
         self.late += len(ended)
-        reports = self.env.take_action_batch(actions, env_idx_list)
+        reports: list[Report] = self.env.take_action_batch(actions, env_idx_list)
         for env in env_idx_list:
             if env in running:
                 self.steps[env] += 1
@@ -88,7 +87,7 @@ class LoopClient:
 
     session: Session
 
-    def call(self, func_name: str, obs: Any = None) -> Answer:
+    def call(self, func_name: str, obs: object = None) -> Answer:
         """Run an operation of the policy.
 
         Raises:

@@ -20,11 +20,11 @@ from xpl_cli.packages import environments
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from xpl.contract import ObservationDict
     from xpl.environment import TaskEnv
     from xpl_cli.audit.physics.loop import Watch
     from xpl_cli.audit.physics.mirrors import World
     from xpl_cli.audit.rules.figures import Figure
-    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.audit.served.session import Session
 
@@ -256,7 +256,7 @@ class Simulation:
         Raises:
             NotRun: if the loop did not come to its end.
         """
-        shown: list[Observation] = []
+        shown: list[ObservationDict] = []
         with self.steady() as session:
             played = self._play(session, self.first, (_FIRST_SEED,), shown=shown)
         asked = tuple(query.step for query in _sound(played).queries[0][:questions])
@@ -322,7 +322,7 @@ class Simulation:
         whole: bool = False,
         world: World | None = None,
         film: bool = False,
-        shown: list[Observation] | None = None,
+        shown: list[ObservationDict] | None = None,
         follows: Rollout | None = None,
         copied: bool = False,
     ) -> Rollout:

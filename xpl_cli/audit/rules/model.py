@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -12,12 +13,14 @@ from typing import TYPE_CHECKING, Any, TypedDict
 from xpl_cli.basics.errors import ExitCode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
     from xpl_cli.audit.rules.figures import Figure
     from xpl_cli.audit.rules.gates import DataGate, Gate
     from xpl_cli.audit.rules.profiles import Choice, Profile
 
+Numbers = Mapping[str, Any]
+"""What shows or proves something: JSON values by name."""
 _NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?(e[-+]?\d+)?")
 
 
@@ -110,7 +113,7 @@ class Finding:
     end_column: int | None = None
     expected: str | None = None
     got: str | None = None
-    evidence: Mapping[str, Any] | None = None
+    evidence: Numbers | None = None
     fix: Fix | None = None
     must: bool | None = None
 
@@ -136,7 +139,7 @@ class Proof:
         numbers: by name, JSON values; what a verdict may print.
     """
 
-    numbers: Mapping[str, Any]
+    numbers: Numbers
 
 
 @dataclass(frozen=True)
@@ -167,7 +170,7 @@ class Result:
     findings: tuple[Finding, ...] = ()
     reason: str | None = None
     waived: tuple[Waived, ...] = ()
-    proof: Mapping[str, Any] | None = None
+    proof: Numbers | None = None
 
     @property
     def explain(self) -> str:

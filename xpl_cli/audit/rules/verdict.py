@@ -19,7 +19,7 @@ from xpl_cli.packages.package import ENV, POLICY
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from xpl_cli.audit.rules.model import Circumstances, GateReport, Result, TargetReport
+    from xpl_cli.audit.rules.model import Circumstances, GateReport, Numbers, Result, TargetReport
 
 _MOST: Final = 3
 """Codes and places that are named; of more their number is told."""
@@ -54,15 +54,15 @@ class Claim:
     subject: str
     rule: str = ""
     needs: tuple[str, ...] = ()
-    details: Callable[[Mapping[str, Any]], Iterable[str]] = lambda _: ()
+    details: Callable[[Numbers], Iterable[str]] = lambda _: ()
 
-    def told(self, numbers: Mapping[str, Any]) -> str:
+    def told(self, numbers: Numbers) -> str:
         """Return the claim with the numbers of its proof, as `parity (24 pairs, 2 conventions assumed)`."""
         detail = ", ".join(self.details(numbers))
         return f"{self.word} ({detail})" if detail else self.word
 
 
-def _of_parity(numbers: Mapping[str, Any]) -> Iterable[str]:
+def _of_parity(numbers: Numbers) -> Iterable[str]:
     """Yield the pairs that were compared, and how many conventions nobody was found to say."""
     yield amount(numbers.get("pairs", 0), "pair")
     if not numbers.get("conventions", True):
@@ -71,7 +71,7 @@ def _of_parity(numbers: Mapping[str, Any]) -> Iterable[str]:
         yield f"{amount(numbers['assumed'], 'convention')} assumed" if numbers["assumed"] else "no convention assumed"
 
 
-def _of_demonstrations(numbers: Mapping[str, Any]) -> Iterable[str]:
+def _of_demonstrations(numbers: Numbers) -> Iterable[str]:
     """Yield the episodes that the policy was held against."""
     yield amount(numbers.get("episodes", 0), "episode")
 
@@ -105,7 +105,7 @@ class Proven:
     """
 
     claim: Claim
-    numbers: Mapping[str, Any] = field(default_factory=dict)
+    numbers: Numbers = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return it in words."""
@@ -198,7 +198,7 @@ class Ended:
     crashed: tuple[str, ...] = ()
     not_run: tuple[str, ...] = ()
     waived: tuple[str, ...] = ()
-    proofs: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    proofs: Mapping[str, Numbers] = field(default_factory=dict)
     doubts: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod

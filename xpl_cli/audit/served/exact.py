@@ -7,10 +7,11 @@ import math
 import struct
 from collections.abc import Mapping, Sized
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+Shown = int | float | str
+"""A value as reports show it."""
 _NUMBERS = (int, float, complex, np.number, np.bool_)
 
 
@@ -25,8 +26,8 @@ class Mismatch:
     """
 
     path: tuple[str | int, ...]
-    first: Any
-    second: Any
+    first: Shown
+    second: Shown
     size: float | None = None
 
 
@@ -94,7 +95,7 @@ def _counted(values: Sized) -> str:
     return "1 entry" if len(values) == 1 else f"{len(values)} entries"
 
 
-def _shown(value: object) -> Any:
+def _shown(value: object) -> Shown:
     """Return a value as reports show it: a number of plain Python, or text of at most 80 characters."""
     if isinstance(value, np.generic):
         value = value.item()

@@ -27,9 +27,9 @@ from xpl_cli.audit.served.servers import PATIENCE, Servers
 from xpl_cli.packages import environments, package
 
 if TYPE_CHECKING:
+    from xpl.contract import ObservationDict
     from xpl.manifest import Manifest
     from xpl_cli.audit.rules.options import Options
-    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.session import Answer, Session
 
 _NO_ROBOT = f"{sdk.Deploy.ENV_CFG_TYPE} is open: neither deploy.yml nor a documented call of eval.sh names a robot"
@@ -96,7 +96,7 @@ class Probe(Servers):
 
     def observation(
         self, env: int = 0, step: int = 0, embodiment: Embodiment | None = None, **options: Any
-    ) -> Observation:
+    ) -> ObservationDict:
         """Return the scripted observation of one environment at one step, with every input the manifest requires.
 
         Images have the size that the manifest declares for their camera, or a larger one where it takes that. Further
@@ -106,7 +106,7 @@ class Probe(Servers):
             raise NotApplicable("the adapter needs privileged observations, which only a simulator can give")
         cameras = [name.partition(".")[2] for name in self.required if name.startswith(sdk.Obs.VISION)]
         robot = embodiment or self.embodiment
-        result: Observation = self._scenario.observation(robot, env, step, cameras=cameras, **options)
+        result: ObservationDict = self._scenario.observation(robot, env, step, cameras=cameras, **options)
         vision = result[sdk.Obs.VISION]
         for camera, size in image_sizes(self.package.manifest, options.pop("size", self._scenario.SIZE)).items():
             if camera in vision:
@@ -114,7 +114,7 @@ class Probe(Servers):
                 vision[camera] = again[sdk.Obs.VISION][camera]
         return result
 
-    def observations(self, envs: Sequence[int], step: int = 0, instruction: str | None = None) -> list[Observation]:
+    def observations(self, envs: Sequence[int], step: int = 0, instruction: str | None = None) -> list[ObservationDict]:
         """Return the scripted observations of several environments, each with its own instruction or all with one."""
         told = {} if instruction is None else {sdk.Obs.INSTRUCTION: instruction}
         return [{**self.observation(env, step), **told} for env in envs]

@@ -16,10 +16,10 @@ from xpl_cli.audit.served.compare import answers
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from xpl_cli.audit.served.inputs import Observation
+    from xpl.contract import ObservationDict
     from xpl_cli.audit.served.session import Answer
 
-    Ask = Callable[[Sequence[Observation], list[int]], Answer]
+    Ask = Callable[[Sequence[ObservationDict], list[int]], Answer]
     """Shows a batch of observations in a new episode, and asks for the chunks of some environments."""
 
 _COUNTS = range(1, 5)
@@ -31,7 +31,7 @@ OF_SPAN, _OF_SIZE = 0.02, 0.005
 them. Half precision rounds by the size of numbers; who divides by the batch is not excused."""
 
 
-def measured(answered: Ask, scenes: Sequence[Observation]) -> dict[str, float]:
+def measured(answered: Ask, scenes: Sequence[ObservationDict]) -> dict[str, float]:
     """Return by how much answers may differ between batches of other sizes, for each key of an action.
 
     One observation is shown to every environment of batches of several sizes. An environment has one answer in all of
@@ -72,7 +72,7 @@ def most(values: np.ndarray) -> float:
     return max(OF_SPAN * _span(values), _OF_SIZE * float(np.abs(values).max(initial=0.0)))
 
 
-def _alike(answered: Ask, scene: Observation, count: int) -> Answer:
+def _alike(answered: Ask, scene: ObservationDict, count: int) -> Answer:
     envs = list(range(count))
     return answered([{**scene, sdk.Obs.ENV_IDX: env} for env in envs], envs)
 

@@ -17,9 +17,10 @@ from xpl_cli.audit.served.compare import error_code
 from xpl_cli.serving.launch import Lacks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from xpl import Client
+    from xpl.contract import Config, Observation
 
 Answer = Any
 """What a policy answers: a chunk, a list of chunks, nothing, or a `PolicyServerError` in place of them.
@@ -112,7 +113,7 @@ class Session:
         """Ask for the chunks of some environments."""
         return self.call(sdk.Method.GET_ACTION_BATCH, None if env_idx_list is None else list(env_idx_list))
 
-    def infer(self, obs: Mapping[str, Any]) -> Answer:
+    def infer(self, obs: Observation) -> Answer:
         """Show an observation and ask, as one unit."""
         return self._recorder.ask(sdk.Method.INFER, lambda: self._client.infer(obs))
 
@@ -126,11 +127,11 @@ class Session:
         shown = self.update_obs(obs)
         return shown if isinstance(shown, PolicyServerError) else self.get_action()
 
-    def prepare_case(self, told: Mapping[str, Any]) -> Answer:
+    def prepare_case(self, told: Config) -> Answer:
         """Announce a case, its name among what is told; None where the adapter has no hook for it."""
         return self._recorder.ask(sdk.Message.PREPARE_CASE, lambda: self._client.prepare_case(**told))
 
-    def trial_end(self, told: Mapping[str, Any]) -> Answer:
+    def trial_end(self, told: Config) -> Answer:
         """Tell how a trial went; None where the adapter has no hook for it."""
         return self._recorder.ask(sdk.Message.TRIAL_END, lambda: self._client.trial_end(told))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from xpl import images
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from xpl_cli.audit.served.inputs import Observation
+    from xpl.contract import ObservationDict
     from xpl_cli.audit.served.probe import Probe
 
 
@@ -37,18 +37,18 @@ FORMS: Final[Mapping[str, Callable[[np.ndarray], bytes]]] = {
 """Encoders of (H, W, 3) uint8 RGB images, by the name of the form."""
 
 
-def encoded(obs: Observation, form: str) -> Observation:
+def encoded(obs: ObservationDict, form: str) -> ObservationDict:
     """Return an observation with every picture in one of the `FORMS`."""
     encode = FORMS[form]
     return _each_picture(obs, encode)
 
 
-def decoded(obs: Observation) -> Observation:
+def decoded(obs: ObservationDict) -> ObservationDict:
     """Return an observation with every encoded picture as the standard reads it."""
     return _each_picture(obs, images.decode)
 
 
-def error_of(obs: Observation, other: dict[str, Any]) -> int:
+def error_of(obs: ObservationDict, other: ObservationDict) -> int:
     """Return the largest difference between the pictures of two observations, of 255."""
     pairs = ((camera, other[sdk.Obs.VISION][name]) for name, camera in obs[sdk.Obs.VISION].items())
     return max(
@@ -65,7 +65,7 @@ def sees_pictures(probe: Probe) -> bool:
     return any(name.partition(".")[0] == sdk.Obs.VISION for name in inputs.read)
 
 
-def _each_picture(obs: Observation, change: Callable[[np.ndarray], object]) -> Observation:
+def _each_picture(obs: ObservationDict, change: Callable[[np.ndarray], object]) -> ObservationDict:
     vision = {
         name: {**camera, sdk.Camera.COLOR: change(camera[sdk.Camera.COLOR])}
         for name, camera in obs[sdk.Obs.VISION].items()

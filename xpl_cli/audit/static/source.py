@@ -25,10 +25,11 @@ from xpl_cli.audit.static.shell import Script, parse
 from xpl_cli.standard import unknown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from yaml import Node
 
+    from xpl.contract import Entry
     from xpl_cli.audit.static.syntax import FunctionNode
     from xpl_cli.basics.yaml import text as yaml_text
 
@@ -223,7 +224,7 @@ class Source:
         return self._yaml[name][1]
 
     @cached_property
-    def deploy(self) -> dict[str, Any]:
+    def deploy(self) -> Entry:
         """The map in deploy.yml; empty if it is missing or no map, which other rules report.
 
         Raises:
@@ -242,7 +243,7 @@ class Source:
         return Manifest.parse(unknown.known(self._chosen[0]))
 
     @cached_property
-    def _chosen(self) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    def _chosen(self) -> tuple[Entry, Entry]:
         """What policy.yml says of the variant, and what that changes in deploy.yml."""
         try:
             return variants.chosen(self.manifest_of(sdk.File.POLICY_YML), self.variant)
@@ -254,7 +255,7 @@ class Source:
         """Whether the adapter follows the field's layout, without a manifest of ours."""
         return not self.has(sdk.File.POLICY_YML)
 
-    def manifest_of(self, name: str) -> dict[str, Any]:
+    def manifest_of(self, name: str) -> Entry:
         """Return the map in a YAML file; empty if it is missing, does not parse, or holds something else."""
         try:
             value = self.yaml(name)

@@ -19,9 +19,9 @@ from xpl_cli.native.pairs import Session
 from xpl_cli.native.script import Call
 
 if TYPE_CHECKING:
+    from xpl.contract import Action, ObservationDict
     from xpl.embodiment import Embodiment
     from xpl.trajectory import Trajectory
-    from xpl_cli.audit.served.inputs import Observation
 
 _EPISODE: Final = 1 << 20
 """Places of one episode: a recipe is `episode * _EPISODE + step`."""
@@ -70,7 +70,7 @@ class _Scene:
 
     recordings: Sequence[Recording]
 
-    def observation(self, env: int, place: int) -> Observation:
+    def observation(self, env: int, place: int) -> ObservationDict:
         """Return an observation as a policy gets it."""
         shown = self.recordings[place // _EPISODE].trajectory.observation(place % _EPISODE)
         return {**shown, sdk.Obs.ENV_IDX: env}
@@ -210,7 +210,7 @@ def _steps(length: int, count: int, phase: float) -> Iterator[int]:
     yield from dict.fromkeys(places)
 
 
-def _column(steps: Sequence[Mapping[str, Any]], key: str) -> np.ndarray | None:
+def _column(steps: Sequence[Action], key: str) -> np.ndarray | None:
     if any(key not in step for step in steps):
         return None
     return np.stack([np.asarray(step[key], np.float64) for step in steps])
@@ -223,7 +223,7 @@ def _states(trajectory: Trajectory, key: str) -> np.ndarray:
     return rows[:, None] if rows.ndim == 1 else rows
 
 
-def _by_kinematics(steps: Sequence[Mapping[str, Any]], key: str, robot: Embodiment) -> np.ndarray | None:
+def _by_kinematics(steps: Sequence[Action], key: str, robot: Embodiment) -> np.ndarray | None:
     """Return the flange's poses in the world that commanded joints lead to, None where that is not known."""
     prefix = key.removesuffix(sdk.State.EE_POSE)
     joints = _column(steps, prefix + sdk.State.ARM_JOINT_STATE)

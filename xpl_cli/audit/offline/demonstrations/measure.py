@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -13,9 +13,10 @@ from xpl import _spec as sdk
 from xpl import rotation
 
 if TYPE_CHECKING:
+    from xpl.contract import Action, State
     from xpl_cli.audit.offline.demonstrations.episodes import Played
 
-Chunks = Mapping[int, Sequence[Mapping[str, Any] | None]]
+Chunks = Mapping[int, "Sequence[Action | None]"]
 """Action steps by number of a question; None for steps that are not known."""
 
 _FLOOR: Final = 0.1
@@ -184,7 +185,7 @@ class Ruler:
                     led[1] += float(np.abs(np.asarray(done[key]) - held[key]).sum())
         return led[0] / led[1] if led[1] > 0 else float("nan")
 
-    def _state(self, episode: int, step: int) -> dict[str, Any]:
+    def _state(self, episode: int, step: int) -> State:
         return {key: values[step] for key, values in self.session.recordings[episode].state.items()}
 
 

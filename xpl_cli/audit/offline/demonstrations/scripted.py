@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from xpl_cli.audit.served.inputs import Observation
+    from xpl.contract import ObservationDict
+
 
 STEPS: Final = 16
 SIZE: Final = (12, 16)
@@ -47,7 +48,7 @@ def write(package: Path, robot: str, episodes: int, seed: int = 0) -> Path:
     return folder
 
 
-def _played(robot: str, rng: np.random.Generator) -> Iterator[tuple[Observation, dict[str, np.ndarray]]]:
+def _played(robot: str, rng: np.random.Generator) -> Iterator[tuple[ObservationDict, dict[str, np.ndarray]]]:
     (arm,) = get_embodiment(robot).arms
     joints, goal = rng.uniform(-0.5, 0.5, arm.dof), rng.uniform(-0.5, 0.5, arm.dof)
     colour = rng.uniform(0.1, 0.9, 3)

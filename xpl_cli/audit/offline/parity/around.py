@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
+    from xpl.contract import Observation
     from xpl_cli.audit.offline.parity.course import Course
     from xpl_cli.audit.served.session import Session as Client
     from xpl_cli.native.alternatives.signals import Signal
@@ -102,12 +103,12 @@ class Around:
         """Play all episodes in their order, each with its environments together."""
         assert signal.shown is not None  # noqa: S101 - see who asks
         session = self._course.session
-        changed: dict[tuple[int, int], Mapping[str, Any]] = {}
+        changed: dict[tuple[int, int], Observation] = {}
         for episode in self._course.episodes(numbers):
             last = session.questions[episode[-1]]
             changed.update(zip(last.shown, signal.shown(self._course.seen(last)), strict=True))
 
-        def observation(env: int, place: int) -> Mapping[str, Any]:
+        def observation(env: int, place: int) -> Observation:
             return changed.get((env, place)) or self._course.observation(env, place)
 
         asked = [session.questions[number] for number in numbers]
@@ -127,9 +128,7 @@ class Around:
                 found.update(self._episode(client, shown, {question.asked[-1]: question for question in questions}))
         return found
 
-    def _episode(
-        self, client: Client, shown: Sequence[Mapping[str, Any]], asked: Mapping[int, Question]
-    ) -> dict[int, Chunk]:
+    def _episode(self, client: Client, shown: Sequence[Observation], asked: Mapping[int, Question]) -> dict[int, Chunk]:
         """Play one episode, and return its answers by the numbers of the questions."""
         client.reset()
         found = {}

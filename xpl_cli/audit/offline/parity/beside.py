@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
+    from xpl.contract import ObservationDict
     from xpl_cli.audit.offline.parity.judgement import Judgement
-    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.session import Session as Client
     from xpl_cli.native.pairs import Chunk
 
@@ -68,7 +68,7 @@ def _among_others(course: Course, env: int, serving: Serving) -> dict[int, Chunk
     """Return the answers to all questions where every environment shows what this one does at its places."""
     session = course.session
 
-    def observation(other: int, place: int) -> Observation:
+    def observation(other: int, place: int) -> ObservationDict:
         return {**course.observation(env, place), sdk.Obs.ENV_IDX: other}
 
     with serving() as client:

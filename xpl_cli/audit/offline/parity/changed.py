@@ -15,6 +15,7 @@ from xpl_cli.isolation import errand
 from xpl_cli.native.alternatives.encodings import convention_of
 
 if TYPE_CHECKING:
+    from xpl.contract import Entry
     from xpl_cli.audit.offline.parity.course import Course
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.native.alternatives.encodings import Encoding
@@ -58,7 +59,7 @@ class _Told:
     draws: int | None = None
 
     @classmethod
-    def read(cls, told: Mapping[str, Any] | None) -> Self:
+    def read(cls, told: Entry | None) -> Self:
         if told is None:
             return cls()
         return cls(told["answers"], told.get("words"), told.get("apart", 0.0), told.get("draws"))
@@ -79,9 +80,7 @@ class Changed:
         self.draws: int | None = None
         """How many times numbers are drawn in some answers; None if that is not known."""
 
-    def blocks(
-        self, blocks: Sequence[Mapping[str, Any]], wanted: Sequence[int], seconds: float
-    ) -> list[Given | None] | None:
+    def blocks(self, blocks: Sequence[Entry], wanted: Sequence[int], seconds: float) -> list[Given | None] | None:
         """Return the answers to some questions under each native block, as far as the time reaches.
 
         Args:

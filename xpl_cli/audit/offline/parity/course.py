@@ -10,7 +10,7 @@ from xpl import _spec as sdk
 from xpl_cli.native.script import Call, played
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.served.inputs import Observation
+    from xpl.contract import ObservationDict
     from xpl_cli.native.pairs import Question, Session
 
 Key = tuple[int, int]
@@ -26,21 +26,21 @@ class Course:
 
     def __init__(self, session: Session) -> None:
         self.session = session
-        self._made: dict[tuple[int, int], Observation] = {}
+        self._made: dict[tuple[int, int], ObservationDict] = {}
 
     @cached_property
     def everything(self) -> list[int]:
         """The numbers of all questions."""
         return [question.number for question in self.session.questions]
 
-    def observation(self, env: int, place: int) -> Observation:
+    def observation(self, env: int, place: int) -> ObservationDict:
         """Return the observation of a recipe."""
         key = (env, place)
         if key not in self._made:
             self._made[key] = self.session.scene.observation(env, place)
         return self._made[key]
 
-    def seen(self, question: Question) -> list[Observation]:
+    def seen(self, question: Question) -> list[ObservationDict]:
         """Return what was shown in a question's episode up to it."""
         return [self.observation(env, place) for env, place in question.shown]
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl.manifest import Native
@@ -23,6 +22,7 @@ from xpl_cli.packages import conventions
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from xpl.contract import Config
     from xpl_cli.audit.offline.parity.distribution import Shift
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.native.pairs import Chunk, Pairs, Session
@@ -117,9 +117,9 @@ class Parity:
         return (self.probe.package.manifest.native or Native()).tolerance
 
     @property
-    def settings(self) -> Mapping[str, Any]:
+    def settings(self) -> Config:
         """Keys of deploy.yml that the pairs were recorded with."""
-        settings: Mapping[str, object] = self.pairs.provenance["settings"]
+        settings: Config = self.pairs.provenance["settings"]
         return settings
 
     @cached_property

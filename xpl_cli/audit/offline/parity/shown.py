@@ -23,6 +23,7 @@ from xpl_cli.native.explain import Explanation, Tried
 from xpl_cli.native.patterns import Pattern
 
 if TYPE_CHECKING:
+    from xpl.contract import Observation, ObservationDict
     from xpl_cli.audit.offline.parity.course import Course
     from xpl_cli.audit.offline.parity.judgement import Judgement
     from xpl_cli.audit.served.probe import Probe
@@ -144,5 +145,5 @@ class Shown:
         return all(share <= self._judgement.allowed[part] for part, share in found.items())
 
 
-def _with(same: Mapping[str, Any], seen: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _with(same: Observation, seen: Sequence[Observation]) -> list[ObservationDict]:
     return [{**obs, **same} for obs in seen]
