@@ -91,9 +91,9 @@ def test_random_damage_is_said(packed: bytes, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_thousands_of_random_damages_are_said(packed: bytes, tmp_path: Path) -> None:
+def test_many_random_damages_are_said(packed: bytes, tmp_path: Path) -> None:
     """Bytes changed, cut out, put in, moved, in the files, in the list of files, at its end."""
-    _try_damage(packed, tmp_path, range(24, 3024))
+    _try_damage(packed, tmp_path, range(24, 1000))
 
 
 NAMES = [
@@ -289,16 +289,10 @@ def _try_values(sound: tuple[dict[str, bytes], dict[str, Any]], folder: Path, se
 
 
 @pytest.mark.slow
-def test_values_of_any_kind_are_findings(sound: tuple[dict[str, bytes], dict[str, Any]], tmp_path: Path) -> None:
-    """Some of the values that the slow test puts somewhere."""
-    _try_values(sound, tmp_path, range(8))
-
-
-@pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_thousands_of_values_are_findings(sound: tuple[dict[str, bytes], dict[str, Any]], tmp_path: Path) -> None:
+def test_values_of_any_kind_are_findings(sound: tuple[dict[str, bytes], dict[str, Any]], tmp_path: Path) -> None:
     """Odd values anywhere in the manifest and in the documents, one or several at once."""
-    _try_values(sound, tmp_path, range(8, 3020))
+    _try_values(sound, tmp_path, range(1000))
 
 
 @pytest.mark.slow

@@ -244,15 +244,19 @@ values = st.recursive(
 )
 
 
-def _tried(data: st.DataObject, sound: Path, folder: Path) -> None:
-    """Put any value at any place of any line: what is read of it is valid, and makes a report and a ranking.
+@settings(max_examples=examples(120), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(data=st.data())
+def test_whatever_stands_in_a_line_is_left_out_or_can_be_reported(
+    data: st.DataObject, sound: Path, tmp_path: Path
+) -> None:
+    """Values of any kind at any place of any line: what is read of it is valid, and makes a report and a ranking.
 
     Only a record that contradicts itself is not ranked.
     """
     number = data.draw(st.integers(2, len(_lines(sound))))
     line = json.loads(_lines(sound)[number - 1])
     line[data.draw(st.sampled_from(sorted(line)) | st.text(max_size=6))] = data.draw(values)
-    run = _changed(sound, folder / "run", line, number)
+    run = _changed(sound, tmp_path / "run", line, number)
     found = records.read(run, skip=True)
     assert all(f"line {number}" in skipped for skipped in found.skipped)
     assert all(validate(one.as_json(), lines.definition("episode")) == [] for one in found.attempts)
@@ -265,29 +269,6 @@ def _tried(data: st.DataObject, sound: Path, folder: Path) -> None:
     ranked = ranking.rank(field.gather([found], anyway=True))
     for form in (board.text, board.as_csv, board.as_markdown):
         assert form(ranked)
-
-
-drawn = given(data=st.data())
-
-
-@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
-@drawn
-def test_whatever_stands_in_a_line_is_left_out_or_can_be_reported(
-    data: st.DataObject, sound: Path, tmp_path: Path
-) -> None:
-    """Some values of any kind, at any place; the slow test tries many."""
-    _tried(data, sound, tmp_path)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-@settings(
-    max_examples=examples(1000), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
-)
-@drawn
-def test_a_thousand_values_are_left_out_or_can_be_reported(data: st.DataObject, sound: Path, tmp_path: Path) -> None:
-    """Values of any kind, at any place of any line."""
-    _tried(data, sound, tmp_path)
 
 
 def test_the_compiled_schema_says_what_the_other_validator_says(sound: Path) -> None:
