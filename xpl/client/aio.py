@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from xpl import _spec as spec
 from xpl.client.base import ClientBase
-from xpl.client.connection import refused_handshake, wrong_address
-from xpl.client.errors import ServerConnectionError, ServerFailedError
+from xpl.client.connection import ended, refused_handshake, wrong_address
+from xpl.client.errors import ServerConnectionError
 
 if TYPE_CHECKING:
-    from xpl.client.transport import Transport
-    from xpl.contract import Config, Observation, Payload
+    from xpl.client.transport import Address, Transport
+    from xpl.contract import Observation, Payload
 
 _Value = TypeVar("_Value")
 _GOODBYE_S = 0.2
@@ -34,15 +34,8 @@ class AsyncClient(ClientBase):
     Nothing is connected before `connect()` or `async with`. Tasks that share a client take turns.
     """
 
-    def _transport(
-        self,
-        url: str,
-        timing: Config,
-        token: str | None,
-        ssl_context: ssl.SSLContext | None,
-        scheme: str,
-    ) -> Transport:
-        return _Suspending(url, timing, None if token is None else f"{scheme} {token}", ssl_context)
+    def _transport(self, there: Address) -> Transport:
+        return _Suspending(there)
 
     def _made(self) -> None:
         self._turn = asyncio.Lock()
@@ -121,21 +114,16 @@ class AsyncClient(ClientBase):
 class _Suspending:
     """A WebSocket connection whose methods suspend."""
 
-    def __init__(self, url: str, config: Config, authorization: str | None, ssl_context: ssl.SSLContext | None) -> None:
-        self._url = url
-        self._config = config
-        self._authorization = authorization
-        self._ssl = ssl_context
+    def __init__(self, there: Address) -> None:
+        self._there = there
         self._socket: Any = None
 
     async def open(self, timeout: float | None) -> None:
         connect = _connect()
         try:
-            self._socket = await connect(
-                self._url, **_options(connect, self._config, timeout, self._authorization, self._ssl)
-            )
+            self._socket = await connect(self._there.url, **_options(connect, self._there, timeout))
         except Exception as error:  # noqa: BLE001 - mapped
-            raise _connection_problem(error, self._url) from None
+            raise _connection_problem(error, self._there.url) from None
 
     async def send(self, data: bytes | str, timeout: float | None) -> None:
         try:
@@ -183,30 +171,24 @@ def _connect() -> Any:
     return connect
 
 
-def _options(
-    connect: Any,
-    config: Config,
-    timeout: float | None,
-    authorization: str | None,
-    ssl_context: ssl.SSLContext | None,
-) -> dict[str, Any]:
+def _options(connect: Any, there: Address, timeout: float | None) -> dict[str, Any]:
     """Return the options for `connect` of any version of websockets from 12 on."""
     options: dict[str, Any] = {
         "compression": None,
         "max_size": spec.LIMITS["frame_bytes"],
         "open_timeout": timeout,
-        "close_timeout": config[spec.Deploy.CLOSE_TIMEOUT_S],
-        "ping_interval": config[spec.Deploy.WS_PING_INTERVAL_S],
+        "close_timeout": there.config[spec.Deploy.CLOSE_TIMEOUT_S],
+        "ping_interval": there.config[spec.Deploy.WS_PING_INTERVAL_S],
         "ping_timeout": None,  # a loop that is kept busy must not be taken for a lost connection
     }
     known = inspect.signature(connect).parameters
     if "proxy" in known:
         options["proxy"] = None  # straight to the server, whatever proxy the environment names
-    if ssl_context is not None:
-        options["ssl"] = ssl_context
-    if authorization is not None:
+    if there.ssl_context is not None:
+        options["ssl"] = there.ssl_context
+    if there.authorization is not None:
         name = "additional_headers" if "additional_headers" in known else "extra_headers"
-        options[name] = {"Authorization": authorization}
+        options[name] = {"Authorization": there.authorization}
     return options
 
 
@@ -224,8 +206,5 @@ def _lost_connection(error: Exception) -> Exception:
     from websockets.exceptions import ConnectionClosed, WebSocketException
 
     if isinstance(error, WebSocketException):
-        received = error.rcvd if isinstance(error, ConnectionClosed) else None
-        if received is not None and received.code == spec.CLOSE_CODES["server_failed"]:
-            return ServerFailedError(f"the policy server ended: {received.reason}")
-        return ConnectionResetError(str(error))
+        return ended(error.rcvd if isinstance(error, ConnectionClosed) else None)
     return error

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Callable
 from xpl import _spec as spec
 from xpl.client import wires
 from xpl.client.labels import UNSAID, Labels, Unsaid, timing
-from xpl.client.transport import Setup, Transport, Wishes
+from xpl.client.transport import Address, Setup, Transport, Wishes
 
 if TYPE_CHECKING:
     import ssl
@@ -79,11 +79,9 @@ class ClientBase:
         name, wire, address = wires.of(url, settings)
         self._labels = Labels(evaluation_id or uuid.uuid4().hex, trial_id, action_case_id, repeat_index)
         self._made()
-
-        def transport() -> Transport:
-            return self._transport(address, settings, token, ssl_context, wire.scheme)
-
-        self._talk: Conversation = _conversation(wire, Setup(name, address, settings, self._labels, wishes, transport))
+        there = Address(address, settings, None if token is None else f"{wire.scheme} {token}", ssl_context)
+        setup = Setup(name, address, settings, self._labels, wishes, lambda: self._transport(there))
+        self._talk: Conversation = _conversation(wire, setup)
         self._begin()
 
     def _share(self, client: Any) -> None:
@@ -103,14 +101,7 @@ class ClientBase:
         """Make what calls take turns with."""
         raise NotImplementedError
 
-    def _transport(
-        self,
-        url: str,
-        timing: Config,
-        token: str | None,
-        ssl_context: ssl.SSLContext | None,
-        scheme: str,
-    ) -> Transport:
+    def _transport(self, there: Address) -> Transport:
         """Return what carries the messages, not yet open."""
         raise NotImplementedError
 

@@ -19,35 +19,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from xpl.client.base import ClientBase
 from xpl.client.connection import BlockingTransport
-from xpl.client.errors import (
-    ClientError,
-    EnvironmentMismatchError,
-    NoOperationError,
-    PolicyServerError,
-    RequestTimeoutError,
-    ServerConnectionError,
-    ServerFailedError,
-    ServerRestartedError,
-)
 from xpl.client.transport import run
 
 if TYPE_CHECKING:
-    import ssl
-
-    from xpl.client.transport import Transport
-    from xpl.contract import Config, Observation, Payload
-
-__all__ = [
-    "Client",
-    "ClientError",
-    "EnvironmentMismatchError",
-    "NoOperationError",
-    "PolicyServerError",
-    "RequestTimeoutError",
-    "ServerConnectionError",
-    "ServerFailedError",
-    "ServerRestartedError",
-]
+    from xpl.client.transport import Address, Transport
+    from xpl.contract import Observation, Payload
 
 _Value = TypeVar("_Value")
 
@@ -86,15 +62,8 @@ class Client(ClientBase):
     def _made(self) -> None:
         self._turn = threading.Lock()
 
-    def _transport(
-        self,
-        url: str,
-        timing: Config,
-        token: str | None,
-        ssl_context: ssl.SSLContext | None,
-        scheme: str,
-    ) -> Transport:
-        return BlockingTransport(url, timing, token, ssl_context, self._turn, scheme)
+    def _transport(self, there: Address) -> Transport:
+        return BlockingTransport(there, self._turn)
 
     def _begin(self) -> None:
         self._run(self._talk.connect())

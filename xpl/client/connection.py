@@ -15,14 +15,14 @@ import threading
 import time
 import weakref
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from xpl import _spec as spec
 from xpl.client import wires
 from xpl.client.errors import ServerConnectionError, ServerFailedError
 
 if TYPE_CHECKING:
-    from xpl.contract import Config
+    from xpl.client.transport import Address
 
 _CHUNK = 1 << 18
 _NO_TOKEN, _REFUSED = 401, 403
@@ -34,28 +34,14 @@ class BlockingTransport:
     """A connection to one address.
 
     Args:
-        url: `ws://host:port`, or `wss://`.
-        config: the timing keys of deploy.yml.
-        token: what authorizes this client, or None.
-        ssl_context: for `wss://`; the system's certificates otherwise.
+        there: the address.
         turn: held by whoever uses the connection.
-        scheme: how the token is announced in the header `Authorization`.
     """
 
-    def __init__(  # noqa: PLR0913, PLR0917 - what a connection needs
-        self,
-        url: str,
-        config: Config,
-        token: str | None,
-        ssl_context: ssl.SSLContext | None,
-        turn: threading.Lock,
-        scheme: str,
-    ) -> None:
-        self._url = url
-        self._authorization = None if token is None else f"{scheme} {token}"
-        self._ssl = ssl_context
+    def __init__(self, there: Address, turn: threading.Lock) -> None:
+        self._there = there
         self._turn = turn
-        self._ping_interval = config[spec.Deploy.WS_PING_INTERVAL_S]
+        self._ping_interval = there.config[spec.Deploy.WS_PING_INTERVAL_S]
         self._socket: socket.socket | None = None
         self._protocol: Any = None
         self._messages: list[bytes | str] = []
@@ -73,21 +59,21 @@ class BlockingTransport:
 
         deadline = None if timeout is None else time.monotonic() + timeout
         try:
-            uri = parse_uri(self._url)
+            uri = parse_uri(self._there.url)
         except InvalidURI as error:
-            raise wrong_address(self._url, error) from None
+            raise wrong_address(self._there.url, error) from None
         try:
             raw = socket.create_connection((uri.host, uri.port), _left(deadline))
             raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._socket = raw
             if uri.secure:
-                context = self._ssl or ssl.create_default_context()
+                context = self._there.ssl_context or ssl.create_default_context()
                 self._socket = context.wrap_socket(raw, server_hostname=uri.host)
             self._open, self._ended, self._messages, self._fragments = False, False, [], []
             self._protocol = ClientProtocol(uri, max_size=spec.LIMITS["frame_bytes"])
             request = self._protocol.connect()
-            if self._authorization is not None:
-                request.headers["Authorization"] = self._authorization
+            if self._there.authorization is not None:
+                request.headers["Authorization"] = self._there.authorization
             self._protocol.send_request(request)
             self._flush()
             while self._protocol.state.name == "CONNECTING" and self._protocol.handshake_exc is None:
@@ -96,12 +82,12 @@ class BlockingTransport:
             self._take(event for event in self._protocol.events_received() if hasattr(event, "opcode"))
         except ssl.SSLError as error:
             await self.close()
-            raise ServerConnectionError(f"no secure connection to {self._url}: {error}") from None
+            raise ServerConnectionError(f"no secure connection to {self._there.url}: {error}") from None
         except BaseException:
             await self.close()
             raise
         if self._protocol.handshake_exc is not None:
-            problem = refused_handshake(self._protocol.handshake_exc, self._url)
+            problem = refused_handshake(self._protocol.handshake_exc, self._there.url)
             await self.close()
             raise problem
         self._open, self._seen = True, time.monotonic()
@@ -238,12 +224,15 @@ class BlockingTransport:
         self._fragments = []
         self._messages.append(bytes(whole).decode(errors="replace") if self._is_text else whole)
 
-    def _end(self) -> None:
-        """Raise why the connection ended: the server's own reason, or that it was lost."""
-        received = self._protocol.close_rcvd
-        if received is not None and received.code == spec.CLOSE_CODES["server_failed"]:
-            raise ServerFailedError(f"the policy server ended: {received.reason}")
-        raise ConnectionResetError("no close frame" if received is None else f"{received.code} {received.reason}")
+    def _end(self) -> NoReturn:
+        raise ended(self._protocol.close_rcvd)
+
+
+def ended(received: Any) -> Exception:
+    """Return why a connection ended, by the close frame that came: the server's own reason, or that it was lost."""
+    if received is not None and received.code == spec.CLOSE_CODES["server_failed"]:
+        return ServerFailedError(f"the policy server ended: {received.reason}")
+    return ConnectionResetError("no close frame" if received is None else f"{received.code} {received.reason}")
 
 
 def wrong_address(url: str, error: Exception) -> ServerConnectionError:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Callable, Protocol, TypeVar
 
 if TYPE_CHECKING:
+    import ssl
+
     from xpl.client.labels import Labels
     from xpl.contract import Announcement, Config
 
@@ -33,6 +35,23 @@ class Transport(Protocol):
 
     async def pause(self, seconds: float) -> None:
         """Let time pass."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a connection goes, and how it is let in.
+
+    Attributes:
+        url: `ws://host:port`, or `wss://`.
+        config: the timing keys of deploy.yml.
+        authorization: what the header `Authorization` says, or None.
+        ssl_context: for `wss://`; the system's certificates otherwise.
+    """
+
+    url: str
+    config: Config
+    authorization: str | None
+    ssl_context: ssl.SSLContext | None
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.wire.arrays import ArrayError, Data, as_array, from_data, parse_dtype
-from xpl.wire.codec import WireError, depth
+from xpl.wire.codec import Counting, WireError, depth, refuse_extension
 
 _ARRAY, _SCALAR, _DATA, _DTYPE, _SHAPE = b"__ndarray__", b"__npgeneric__", b"data", b"dtype", b"shape"
 _UNKNOWN = "Vc"
@@ -52,7 +52,7 @@ def unpack(data: Data) -> Any:
             data,
             object_hook=reader.on_map,
             list_hook=reader.on_list,
-            ext_hook=_refuse_extension,
+            ext_hook=refuse_extension,
             raw=False,
             strict_map_key=False,
         )
@@ -74,26 +74,14 @@ def _outgoing(value: object) -> Any:
     return {_ARRAY: True, _DATA: array.tobytes(), _DTYPE: array.dtype.str, _SHAPE: array.shape}
 
 
-class _Reader:
-    """Makes values of the maps and lists of one message, and counts what they hold."""
-
-    def __init__(self) -> None:
-        self._left = spec.LIMITS["elements"]
+class _Reader(Counting):
+    """Makes values of the maps and lists of one message."""
 
     def on_map(self, entries: dict[Any, Any]) -> Any:
-        self._count(len(entries))
+        self.count(len(entries))
         if _ARRAY in entries:
             return _array(entries)
         return _scalar(entries) if _SCALAR in entries else entries
-
-    def on_list(self, items: list[Any]) -> list[Any]:
-        self._count(len(items))
-        return items
-
-    def _count(self, entries: int) -> None:
-        self._left -= entries + 1
-        if self._left < 0:
-            raise WireError(f"the message holds more than {spec.LIMITS['elements']} list and map entries: send arrays")
 
 
 def _array(entries: Mapping[Any, Any]) -> np.ndarray:
@@ -111,7 +99,3 @@ def _scalar(entries: Mapping[Any, Any]) -> Any:
         return dtype.type(value)
     except (TypeError, ValueError, OverflowError) as error:
         raise WireError(f"{value!r:.80} is no {dtype}: {error}") from None
-
-
-def _refuse_extension(code: int, _: bytes) -> None:
-    raise WireError(f"msgpack extension type {code} is not part of the wire")

@@ -168,7 +168,7 @@ def decode(data: Data) -> Frame:
             data,
             object_hook=reader.on_map,
             list_hook=reader.on_list,
-            ext_hook=_refuse_extension,
+            ext_hook=refuse_extension,
             raw=False,
             strict_map_key=False,
             max_array_len=spec.LIMITS["elements"],
@@ -282,14 +282,33 @@ def _array_map(value: object) -> dict[bytes, Any]:
 # -- reading -----------------------------------------------------------------------------------------------------------
 
 
-class _Reader:
-    """Makes values of the maps and lists of one frame, and counts what they hold."""
+class Counting:
+    """Counts what the maps and lists of one message hold, for readers of msgpack."""
 
     def __init__(self) -> None:
         self._left = spec.LIMITS["elements"]
 
+    def on_list(self, items: list[Any]) -> list[Any]:
+        """Count a list."""
+        self.count(len(items))
+        return items
+
+    def count(self, entries: int) -> None:
+        """Count the entries of a map or list.
+
+        Raises:
+            WireError: there are more than a message may hold.
+        """
+        self._left -= entries + 1
+        if self._left < 0:
+            raise WireError(f"the message holds more than {spec.LIMITS['elements']} list and map entries: send arrays")
+
+
+class _Reader(Counting):
+    """Makes values of the maps and lists of one frame."""
+
     def on_map(self, entries: dict[Any, Any]) -> Any:
-        self._count(len(entries))
+        self.count(len(entries))
         if set(map(type, entries)) <= _TEXT and not (_TEXT_MARKS & entries.keys()):
             return entries
         by_name = {key.encode() if isinstance(key, str) else key: value for key, value in entries.items()}
@@ -298,15 +317,6 @@ class _Reader:
         if by_name.get(_COMPLEX) is True and isinstance(by_name.get(_DATA), (str, bytes)):
             return _complex(by_name[_DATA])
         return entries if all(type(key) is str for key in entries) else _text_keys(entries)
-
-    def on_list(self, items: list[Any]) -> list[Any]:
-        self._count(len(items))
-        return items
-
-    def _count(self, entries: int) -> None:
-        self._left -= entries + 1
-        if self._left < 0:
-            raise WireError(f"the frame holds more than {spec.LIMITS['elements']} list and map entries: send arrays")
 
 
 def _array(fields: dict[Any, Any]) -> Any:
@@ -335,7 +345,8 @@ def _text_keys(entries: dict[Any, Any]) -> dict[str, Any]:
     return result
 
 
-def _refuse_extension(code: int, _: bytes) -> None:
+def refuse_extension(code: int, _: bytes) -> None:
+    """Refuse what msgpack calls an extension."""
     raise WireError(f"msgpack extension type {code} is not part of the wire")
 
 
