@@ -96,17 +96,17 @@ class Open:
         return f"{self.reason}; seen: {', '.join(map(str, self.seen))}" if self.seen else self.reason
 
 
-def certain(value: Any, *evidence: Evidence) -> Told:
+def certain(value: object, *evidence: Evidence) -> Told:
     """Return a value that a file says exactly."""
     return Told(value, Confidence.CERTAIN, evidence)
 
 
-def likely(value: Any, *evidence: Evidence) -> Told:
+def likely(value: object, *evidence: Evidence) -> Told:
     """Return a value that is named where this is usually told."""
     return Told(value, Confidence.LIKELY, evidence)
 
 
-def assumed(value: Any, why: str) -> Told:
+def assumed(value: object, why: str) -> Told:
     """Return a value that nothing contradicts."""
     return Told(value, Confidence.ASSUMED, (Evidence("", None, why),))
 

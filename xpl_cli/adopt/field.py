@@ -6,7 +6,7 @@ An adapter is a policy's if it is called like it, and wraps no other code.
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.facts import Evidence, Told, likely
 from xpl_cli.standard import spec
@@ -49,7 +49,7 @@ def facts(policy: Policy) -> Iterator[tuple[str, Told]]:
         yield _fact(policy, "temporal.chunk", known["chunk"].value, "chunk")  # else an adapter may answer either
 
 
-def _fact(policy: Policy, key: str, value: Any, *sources: str) -> tuple[str, Told]:
+def _fact(policy: Policy, key: str, value: object, *sources: str) -> tuple[str, Told]:
     where = (f"xpl zoo show {policy.name} ({name}: {policy.facts[name].source})" for name in sources)
     return key, likely(value, *(Evidence("", None, place) for place in where))
 

@@ -37,7 +37,7 @@ def page(root: Any) -> str:
     return "\n".join([NOTE, "# Commands", "", _INTRODUCTION, *codes, "", *members]).rstrip() + "\n"
 
 
-def _members(commands: dict[str, Any], parent: Any) -> Iterator[str]:
+def _members(commands: dict[str, Any], parent: object) -> Iterator[str]:
     """Yield the lines of commands, by their names; of a group's, too."""
     for name, command in commands.items():
         if command.hidden:
@@ -65,7 +65,7 @@ def _ends(command: Any, context: Any) -> Iterator[str]:
         yield from (endings(command.callback), "")
 
 
-def _panel(parameter: Any) -> str:
+def _panel(parameter: object) -> str:
     """Return the heading below which --help shows a parameter, empty for none of its own."""
     return str(getattr(parameter, "rich_help_panel", None) or "")
 

@@ -33,7 +33,7 @@ REFERENCE = "docs/reference"
 """Where the reference pages are, in a checkout."""
 
 
-def derived(root: Any) -> dict[str, bytes]:
+def derived(root: object) -> dict[str, bytes]:
     """Return every file that is generated, relative to the checkout: the SDK's constants and pages of documentation.
 
     Args:
@@ -186,11 +186,11 @@ def _constant(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_").upper()
 
 
-def _assignment(name: str, value: Any) -> str:
+def _assignment(name: str, value: object) -> str:
     return f"{name}: {_annotation(value)} = {pprint.pformat(value, width=116, compact=True, sort_dicts=False)}"
 
 
-def _annotation(value: Any) -> str:
+def _annotation(value: object) -> str:
     """Return the type of a compiled value, precise enough for mypy strict."""
     if isinstance(value, tuple):
         return f"tuple[{_annotation(value[0])}, ...]"

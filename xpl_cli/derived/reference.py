@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.standard import robots, spec
 from xpl_cli.standard.view import OPEN, OPEN_MEANS, PARTS, Section, sections
@@ -154,7 +154,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
         yield f"| {' | '.join(map(prose, row))} |"
 
 
-def prose(text: Any) -> str:
+def prose(text: object) -> str:
     """Return a text as a line of Markdown, also in a table, that every renderer reads alike.
 
     A stroke in code is written as HTML, because some show the backslash that others need there; `__init__` in prose is

@@ -73,5 +73,5 @@ def _of_manifest(manifest: Manifest) -> Iterator[str]:
         yield "sampling"
 
 
-def _list(value: Any) -> list[Any]:
+def _list(value: object) -> list[Any]:
     return value if isinstance(value, list) else []

@@ -151,7 +151,7 @@ def _client(folder: Path) -> Path:
     return folder / manifest(folder).client
 
 
-def _guarded(env: Any, config: Mapping[str, Any], facts: EnvManifest) -> Any:
+def _guarded(env: object, config: Mapping[str, Any], facts: EnvManifest) -> Any:
     from xpl import get_embodiment
     from xpl.guard import GuardedEnv
     from xpl.safety import Supervisor

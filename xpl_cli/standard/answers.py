@@ -94,7 +94,7 @@ def problems(document: Mapping[str, Any]) -> list[str]:
     return [f"{error.json_path}: {error.message}" for error in Draft202012Validator(schema(name)).iter_errors(document)]
 
 
-def _closed(entry: Any) -> Any:
+def _closed(entry: object) -> Any:
     """Return a schema of the list in full: a map has the keys that it names, all of them but the optional ones."""
     if isinstance(entry, list):
         return [_closed(item) for item in entry]

@@ -57,7 +57,7 @@ def _schema(name: str) -> Iterator[Problem]:
                 yield Problem(path, f"its default is not valid: {problem.message}", file=file)
 
 
-def _nodes(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], dict[str, Any]]]:
+def _nodes(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], dict[str, Any]]]:
     """Yield every map of a schema with its path."""
     if isinstance(value, dict):
         # Below `properties` and `$defs` the keys are names, not keywords.

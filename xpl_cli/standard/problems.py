@@ -116,7 +116,7 @@ def _type(error: _Error) -> Iterator[Problem]:
     yield Problem(_path(error), f"expected {text}, got {got}", expected=text, got=got, nearest=meant)
 
 
-def _meant(wanted: str, given: Any) -> str | None:
+def _meant(wanted: str, given: object) -> str | None:
     """Return how a value is written in YAML that was meant, but taken for something else: yes, 3, 1e-2, "false"."""
     if wanted == "string" and isinstance(given, (bool, int, float)):
         return f'"{_value(given)}"'
@@ -189,16 +189,16 @@ def _path(error: _Error) -> tuple[str | int, ...]:
     return tuple(error.absolute_path)
 
 
-def _is_map(value: Any) -> bool:
+def _is_map(value: object) -> bool:
     return isinstance(value, Mapping)
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     text = "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def described(value: Any) -> str:
+def described(value: object) -> str:
     """Describe a value by its kind, and by itself where that is short."""
     import numpy as np
 

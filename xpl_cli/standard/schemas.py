@@ -67,7 +67,7 @@ def bundle(name: str) -> dict[str, Any]:
     return {"$schema": _DIALECT, **result, "definitions": dict(sorted(definitions.items()))}
 
 
-def _plain(value: Any, name: str, definitions: dict[str, Any], root: str) -> Any:
+def _plain(value: object, name: str, definitions: dict[str, Any], root: str) -> Any:
     """Return a part of schema `name` without references to other files; what it refers to is added to `definitions`."""
     if isinstance(value, list):
         return [_plain(entry, name, definitions, root) for entry in value]

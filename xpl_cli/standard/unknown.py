@@ -21,25 +21,25 @@ def reason(value: Any) -> str | None:
     return value[KEY] if is_open else None
 
 
-def split(document: Any) -> tuple[Any, dict[Place, str]]:
+def split(document: object) -> tuple[Any, dict[Place, str]]:
     """Return a manifest without what is not known in it, and why that is not known, by place."""
     gaps: dict[Place, str] = {}
     return _known(document, (), gaps), gaps
 
 
-def known(document: Any) -> Any:
+def known(document: object) -> Any:
     """Return a manifest without what is not known in it, and without the parts of which nothing is."""
     return _without_empty(document, split(document)[0])
 
 
-def _without_empty(given: Any, left: Any) -> Any:
+def _without_empty(given: object, left: object) -> Any:
     if not isinstance(left, dict) or not isinstance(given, dict):
         return left
     entries = {key: _without_empty(given[key], entry) for key, entry in left.items()}
     return {key: entry for key, entry in entries.items() if entry != {} or given[key] == {}}
 
 
-def _known(value: Any, place: Place, gaps: dict[Place, str]) -> Any:
+def _known(value: object, place: Place, gaps: dict[Place, str]) -> Any:
     if not isinstance(value, dict):
         return value
     known = {}

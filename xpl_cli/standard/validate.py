@@ -110,7 +110,9 @@ def _validator_class() -> Callable[..., Validator]:
 
     keywords = cast("dict[str, Callable[..., Any]]", Draft202012Validator.VALIDATORS)
 
-    def x_array(_validator: Any, wanted: Mapping[str, Any], instance: Any, _schema: Any) -> Iterator[ValidationError]:
+    def x_array(
+        _validator: object, wanted: Mapping[str, Any], instance: object, _schema: object
+    ) -> Iterator[ValidationError]:
         if message := _array_message(wanted, instance):
             yield ValidationError(message)
 
@@ -118,7 +120,7 @@ def _validator_class() -> Callable[..., Validator]:
         """Give the object that a keyword descends into symbols of its own."""
         original = keywords[keyword]
 
-        def check(validator: Any, wanted: Any, instance: Any, schema: Any) -> Iterator[ValidationError]:
+        def check(validator: object, wanted: object, instance: object, schema: object) -> Iterator[ValidationError]:
             objects = _scopes.get().objects
             objects.append({})
             try:
@@ -133,7 +135,7 @@ def _validator_class() -> Callable[..., Validator]:
         """Keep arrays from comparisons that are meant for words: comparing an array gives an array."""
         original = keywords[keyword]
 
-        def check(validator: Any, wanted: Any, instance: Any, schema: Any) -> Iterator[ValidationError]:
+        def check(validator: object, wanted: object, instance: object, schema: object) -> Iterator[ValidationError]:
             comparable = instance.tolist() if hasattr(instance, "tolist") else instance
             yield from original(validator, wanted, comparable, schema) or ()
 
@@ -167,12 +169,12 @@ def _is_finite(value: float) -> bool:
     return isinstance(value, int) or math.isfinite(value)
 
 
-def _scalar_kind(value: Any) -> str:
+def _scalar_kind(value: object) -> str:
     """Return the dtype kind of a numpy scalar, "-" for anything else; most documents are read without numpy."""
     return str(value.dtype.kind) if getattr(value, "shape", None) == () and hasattr(value, "dtype") else "-"
 
 
-def _array_message(wanted: Mapping[str, Any], instance: Any) -> str | None:
+def _array_message(wanted: Mapping[str, Any], instance: object) -> str | None:
     """Return how a value differs from `{shape, dtype}`, or None; binds the symbols of a shape that fits."""
     shape, dtype = wanted["shape"], wanted["dtype"]
     array = _as_array(instance, dtype)
@@ -203,7 +205,7 @@ def shape_text(wanted: Mapping[str, Any]) -> str:
     return f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''}) {dtype}"
 
 
-def _as_array(instance: Any, dtype: str) -> np.ndarray | None:
+def _as_array(instance: object, dtype: str) -> np.ndarray | None:
     """Return an array of what an array may be given as, or None for everything else."""
     import numpy as np
 
@@ -219,14 +221,14 @@ def _as_array(instance: Any, dtype: str) -> np.ndarray | None:
         return None
 
 
-def _holds_flags(values: Any) -> bool:
+def _holds_flags(values: object) -> bool:
     """Tell whether nested lists hold a bool, which numpy would silently make a number."""
     if isinstance(values, (list, tuple)):
         return any(_holds_flags(value) for value in values)
     return isinstance(values, bool)
 
 
-def _dtype_fits(array: np.ndarray, instance: Any, dtype: str) -> bool:
+def _dtype_fits(array: np.ndarray, instance: object, dtype: str) -> bool:
     if isinstance(instance, (list, tuple)):
         # A list has no dtype: what counts is whether its numbers can be had as the wanted ones.
         if dtype == "uint8":
@@ -308,9 +310,9 @@ def page_of(schema_name: str, problem: Problem | None = None) -> str:
     return f"{page}#{key}" if key in known else page
 
 
-def _repeated_keys(root: Any) -> Iterator[tuple[Problem, Any]]:
+def _repeated_keys(root: yaml.Node) -> Iterator[tuple[Problem, yaml.Mark]]:
     """Yield each key that a map gives twice, which YAML forbids and its readers pass over."""
-    waiting: list[tuple[Any, tuple[str | int, ...]]] = [(root, ())]
+    waiting: list[tuple[yaml.Node, tuple[str | int, ...]]] = [(root, ())]
     seen: set[int] = set()
     while waiting:
         node, path = waiting.pop()
@@ -332,7 +334,7 @@ def _repeated_keys(root: Any) -> Iterator[tuple[Problem, Any]]:
             waiting.append((value, (*path, str(name))))
 
 
-def mark_of(root: Any, path: tuple[str | int, ...]) -> Any:
+def mark_of(root: yaml.Node, path: tuple[str | int, ...]) -> yaml.Mark:
     """Return the mark of the key or list entry at `path` below a node of YAML, or of the nearest enclosing one."""
     node, mark = root, root.start_mark
     for part in path:

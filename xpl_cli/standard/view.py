@@ -254,7 +254,7 @@ def _resolve(entry: Mapping[str, Any], resolver: Resolver[Any]) -> tuple[Mapping
     return found.contents, found.resolver
 
 
-def _word(value: Any) -> str:
+def _word(value: object) -> str:
     import json
 
     return value if isinstance(value, str) else json.dumps(value)

@@ -131,7 +131,7 @@ def _line(name: str, text: str) -> str:
     return f"  {name:<10}  {text}"
 
 
-def _plain(value: Any) -> str:
+def _plain(value: object) -> str:
     """Return a fact's value for people."""
     if isinstance(value, bool):
         return "yes" if value else "no"

@@ -225,7 +225,7 @@ def _evaluated(adapter: Adapter, path: Path) -> dict[str, Any]:
     }
 
 
-def _portable(value: Any, root: str) -> Any:
+def _portable(value: object, root: str) -> Any:
     """Return a JSON value whose texts name the checkout and no other folder of this machine."""
     if isinstance(value, str):
         return _ELSEWHERE.sub(r".../\1", value.replace(root, "CHECKOUT"))

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl import robots
@@ -144,7 +144,7 @@ def _joints(robot: Embodiment) -> int:
     return sum(arm.dof + arm.ee_dim for arm in robot.arms)
 
 
-def _action_type(parts: Any) -> str:
+def _action_type(parts: object) -> str:
     """Return the kind of control whose words an answer's parts are: poses are ee, everything else joint."""
     joint, ee = sdk.ACTION_TYPES
     kinds = {kind for part in parts for kind in part} if isinstance(parts, list) else set()

@@ -49,7 +49,7 @@ class Document:
         path: where it is, for errors.
     """
 
-    def __init__(self, file: str, value: Any, text: str = "", path: Path | None = None) -> None:
+    def __init__(self, file: str, value: object, text: str = "", path: Path | None = None) -> None:
         self.file = file
         self.value = value
         self._text = text
@@ -361,7 +361,7 @@ def _tensor(key: str, entry: Any, size: int) -> tuple[str, list[int], int, int]:
     return str(entry.get("dtype")), shape, 8 + size + offsets[0], 8 + size + offsets[1]
 
 
-def _flat(value: Any, depth: int) -> Iterator[Any]:
+def _flat(value: object, depth: int) -> Iterator[Any]:
     if isinstance(value, list) and depth < 8:
         for entry in value:
             yield from _flat(entry, depth + 1)

@@ -91,7 +91,7 @@ def told_in(extras: Mapping[str, Any]) -> tuple[str, ...]:
     return next(filter(None, (sentences(extras.get(name)) for name in _TOLD)), ())
 
 
-def sentences(value: Any) -> tuple[str, ...]:
+def sentences(value: object) -> tuple[str, ...]:
     """Return the sentences in a value: one, several, or none."""
     if isinstance(value, str):
         if value[:1] == "[":

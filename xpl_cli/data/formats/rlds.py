@@ -108,7 +108,7 @@ class RldsSet(Demonstrations):
             self._next = index + 1, episodes
         return self._read[1]
 
-    def _episodes(self, first: int, decoders: Any = None) -> Iterator[Any]:
+    def _episodes(self, first: int, decoders: object = None) -> Iterator[Any]:
         """Yield the episodes from one on, in their order: files are read one after the other."""
         if first >= self._count:
             return iter(())
@@ -197,7 +197,7 @@ def _sentences(first: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(text for text in texts if text.strip()))
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace")
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value

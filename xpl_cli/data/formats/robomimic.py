@@ -104,7 +104,7 @@ class RobomimicSet(Demonstrations):
         return found
 
 
-def _language(meta: Any) -> tuple[str, ...]:
+def _language(meta: object) -> tuple[str, ...]:
     """Return the sentence in LIBERO's `problem_info`, or in RoboCasa's `ep_meta`."""
     if not isinstance(meta, dict):
         return ()
@@ -114,7 +114,7 @@ def _language(meta: Any) -> tuple[str, ...]:
     return (told.strip(),) if isinstance(told, str) and told.strip() else ()
 
 
-def _json(value: Any) -> Any:
+def _json(value: object) -> Any:
     """Return what a text of JSON says; any other value as it is."""
     if isinstance(value, str) and value[:1] in "{[":
         try:

@@ -258,7 +258,7 @@ def _beside_images(episode: Episode) -> dict[str, Any]:
     return {name: value for name, value in found.items() if name not in episode.columns}
 
 
-def _subtasks(value: Any) -> list[Any] | None:
+def _subtasks(value: object) -> list[Any] | None:
     """Return annotations of an episode, which a file has as JSON."""
     try:
         told = json.loads(value) if isinstance(value, str) else value

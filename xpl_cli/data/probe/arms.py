@@ -226,7 +226,7 @@ def of_poses(
     return Contest(errors, 1e-4), Contest(spun, 1e-4)
 
 
-def _spun(states: Rows, commands: Rows, form: tuple[str, str | None], state: Any) -> dict[Any, float]:
+def _spun(states: Rows, commands: Rows, form: tuple[str, str | None], state: object) -> dict[Any, float]:
     """Return the errors of the readings of rotations (T, width) in one form."""
     try:
         said = [rotations.decode(rows, *form) for rows in commands]
@@ -262,8 +262,8 @@ def _unsum(  # noqa: PLR0913 - what a reading consists of
     applied: str,
     *,
     body: bool,
-    form: Any,
-    state: Any,
+    form: object,
+    state: object,
 ) -> None:
     """Where summed turns stay with the state at their own scale only, do not count them as counted from the state."""
     key = (("reference", DELTA_STATE), ("applied", applied), ("form", form), ("state", state))

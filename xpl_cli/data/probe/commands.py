@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -271,5 +271,5 @@ def _judged(found: Commands, part: Part, contest: Contest, facets: Sequence[str]
             found.answers.append(unknown(topic, part.subject, why, "larger turns, or a robot that lags behind"))
 
 
-def _left(contest: Contest, facet: str, value: Any) -> float:
+def _left(contest: Contest, facet: str, value: object) -> float:
     return min(error for key, error in contest.errors.items() if dict(key)[facet] == value)

@@ -35,7 +35,7 @@ def text(found: Found) -> str:
     return f"{_HEAD}{said}\n{_ROBOT}{other}"
 
 
-def _apart(value: Any) -> Any:
+def _apart(value: object) -> Any:
     """Return a copy in which nothing is there twice, so that YAML needs no anchors."""
     if isinstance(value, dict):
         return {key: _apart(entry) for key, entry in value.items()}

@@ -73,7 +73,7 @@ def read(folder: Folder) -> Trained:
     )
 
 
-def _resolved(value: Any, root: Any, depth: int) -> Any:
+def _resolved(value: object, root: object, depth: int) -> Any:
     """Return a configuration with `${a.b}` replaced by what stands there; `${eval:...}` stays, for it is code."""
     if depth > 20:
         return value

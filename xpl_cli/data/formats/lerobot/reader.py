@@ -174,7 +174,7 @@ class LeRobotSet(Demonstrations):
         rows: np.ndarray = flat.reshape(shape).astype(known.dtype, copy=False)
         return rows
 
-    def _image(self, value: Any, where: str) -> bytes:
+    def _image(self, value: object, where: str) -> bytes:
         data = value.get("bytes") if isinstance(value, dict) else value
         if isinstance(data, bytes):
             return data

@@ -341,5 +341,5 @@ def _whole(rate: float) -> float:
     return int(rate) if rate.is_integer() else rate
 
 
-def _json(value: Any) -> bytes:
+def _json(value: object) -> bytes:
     return json.dumps(value, indent=4, ensure_ascii=False).encode()
