@@ -104,18 +104,28 @@ class Check(ABC):
 
     def __init__(self, about: About) -> None:
         self.about = about
+        self.tally = Tally()
 
-    @abstractmethod
-    def see(self, episode: Seen) -> None:
-        """Look at an episode.
+    def take(self, episode: Seen) -> None:
+        """Count an episode and look at it.
 
         Raises:
             NotApplicable: there is nothing to prove on this set.
         """
+        self.tally.seen += 1
+        self.see(episode)
 
     @abstractmethod
+    def see(self, episode: Seen) -> None:
+        """Look at an episode, and note in `tally` what is wrong."""
+
     def findings(self) -> Iterator[Finding]:
-        """Yield what is wrong, after the last episode."""
+        """Yield what is wrong, after the last episode; what was noted by default.
+
+        Raises:
+            NotApplicable: there was nothing to prove on this set.
+        """
+        yield from self.tally.told()
 
 
 @dataclass

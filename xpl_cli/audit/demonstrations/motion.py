@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from xpl import get_embodiment
-from xpl_cli.audit.demonstrations.check import About, Check, Seen, Tally
+from xpl_cli.audit.demonstrations.check import About, Check, Seen
 from xpl_cli.audit.rules.model import Finding, NotApplicable
 from xpl_cli.data.probe.parts import GRIPPER
 
@@ -50,7 +51,6 @@ class Limits(Check):
 
     def __init__(self, about: About) -> None:
         super().__init__(about)
-        self._tally = Tally()
         self._places: list[tuple[str, int, int, float]] = []
         robot = about.robot
         found = about.found
@@ -70,7 +70,6 @@ class Limits(Check):
             raise NotApplicable("the set names no robot that is known, and nothing measures it: --robot NAME says it")
         if not self._places:
             raise NotApplicable("no column is known to hold joints")
-        self._tally.seen += 1
         arm = get_embodiment(self._robot).arms[0]
         names = list(arm.joint_names or ())
         for column, start, stop, unit in self._places:
@@ -84,11 +83,7 @@ class Limits(Check):
                 row = int(off[:, number].argmax())
                 name = names[places[number]] if names else f"number {number}"
                 what = f"{name} in {column} is beyond its limits on {self._robot}"
-                self._tally.add(what, f"{episode.key} (step {row}, by {off[row, number]:.2g} rad)")
-
-    def findings(self) -> Iterator[Finding]:
-        """Yield joints beyond their limits."""
-        yield from self._tally.told()
+                self.tally.add(what, f"{episode.key} (step {row}, by {off[row, number]:.2g} rad)")
 
 
 class GripperRange(Check):
@@ -117,7 +112,6 @@ class GripperRange(Check):
 
     def __init__(self, about: About) -> None:
         super().__init__(about)
-        self._tally = Tally()
         parts = (*about.found.state, *about.found.command)
         self._places = [(part.series.name, part.start, part.stop) for part in parts if part.kind == GRIPPER]
         self._ranges: dict[tuple[str, int], list[tuple[str, float, float]]] = {}
@@ -126,7 +120,6 @@ class GripperRange(Check):
         """Note its ranges."""
         if not self._places:
             raise NotApplicable("no column is known to be a gripper")
-        self._tally.seen += 1
         for column, start, stop in self._places:
             rows = episode.columns.get(column)
             if rows is None or not len(rows) or rows.shape[1] < stop or not np.isfinite(rows).all():
@@ -146,8 +139,8 @@ class GripperRange(Check):
             for key, least, most in entries:
                 if least < low - room or most > high + room:
                     what = f"the gripper in {column} leaves {low:.4g} to {high:.4g}"
-                    self._tally.add(what, f"{key} ({least:.4g} to {most:.4g})")
-        yield from self._tally.told()
+                    self.tally.add(what, f"{key} ({least:.4g} to {most:.4g})")
+        yield from self.tally.told()
 
     @staticmethod
     def _usual(lows: np.ndarray, highs: np.ndarray) -> tuple[float, float]:
@@ -155,7 +148,34 @@ class GripperRange(Check):
         return float(np.quantile(lows, 0.25)), float(np.quantile(highs, 0.75))
 
 
-class QuaternionNorm(Check):
+class _Quaternions(Check):
+    """Looks at all that is a quaternion."""
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._any = False
+
+    def see(self, episode: Seen) -> None:
+        """Look at its quaternions."""
+        for name, start in _quaternions(episode):
+            self._any = True
+            problem = self._problem(episode.columns[name][:, start : start + 4])
+            if problem is not None:
+                what, where = problem
+                self.tally.add(f"{name}[{start}:{start + 4}] {what}", f"{episode.key} ({where})")
+
+    @abstractmethod
+    def _problem(self, rows: np.ndarray) -> tuple[str, str] | None:
+        """Return what is wrong with quaternions (T, 4), and where; None if nothing is."""
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield quaternions with which something is wrong."""
+        if not self._any:
+            raise NotApplicable("no column holds quaternions")
+        yield from self.tally.told()
+
+
+class QuaternionNorm(_Quaternions):
     """Quaternions have the length 1.
 
     ## What it does
@@ -177,30 +197,15 @@ class QuaternionNorm(Check):
 
     code, slug, severity = "XPL707", "quaternion-norm", "must"
 
-    def __init__(self, about: About) -> None:
-        super().__init__(about)
-        self._tally = Tally()
-        self._any = False
-
-    def see(self, episode: Seen) -> None:
-        """Look at its quaternions."""
-        self._tally.seen += 1
-        for name, start in _quaternions(episode):
-            self._any = True
-            off = np.abs(np.linalg.norm(episode.columns[name][:, start : start + 4], axis=1) - 1)
-            wrong = np.flatnonzero(off > _UNIT)
-            if len(wrong):
-                what = f"{name}[{start}:{start + 4}] is a quaternion of another length than 1"
-                self._tally.add(what, f"{episode.key} (step {wrong[0]}, off by {off.max():.2g})")
-
-    def findings(self) -> Iterator[Finding]:
-        """Yield quaternions of another length."""
-        if not self._any:
-            raise NotApplicable("no column holds quaternions")
-        yield from self._tally.told()
+    def _problem(self, rows: np.ndarray) -> tuple[str, str] | None:
+        off = np.abs(np.linalg.norm(rows, axis=1) - 1)
+        wrong = np.flatnonzero(off > _UNIT)
+        if not len(wrong):
+            return None
+        return "is a quaternion of another length than 1", f"step {wrong[0]}, off by {off.max():.2g}"
 
 
-class QuaternionSign(Check):
+class QuaternionSign(_Quaternions):
     """Quaternions do not change their sign from one step to the next.
 
     ## What it does
@@ -222,27 +227,11 @@ class QuaternionSign(Check):
 
     code, slug, severity = "XPL708", "quaternion-sign", "should"
 
-    def __init__(self, about: About) -> None:
-        super().__init__(about)
-        self._tally = Tally()
-        self._any = False
-
-    def see(self, episode: Seen) -> None:
-        """Look at its quaternions."""
-        self._tally.seen += 1
-        for name, start in _quaternions(episode):
-            self._any = True
-            rows = episode.columns[name][:, start : start + 4]
-            flips = np.flatnonzero((rows[1:] * rows[:-1]).sum(1) < -0.9)
-            if len(flips):
-                what = f"{name}[{start}:{start + 4}] changes the sign of its quaternion"
-                self._tally.add(what, f"{episode.key} ({len(flips)} times, first at step {flips[0] + 1})")
-
-    def findings(self) -> Iterator[Finding]:
-        """Yield quaternions that change their sign."""
-        if not self._any:
-            raise NotApplicable("no column holds quaternions")
-        yield from self._tally.told()
+    def _problem(self, rows: np.ndarray) -> tuple[str, str] | None:
+        flips = np.flatnonzero((rows[1:] * rows[:-1]).sum(1) < -0.9)
+        if not len(flips):
+            return None
+        return "changes the sign of its quaternion", f"{len(flips)} times, first at step {flips[0] + 1}"
 
 
 def _quaternions(episode: Seen) -> Iterator[tuple[str, int]]:

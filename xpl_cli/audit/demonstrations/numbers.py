@@ -45,23 +45,21 @@ class Schema(Check):
         self._shapes: dict[tuple[str, tuple[int, ...]], list[str]] = {}
         self._cameras: dict[str, list[str]] = {}
         self._keys: list[str] = []
-        self._tally = Tally()
 
     def see(self, episode: Seen) -> None:
         """Note its columns."""
         self._keys.append(episode.key)
-        self._tally.seen += 1
         if not episode.length:
-            self._tally.add("an episode has no steps", episode.key)
+            self.tally.add("an episode has no steps", episode.key)
         for name, shape in episode.shapes.items():
             self._shapes.setdefault((name, shape), []).append(episode.key)
         for name in episode.cameras:
             self._cameras.setdefault(name, []).append(episode.key)
         for name, rows in episode.columns.items():
             if len(rows) != episode.length:
-                self._tally.add(f"{name} has another length than its episode", f"{episode.key} ({len(rows)} rows)")
+                self.tally.add(f"{name} has another length than its episode", f"{episode.key} ({len(rows)} rows)")
         for name, why in episode.errors.items():
-            self._tally.add(f"{name} cannot be read ({why})", episode.key)
+            self.tally.add(f"{name} cannot be read ({why})", episode.key)
 
     def findings(self) -> Iterator[Finding]:
         """Yield what differs from most episodes."""
@@ -72,22 +70,20 @@ class Schema(Check):
             usual = max(shapes, key=lambda shape: len(shapes[shape]))
             for shape, keys in shapes.items():
                 for key in keys if shape != usual else ():
-                    self._tally.add(
-                        f"a row of {name} has the shape {list(shape)}, where others have {list(usual)}", key
-                    )
+                    self.tally.add(f"a row of {name} has the shape {list(shape)}, where others have {list(usual)}", key)
             self._missing("column", name, {key for keys in shapes.values() for key in keys})
         for name, keys in self._cameras.items():
             self._missing("camera", name, set(keys))
-        yield from self._tally.told()
+        yield from self.tally.told()
 
     def _missing(self, what: str, name: str, having: set[str]) -> None:
         lacking = [key for key in self._keys if key not in having]
         if lacking and len(having) >= len(lacking):
             for key in lacking:
-                self._tally.add(f"the {what} {name} is missing", key)
+                self.tally.add(f"the {what} {name} is missing", key)
         elif lacking:
             for key in sorted(having):
-                self._tally.add(f"the {what} {name} is there, which others lack", key)
+                self.tally.add(f"the {what} {name} is there, which others lack", key)
 
 
 class Time(Check):
@@ -114,13 +110,11 @@ class Time(Check):
 
     def __init__(self, about: About) -> None:
         super().__init__(about)
-        self._back, self._gaps = Tally(), Tally()
+        self._gaps = Tally()
         self._clocks = 0
 
     def see(self, episode: Seen) -> None:
         """Look at its times."""
-        self._back.seen += 1
-        self._gaps.seen += 1
         for name, rows in episode.columns.items():
             if not is_clock(name) or rows.shape[1] != 1 or len(rows) < 3:
                 continue
@@ -129,7 +123,7 @@ class Time(Check):
             usual = float(np.median(steps))
             back = np.flatnonzero(steps <= 0)
             if len(back):
-                self._back.add(f"{name} does not go on", f"{episode.key} (step {back[0] + 1})")
+                self.tally.add(f"{name} does not go on", f"{episode.key} (step {back[0] + 1})")
             wide = np.flatnonzero(steps > _GAP * usual) if usual > 0 else np.zeros(0, int)
             if len(wide):
                 times = f"{steps[wide].max() / usual:.1f} times the usual step"
@@ -139,7 +133,8 @@ class Time(Check):
         """Yield steps back, which fail, and gaps, which warn."""
         if not self._clocks:
             raise NotApplicable("no column holds times")
-        yield from self._back.told()
+        yield from self.tally.told()
+        self._gaps.seen = self.tally.seen
         yield from self._gaps.told(must=False)
 
 
@@ -164,21 +159,12 @@ class Finite(Check):
 
     code, slug, severity = "XPL706", "not-finite", "must"
 
-    def __init__(self, about: About) -> None:
-        super().__init__(about)
-        self._tally = Tally()
-
     def see(self, episode: Seen) -> None:
         """Look at its numbers."""
-        self._tally.seen += 1
         for name, rows in episode.columns.items():
             wrong = np.flatnonzero(~np.isfinite(rows).all(1))
             if len(wrong):
-                self._tally.add(f"{name} holds numbers that are not finite", f"{episode.key} (step {wrong[0]})")
-
-    def findings(self) -> Iterator[Finding]:
-        """Yield columns with such numbers."""
-        yield from self._tally.told()
+                self.tally.add(f"{name} holds numbers that are not finite", f"{episode.key} (step {wrong[0]})")
 
 
 class Copy(Check):
@@ -203,13 +189,8 @@ class Copy(Check):
 
     code, slug, severity = "XPL710", "action-is-state", "must"
 
-    def __init__(self, about: About) -> None:
-        super().__init__(about)
-        self._tally = Tally()
-
     def see(self, episode: Seen) -> None:
         """Compare its commands."""
-        self._tally.seen += 1
         states = {name: rows for name, rows in episode.columns.items() if role_of(name) == STATE}
         for name, rows in episode.columns.items():
             if role_of(name) != COMMAND or len(rows) < 3:
@@ -220,11 +201,7 @@ class Copy(Check):
                 moves = np.ptp(seen, axis=0) > 1e-6
                 same = np.abs(rows - seen) <= 1e-6 * np.maximum(np.ptp(seen, axis=0), 1e-3)
                 if moves.sum() >= min(3, rows.shape[1]) and same[:, moves].mean() > 0.99:
-                    self._tally.add(f"{name} is a copy of {other} in the same step", episode.key)
-
-    def findings(self) -> Iterator[Finding]:
-        """Yield commands that are copies."""
-        yield from self._tally.told()
+                    self.tally.add(f"{name} is a copy of {other} in the same step", episode.key)
 
 
 class Language(Check):
@@ -248,19 +225,10 @@ class Language(Check):
 
     code, slug, severity = "XPL711", "no-instruction", "should"
 
-    def __init__(self, about: About) -> None:
-        super().__init__(about)
-        self._tally = Tally()
-
     def see(self, episode: Seen) -> None:
         """Look at its sentences."""
-        self._tally.seen += 1
         if not any(sentence.strip() for sentence in episode.instructions):
-            self._tally.add("the robot was told nothing", episode.key)
-
-    def findings(self) -> Iterator[Finding]:
-        """Yield episodes without a sentence."""
-        yield from self._tally.told()
+            self.tally.add("the robot was told nothing", episode.key)
 
 
 class Constant(Check):

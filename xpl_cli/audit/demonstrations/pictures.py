@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from xpl_cli.audit.demonstrations.check import About, Check, Seen, Tally
+from xpl_cli.audit.demonstrations.check import About, Check, Seen
 from xpl_cli.audit.rules.model import Finding, NotApplicable
 from xpl_cli.data.probe.sample import STATE, role_of, spread, words
 
@@ -43,23 +43,14 @@ class Frames(Check):
 
     code, slug, severity, looks = "XPL709", "video-length", "must", True
 
-    def __init__(self, about: About) -> None:
-        super().__init__(about)
-        self._tally = Tally()
-
     def see(self, episode: Seen) -> None:
         """Compare its counts."""
-        self._tally.seen += 1
         for name, shown in episode.cameras.items():
             if shown.error:
-                self._tally.add(f"images of {name} cannot be read ({shown.error})", episode.key)
+                self.tally.add(f"images of {name} cannot be read ({shown.error})", episode.key)
             elif shown.count is not None and shown.count != episode.length:
                 where = f"{episode.key} ({shown.count} images, {episode.length} steps)"
-                self._tally.add(f"{name} has another number of images than there are steps", where)
-
-    def findings(self) -> Iterator[Finding]:
-        """Yield cameras with another number of images."""
-        yield from self._tally.told()
+                self.tally.add(f"{name} has another number of images than there are steps", where)
 
 
 class Frozen(Check):
@@ -84,13 +75,8 @@ class Frozen(Check):
 
     code, slug, severity, looks = "XPL703", "frozen-frames", "should", True
 
-    def __init__(self, about: About) -> None:
-        super().__init__(about)
-        self._tally = Tally()
-
     def see(self, episode: Seen) -> None:
         """Look at images that are equal."""
-        self._tally.seen += 1
         for name, shown in episode.cameras.items():
             side = _side(name)
             moves = _moves(episode, side)
@@ -104,11 +90,7 @@ class Frozen(Check):
             share = held.sum() / max(int(moves[:count].sum()), 1)
             if longest > _FROZEN or share > _SHARE:
                 where = f"{episode.key} ({longest} in a row, {100 * share:.0f} % of the steps that move)"
-                self._tally.add(f"{name} shows the same image while the robot moves", where)
-
-    def findings(self) -> Iterator[Finding]:
-        """Yield cameras that froze."""
-        yield from self._tally.told()
+                self.tally.add(f"{name} shows the same image while the robot moves", where)
 
 
 def _side(name: str) -> str:
@@ -148,11 +130,9 @@ class _First(Check):
     def __init__(self, about: About) -> None:
         super().__init__(about)
         self._first: dict[str, list[tuple[str, np.ndarray]]] = {}
-        self._tally = Tally()
 
     def see(self, episode: Seen) -> None:
         """Keep its first images."""
-        self._tally.seen += 1
         for name, shown in episode.cameras.items():
             if shown.first is not None and shown.first.ndim == 3:
                 self._first.setdefault(name, []).append((episode.key, shown.first))
@@ -213,8 +193,8 @@ class Mirrored(_First):
             way = max(found, key=lambda one: found[one])
             if found[way] > 0.6 and found[way] - plain > 0.25:
                 where = f"{key} (alike by {found[way]:.2f} so, by {plain:.2f} as it is)"
-                self._tally.add(f"{name} is {way} against the other episodes", where)
-        yield from self._tally.told()
+                self.tally.add(f"{name} is {way} against the other episodes", where)
+        yield from self.tally.told()
 
 
 class Exchanged(_First):
@@ -249,5 +229,5 @@ class Exchanged(_First):
                 continue  # too grey to tell
             own = float((warmth * normal).sum() / np.sqrt((warmth**2).sum() * (normal**2).sum()))
             if own < -0.5:
-                self._tally.add(f"{name} has blue and red exchanged against the other episodes", f"{key} ({own:.2f})")
-        yield from self._tally.told()
+                self.tally.add(f"{name} has blue and red exchanged against the other episodes", f"{key} ({own:.2f})")
+        yield from self.tally.told()

@@ -113,7 +113,7 @@ def validate(demonstrations: Demonstrations, shown: str, options: Options) -> Ta
         digest.update(repr((episode.key, episode.length, sorted(episode.shapes.items()))).encode())
         for check in checks:
             if check.code not in results:
-                _ask(results, check, partial(check.see, episode))
+                _ask(results, check, partial(check.take, episode))
     for check in checks:
         if check.code not in results:
             _ask(results, check, partial(_close, results, check, options.waived))
