@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 _MUST = "must"
 _SERVED_BY_MODEL = (None, Profile.FULL)
 """Profiles of gates that no stand-in answered in."""
+_AGAINST = (Outcome.NOT_RUN, Outcome.ERROR, Outcome.FAIL)
+_GRAVITY = (Outcome.NOT_APPLICABLE, Outcome.PASS, Outcome.WARN, *_AGAINST)
 _SHOWN = 4
 
 
@@ -53,7 +55,9 @@ class Audited:
         """Return what an entry of `targets` in a valid report says."""
         report = TargetReport(target["path"], target["name"], POLICY)
         for told in target["gates"]:
-            gate = GateReport(Gate(told["name"]), digest=told.get("digest"), served=_served(told.get("profile")))
+            profile = told.get("profile")
+            served = None if profile is None else Choice(Profile(profile))
+            gate = GateReport(Gate(told["name"]), digest=told.get("digest"), served=served)
             gate.results += [_result(one) for one in told["results"]]
             report.gates.append(gate)
         said = {key: target[key] for key in ("verdict", "statement", "proven", "unproven") if key in target}
@@ -76,7 +80,7 @@ class Audited:
         if missing:
             yield f"the audit ran without the gates {', '.join(missing)}"
         if verdict.word in (Word.RED, Word.INCOMPLETE):
-            open_rules = [f"{result.code} {result.outcome.value}" for result in report.results if _is_against(result)]
+            open_rules = [f"{one.code} {one.outcome.value}" for one in report.results if one.outcome in _AGAINST]
             found = listed(open_rules, _SHOWN) or "nothing passed"
             yield f"the audit is not green: its rules make it {verdict.word} ({found})"
         yield from self._overstated(verdict, adapter)
@@ -108,7 +112,7 @@ def _result(told: Mapping[str, Any]) -> Result:
     severity = told["severity"] if rule is None else rule.severity
     outcome = Outcome(told["outcome"])
     if told["findings"]:
-        outcome = Outcome.FAIL if severity == _MUST else max(outcome, Outcome.WARN, key=_gravity)
+        outcome = Outcome.FAIL if severity == _MUST else max(outcome, Outcome.WARN, key=_GRAVITY.index)
     return Result(
         told["code"],
         told["slug"],
@@ -119,11 +123,6 @@ def _result(told: Mapping[str, Any]) -> Result:
         waived=tuple(Waived(Finding(str(one["message"])), str(one["reason"])) for one in told.get("waived", ())),
         proof=None if told["findings"] else told.get("proof"),
     )
-
-
-def _served(profile: str | None) -> Choice | None:
-    """Return what a gate says that it served."""
-    return None if profile is None else Choice(Profile(profile))
 
 
 def _incomplete(gate: GateReport) -> Iterator[str]:
@@ -156,12 +155,3 @@ def _unbound(report: TargetReport, adapter: Path, variant: str | None) -> Iterat
             f"the audit is not of the adapter in the bundle: its static gate has the digest {told.digest}, and the "
             f"adapter's is {here.digest}"
         )
-
-
-def _is_against(result: Result) -> bool:
-    return result.outcome in {Outcome.FAIL, Outcome.ERROR, Outcome.NOT_RUN}
-
-
-def _gravity(outcome: Outcome) -> int:
-    order = (Outcome.NOT_APPLICABLE, Outcome.PASS, Outcome.WARN, Outcome.NOT_RUN, Outcome.ERROR, Outcome.FAIL)
-    return order.index(outcome)

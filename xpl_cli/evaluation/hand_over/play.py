@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import datetime as dt
 import glob
-import hashlib
 import json
 import os
 import re
@@ -27,7 +26,7 @@ from xpl_cli.evaluation.hand_over import process, record, results
 from xpl_cli.evaluation.hand_over.answer import Answer
 from xpl_cli.evaluation.hand_over.launcher import RATE, Launcher, filled
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.records.model import now
+from xpl_cli.evaluation.records.model import Conduct, now
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
@@ -181,7 +180,7 @@ def hand_over(request: Request) -> Answer:
     started, clock = now(), time.perf_counter()
     with _address(request, planned) as (host, port):
         words = planned.words(host, port)
-        code = process.run(words, _place(planned), _variables(request, planned), request.hours)
+        code = process.run(words, planned.workspace or Path.cwd(), _variables(request, planned), request.hours)
     seconds = time.perf_counter() - clock
     if code != 0:
         again = "; what it had played it may go on from with --resume" if request.out is not None else ""
@@ -205,15 +204,7 @@ def hand_over(request: Request) -> Answer:
         return replace(answer, result=str(path), success_rate=results.rate(path))
     layouts = results.layouts(path)
     if request.out is not None:
-        launcher = {
-            "launcher": " ".join(planned.launcher.entry.command[:2]),
-            "launcher_result": hashlib.sha256(files.content(path)).hexdigest(),
-            "launcher_run": planned.values["run_id"],
-        }
-        played = record.Played(
-            request.package, planned.config, planned.folder, planned.facts, started, seconds, launcher
-        )
-        record.write(request.out, played, layouts)
+        record.write(request, planned, path, layouts, Conduct(started=started, wall_seconds=seconds))
     return answer.with_layouts(path, layouts)
 
 
@@ -242,10 +233,6 @@ def _kept(file: Path) -> str:
     if not isinstance(told, str) or not _SAFE.fullmatch(told) or ".." in told:
         raise UserError(f"{file} names no run", code=ExitCode.NOT_RUN)
     return told
-
-
-def _place(planned: Plan) -> Path:
-    return Path.cwd() if planned.workspace is None else planned.workspace
 
 
 def _variables(request: Request, planned: Plan) -> dict[str, str]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
 from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl import get_embodiment
+from xpl_cli.basics import files
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.failures import SUCCESS, TASK
@@ -22,53 +23,33 @@ from xpl_cli.evaluation.records.model import (
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
-    from xpl.contract import Config
-    from xpl.manifest import EnvManifest
+    from xpl_cli.evaluation.hand_over.play import Plan as HandedOver
+    from xpl_cli.evaluation.hand_over.play import Request
     from xpl_cli.evaluation.hand_over.results import Layout
-    from xpl_cli.packages.package import Package
+    from xpl_cli.evaluation.records.model import Conduct
 
 NO_SUCCESS = "no_success"
 CLEAN, RANDOMIZED = "clean", "randomized"
 
 
-@dataclass(frozen=True)
-class Played:
-    """What a benchmark has played.
-
-    Attributes:
-        package: the adapter.
-        config: its configuration.
-        environment: folder of the environment package, which declares the launcher.
-        facts: its env.yml.
-        started: when the launcher was called.
-        seconds: how long it took.
-        launcher: facts about what played, which count as facts of the machine.
-    """
-
-    package: Package
-    config: Config
-    environment: Path
-    facts: EnvManifest
-    started: str
-    seconds: float
-    launcher: Mapping[str, str]
-
-
-def write(folder: Path, played: Played, layouts: Sequence[Layout]) -> None:
-    """Write the record of a run.
+def write(request: Request, planned: HandedOver, result: Path, layouts: Sequence[Layout], conduct: Conduct) -> None:
+    """Write the record of a run; what launched it counts as facts of the machine.
 
     Args:
-        folder: of the run; nothing is recorded in it yet.
-        played: by whom, and with what.
-        layouts: what the benchmark says of each.
+        request: names the adapter, and the folder of the run, in which nothing is recorded yet.
+        planned: what was handed over.
+        result: the file that the benchmark left.
+        layouts: what that says of each.
+        conduct: when the launcher was called, and how long it took.
 
     Raises:
         UserError: there is nothing to record, or it cannot be written.
     """
-    package, config, facts = played.package, played.config, played.facts
+    package, config, facts = request.package, planned.config, planned.facts
+    assert request.out is not None  # noqa: S101 - for the type checker: nobody records to nowhere
     if not layouts:
         raise UserError("the benchmark tells of no episode: nothing can be recorded")
     task, setting = place(str(config[sdk.Deploy.TASK_NAME]), facts.hand_over.randomized if facts.hand_over else None)
@@ -79,14 +60,19 @@ def write(folder: Path, played: Played, layouts: Sequence[Layout]) -> None:
         policy=PlannedPolicy(
             package.name, spec.VERSION, package_digest(package.path), dict(config), checkpoint_of(package, config)
         ),
-        environment=PlannedEnvironment(facts.name, spec.VERSION, package_digest(played.environment)),
+        environment=PlannedEnvironment(facts.name, spec.VERSION, package_digest(planned.folder)),
         embodiment=robot,
         action_type=config[sdk.Deploy.ACTION_TYPE],
         control=Control(horizon=None, attempts=1),
         cells=[PlannedCell(task, setting, None if entry is None else entry.dimension, numbers, frozen=True)],
     )
-    with records.Writer(folder, plan.named()) as writer:
-        machine = writer.machine({**machine_facts(), **played.launcher})
+    launcher = {
+        "launcher": " ".join(planned.launcher.entry.command[:2]),
+        "launcher_result": hashlib.sha256(files.content(result)).hexdigest(),
+        "launcher_run": planned.values["run_id"],
+    }
+    with records.Writer(request.out, plan.named()) as writer:
+        machine = writer.machine({**machine_facts(), **launcher})
         for slot, layout in zip(plan.slots(), layouts, strict=True):
             episode = Episode(
                 index=slot.index,
@@ -101,9 +87,9 @@ def write(folder: Path, played: Played, layouts: Sequence[Layout]) -> None:
                 score=layout.score,
                 failure=None if layout.success else TASK,
                 end_reason=SUCCESS if layout.success else NO_SUCCESS,
-                started=played.started,
+                started=conduct.started,
                 # A benchmark tells no times of single episodes.
-                wall_seconds=round(played.seconds / len(layouts), 3),
+                wall_seconds=round(conduct.wall_seconds / len(layouts), 3),
                 machine=machine,
             )
             writer.add(episode)

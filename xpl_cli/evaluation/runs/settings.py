@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from xpl_cli.packages.package import Package
 
 
-def environment_for(variable: str | None = None) -> str:
-    """Return the environment that `EVAL_ENV_TYPE` (or the given value) stands for.
+def environment_for() -> str:
+    """Return the environment that `EVAL_ENV_TYPE` stands for.
 
     Raises:
         UserError: if it stands for none here.
     """
     rule = spec.data("package")["eval_env_type"]
-    kind = variable or os.environ.get(rule["variable"]) or rule["default"]
+    kind = os.environ.get(rule["variable"]) or rule["default"]
     name = rule["values"].get(kind)
     if name is None:
         there = ", ".join(one for one, package in rule["values"].items() if package is not None)

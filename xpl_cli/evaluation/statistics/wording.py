@@ -29,9 +29,9 @@ NOTHING: Final = "-"
 HEADER: Final = ("task", "setting", "episodes", "success", "95 % interval", "score", "95 % interval")
 
 
-def percent(share: float, digits: int = 0) -> str:
+def percent(share: float) -> str:
     """Return a share in percent: `84 %`."""
-    return f"{share:.{digits}%}".replace("%", " %")
+    return f"{share:.0%}".replace("%", " %")
 
 
 def interval(low: float, high: float) -> str:
