@@ -149,18 +149,6 @@ class Chain:
         """Return the flange pose (..., 7) that goes with tcp poses (..., 7) given in any one frame."""
         return compose(tcp, invert(self._tcp()))
 
-    def jacobian(self, joints: ArrayLike, point: ArrayLike | None = None) -> NDArray[np.float64]:
-        """Return the geometric Jacobian (6, dof) in the base frame: linear velocity, then angular, per joint rate.
-
-        Args:
-            joints: joint angles (dof,).
-            point: point (3,) in the base that moves with the last link; the flange's origin by default.
-        """
-        origins, axes, position, _ = self._forward(self._angles(joints))
-        x, y, z = position if point is None else (float(value) for value in np.asarray(point))
-        columns = [_column(origin, axis, (x, y, z), 1.0) for origin, axis in zip(origins, axes)]
-        return np.array(columns).T
-
     def solve(
         self,
         flange: ArrayLike,

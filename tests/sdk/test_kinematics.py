@@ -80,18 +80,6 @@ def _turned(mujoco: Any, item: Any, rpy: list[float]) -> Any:
     return item
 
 
-def test_jacobian_is_the_derivative(chain: Chain) -> None:
-    rng, step = np.random.default_rng(1), 1e-6
-    for point in (chain.flange, *([] if chain.tcp_offset is None else [chain.tcp])):
-        joints = _random_joints(chain, rng)
-        jacobian = chain.jacobian(joints, point(joints)[:3])
-        for column, unit in enumerate(np.eye(chain.dof)):
-            ahead, behind = point(joints + step * unit), point(joints - step * unit)
-            assert np.allclose((ahead - behind)[:3] / (2 * step), jacobian[:3, column], atol=1e-8)
-            turn = rotation.to_axis_angle(rotation.multiply(ahead[3:], rotation.conjugate(behind[3:])))
-            assert np.allclose(turn / (2 * step), jacobian[3:, column], atol=1e-8)
-
-
 def test_warm_started_solutions_reach_their_target(chain: Chain) -> None:
     rng = np.random.default_rng(2)
     for _ in range(50):

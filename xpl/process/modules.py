@@ -23,22 +23,26 @@ def load_module(path: Path) -> ModuleType:
         ImportError: if it cannot be loaded as a Python module.
     """
     path = path.resolve()
-    package = _package(path.parent)
+    folder = path.parent
+    package = f"_xpl_content_{folder.name}_{hashlib.sha256(str(folder).encode()).hexdigest()[:8]}"
+    if package not in sys.modules:
+        register_package(package, folder)
     name = f"{package}.{path.stem}"
-    return sys.modules.get(name) or _execute(name, path)
+    return sys.modules.get(name) or execute(name, path)
 
 
-def _package(folder: Path) -> str:
-    """Register `folder` as a package without running an ``__init__.py``; return its module name."""
-    name = f"_xpl_content_{folder.name}_{hashlib.sha256(str(folder).encode()).hexdigest()[:8]}"
-    if name not in sys.modules:
-        package = ModuleType(name)
-        package.__path__ = [str(folder)]
-        sys.modules[name] = package
-    return name
+def register_package(name: str, folder: Path) -> None:
+    """Make a folder a package of this name, without running an ``__init__.py``."""
+    package = sys.modules[name] = ModuleType(name)
+    package.__path__ = [str(folder)]
 
 
-def _execute(name: str, path: Path) -> ModuleType:
+def execute(name: str, path: Path) -> ModuleType:
+    """Run a Python file as the module `name`; one that raises is no module.
+
+    Raises:
+        ImportError: if it cannot be loaded as a Python module.
+    """
     found = importlib.util.spec_from_file_location(name, path)
     if found is None or found.loader is None:
         message = f"{path} cannot be loaded as a Python module"

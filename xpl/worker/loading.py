@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from types import ModuleType
 
 from xpl import _spec as spec
 from xpl import ecosystem
+from xpl.process.modules import execute, register_package
 
 
 class LoadError(RuntimeError):
@@ -33,16 +32,8 @@ def load_model_class(policy_dir: Path, class_name: str = spec.MODEL_CLASS) -> ty
     package = f"_xpl_policy_{policy_dir.name}"
     for name in [name for name in sys.modules if name == package or name.startswith(f"{package}.")]:
         del sys.modules[name]  # a model that is built anew gets modules that know nothing of the one before
-    holder = ModuleType(package)
-    holder.__path__ = [str(policy_dir)]
-    sys.modules[package] = holder
-    name = f"{package}.model"
-    found = importlib.util.spec_from_file_location(name, path)
-    if found is None or found.loader is None:
-        raise LoadError(f"{path} cannot be imported")
-    module = importlib.util.module_from_spec(found)
-    sys.modules[name] = module
-    found.loader.exec_module(module)
+    register_package(package, policy_dir)
+    module = execute(f"{package}.model", path)
     model = getattr(module, class_name, None)
     if not inspect.isclass(model):
         raise LoadError(f"{path} defines no class {class_name}")

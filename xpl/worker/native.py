@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import builtins
 import hashlib
-import importlib.util
 import platform
 import sys
 import traceback
@@ -23,7 +22,6 @@ from collections.abc import Iterator, Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, Callable, NoReturn
 
 import numpy as np
@@ -33,6 +31,7 @@ from xpl import ecosystem
 from xpl.action import check_chunk
 from xpl.embodiment import Embodiment, get_embodiment
 from xpl.episodes import own_index
+from xpl.process.modules import execute, register_package
 from xpl.worker.copies import own
 from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
 from xpl.worker.loading import LoadError
@@ -81,15 +80,10 @@ def load(folder: Path, file: str, function: str, config: Config) -> Answer:
     ecosystem.offer(folder)
     _guard(folder)
     package = f"_xpl_native_{folder.name}"
-    holder = ModuleType(package)
-    holder.__path__ = [str(folder)]
-    sys.modules[package] = holder
-    name = f"{package}.{path.stem}"
-    found = importlib.util.spec_from_file_location(name, path)
-    if found is None or found.loader is None or not path.is_file():
+    register_package(package, folder)
+    if not path.is_file():
         raise LoadError(f"{path} cannot be imported")
-    module = sys.modules[name] = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
+    module = execute(f"{package}.{path.stem}", path)
     make = getattr(module, function, None)
     if not callable(make):
         raise LoadError(f"{path} defines no function {function}(config)")
