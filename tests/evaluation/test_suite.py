@@ -213,19 +213,21 @@ def test_evaluation_seeds_are_those_of_the_environment_where_it_has_some(room: P
 # -- kills -------------------------------------------------------------------------------------------------------------
 
 
-def _killed_again_and_again(room: Path, command: list[str], kills: int, seed: int, longest_s: float) -> None:
-    """Kill a run at random moments, resume it each time that there is something to resume, and let it end.
+@pytest.mark.slow
+def test_a_run_that_is_killed_again_and_again_ends_with_the_same_table(room: Path) -> None:
+    """No process survives a kill; each episode is final once, and table and traces are those of a whole run.
 
     A moment is a random time after a random number of episodes that the run has told of, so that busy machines get as
     far as quick ones; the first moments are before the first episode.
     """
-    draw = random.Random(seed)  # noqa: S311 - moments, not secrets
-    mark = uuid.uuid4().hex
+    command = [sys.executable, "-m", "xpl_cli", "eval", "Drilled", "--env", "drill", "--task", "all", "--horizon", "2"]
+    command += ["--episodes", "8", "--workers", "2", "--out"]
+    draw, mark = random.Random(20261121), uuid.uuid4().hex  # noqa: S311 - moments, not secrets
 
     def going_on() -> list[str]:
-        return [*command, "--resume"] if (room / command[-1] / records.FILE).exists() else command
+        return [*command, "killed", *(["--resume"] if (room / "killed" / records.FILE).exists() else [])]
 
-    for _ in range(kills):
+    for _ in range(5):
         with subprocess.Popen(
             going_on(), cwd=room, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, env={**os.environ, MARK: mark}
         ) as process:
@@ -233,33 +235,21 @@ def _killed_again_and_again(room: Path, command: list[str], kills: int, seed: in
             for _ in range(draw.randrange(4)):
                 process.stderr.readline()
             try:
-                process.wait(draw.uniform(0.0, longest_s))
+                process.wait(draw.uniform(0.0, 0.2))
             except subprocess.TimeoutExpired:
                 process.send_signal(signal.SIGKILL)
         wait_until(lambda: not processes(mark), "nothing is left of the run")
-    done = subprocess.run(going_on(), cwd=room, capture_output=True, text=True, check=False)
-    assert done.returncode == ExitCode.CLEAN, done.stderr
-
-
-def _agree(killed: Path, whole: Path) -> None:
-    """Two runs of one plan have the same episodes once each, the same table to the byte, and the same traces."""
-    one, other = records.read(killed), records.read(whole)
-    assert one.plan.run == other.plan.run
-    assert sorted(line.index for line in one.attempts if line.final) == list(other.finals)
-    assert _outcomes(one) == _outcomes(other)
-    assert _table(one).encode() == _table(other).encode()
-    for index in one.finals:
-        assert (killed / f"traces/{index}.npz").read_bytes() == (whole / f"traces/{index}.npz").read_bytes()
-
-
-@pytest.mark.slow
-def test_a_run_that_is_killed_ends_with_the_same_table(room: Path) -> None:
-    command = [sys.executable, "-m", "xpl_cli", "eval", "Drilled", "--env", "drill", "--task", "all", "--horizon", "2"]
-    command += ["--episodes", "6", "--out"]
-    _killed_again_and_again(room, [*command, "killed"], 3, 20261121, 0.2)
-    whole = subprocess.run([*command, "whole"], cwd=room, capture_output=True, text=True, check=False)
-    assert whole.returncode == ExitCode.CLEAN, whole.stderr
-    _agree(room / "killed", room / "whole")
+    for words in (going_on(), [*command, "whole"]):
+        done = subprocess.run(words, cwd=room, capture_output=True, text=True, check=False)
+        assert done.returncode == ExitCode.CLEAN, done.stderr
+    killed, whole = records.read(room / "killed"), records.read(room / "whole")
+    assert killed.plan.run == whole.plan.run
+    assert sorted(line.index for line in killed.attempts if line.final) == list(whole.finals)
+    assert _outcomes(killed) == _outcomes(whole)
+    assert _table(killed).encode() == _table(whole).encode()
+    for index in killed.finals:
+        one, other = ((run.folder / f"traces/{index}.npz").read_bytes() for run in (killed, whole))
+        assert one == other
 
 
 def _lanes(mark: str) -> list[int]:
@@ -315,15 +305,3 @@ def test_a_lane_whose_server_does_not_start_any_more_leaves_its_episodes_to_othe
     alone = xpl("eval", "Drilled", "--env", "drill", "--out", "alone", "--episodes", "2", cwd=tmp_path)
     assert (alone.returncode, "the weights are gone" in alone.stderr) == (ExitCode.NOT_RUN, True)
     assert not records.read(tmp_path / "alone").finals
-
-
-@pytest.mark.slow
-def test_a_run_in_physics_that_is_killed_five_times_ends_with_the_same_table(tmp_path: Path) -> None:
-    """At random moments, with two lanes and four cells."""
-    command = [sys.executable, "-m", "xpl_cli", "eval", "scripted_expert", "--env", "mujoco", "--horizon", "1"]
-    command += ["--task", "lift_cube,push_block", "--setting", "clean,randomized", "--episodes", "4", "--film", "0"]
-    command += ["--workers", "2", "--out"]
-    _killed_again_and_again(tmp_path, [*command, "killed"], 5, 8, 1.5)
-    whole = subprocess.run([*command, "whole"], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert whole.returncode == ExitCode.CLEAN, whole.stderr
-    _agree(tmp_path / "killed", tmp_path / "whole")
