@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from xpl.contract import Entry
     from xpl_cli.adopt.checkpoints.block import Choices
+    from xpl_cli.standard.spec import Schema
 
 _MANIFEST: Final = sdk.File.POLICY_YML
 _SCHEMA: Final = "policy"
@@ -85,9 +87,7 @@ class Trained:
     choices: Choices
 
 
-def adoption(
-    path: Path, given: Mapping[str, Any], *, merge: bool, scripts: bool, trained: Trained | None = None
-) -> Adoption:
+def adoption(path: Path, given: Entry, *, merge: bool, scripts: bool, trained: Trained | None = None) -> Adoption:
     """Decide what an adapter gets.
 
     Args:
@@ -128,9 +128,7 @@ def adoption(
     return Adoption(folder, sections, contents, state, notes)
 
 
-def _sections(
-    folder: Path, given: Mapping[str, Any], trained: Trained | None
-) -> tuple[dict[str, Tree], tuple[str, ...]]:
+def _sections(folder: Path, given: Entry, trained: Trained | None) -> tuple[dict[str, Tree], tuple[str, ...]]:
     """Return the manifest by top-level key, what nobody knows of it as such, and what a checkpoint could not tell."""
     sections: dict[str, Tree] = {}
     for key, value in given.items():
@@ -195,12 +193,12 @@ def _required() -> Iterator[tuple[str, str]]:
             yield name, _meaning(name, entry)
 
 
-def _meaning(name: str, entry: Mapping[str, Any]) -> str:
+def _meaning(name: str, entry: Schema) -> str:
     options = entry.get("enum") or entry.get("items", {}).get("enum") or ()
     return str(entry.get("description", name)) + (f" ({', '.join(map(str, options))})" if options else "")
 
 
-def _ordered(tree: Tree, schema: Mapping[str, Any]) -> Tree:
+def _ordered(tree: Tree, schema: Schema) -> Tree:
     """Return a map with its keys in the order of its schema."""
     order = list(schema.get("properties", {}))
     if not isinstance(tree, dict) or not order:

@@ -15,9 +15,9 @@ from xpl_cli.basics.errors import ExitCode, UnknownTargetError, UserError, no_su
 from xpl_cli.packages import manifests, package, robots
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from types import ModuleType
 
+    from xpl.contract import Config
     from xpl.environment import TaskEnv
 
 _MANIFEST = package.MANIFESTS[package.ENV]
@@ -99,13 +99,13 @@ def require_simulation(name: str) -> None:
         )
 
 
-def make(name: str, config: Mapping[str, Any]) -> TaskEnv:
+def make(name: str, config: Config) -> TaskEnv:
     """Return a task environment in this process."""
     made: TaskEnv = content.load_module(_client(find(name))).make(config)
     return made
 
 
-def start(name: str, config: Mapping[str, Any], *, workers: int = 1, python: str | None = None) -> Any:
+def start(name: str, config: Config, *, workers: int = 1, python: str | None = None) -> Any:
     """Return a task environment that is safe to drive: where it does not keep its robot's limits, a guard does.
 
     Args:
@@ -151,7 +151,7 @@ def _client(folder: Path) -> Path:
     return folder / manifest(folder).client
 
 
-def _guarded(env: object, config: Mapping[str, Any], facts: EnvManifest) -> Any:
+def _guarded(env: object, config: Config, facts: EnvManifest) -> Any:
     from xpl import get_embodiment
     from xpl.guard import GuardedEnv
     from xpl.safety import Supervisor

@@ -15,7 +15,9 @@ from xpl_cli.packages import documented, manifests, robots
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
+
+    from xpl.contract import Config, Entry
 
 MARKS = (sdk.File.MODEL_PY, sdk.File.DEPLOY_YML, sdk.File.POLICY_YML)
 """Any of these files makes a folder an adapter."""
@@ -32,7 +34,7 @@ class Package:
     """A folder with a policy adapter: what its two YAML files say."""
 
     path: Path
-    deploy: Mapping[str, Any]
+    deploy: Config
     manifest: Manifest = field(default_factory=Manifest)
 
     @property
@@ -44,7 +46,7 @@ class Package:
         """Return the package as if deploy.yml did not have some keys."""
         return replace(self, deploy={key: value for key, value in self.deploy.items() if key not in keys})
 
-    def config(self, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    def config(self, overrides: Config | None = None) -> dict[str, Any]:
         """Return the configuration of a run: the spec's defaults, deploy.yml, then overrides.
 
         What stays open after that is taken from the manifest: the first embodiment and the first action type. An
@@ -67,7 +69,7 @@ class Package:
             config[sdk.Deploy.SEED] = sdk.DEPLOY_DEFAULTS[sdk.Deploy.SEED]
         return config
 
-    def require_declared(self, config: Mapping[str, Any]) -> None:
+    def require_declared(self, config: Config) -> None:
         """Refuse what the policy was never made for, also where its code would take it without a word.
 
         Args:
@@ -110,7 +112,7 @@ def find_policy(path: Path | str) -> Path:
     raise NotFoundError(f"no adapter at {given}", hint=hint)
 
 
-def load(path: Path | str, overrides: Mapping[str, Any] | None = None) -> Package:
+def load(path: Path | str, overrides: Config | None = None) -> Package:
     """Read an adapter's deploy.yml and, where it has one, its policy.yml, as the variant of a run has them.
 
     Args:
@@ -123,8 +125,8 @@ def load(path: Path | str, overrides: Mapping[str, Any] | None = None) -> Packag
         UserError: if it does not have the variant.
     """
     folder = find_policy(path)
-    manifest: Mapping[str, Any] = manifests.read(folder / sdk.File.POLICY_YML, POLICY)
-    deploy: Mapping[str, Any] = manifests.read(folder / sdk.File.DEPLOY_YML, _DEPLOY)
+    manifest: Entry = manifests.read(folder / sdk.File.POLICY_YML, POLICY)
+    deploy: Entry = manifests.read(folder / sdk.File.DEPLOY_YML, _DEPLOY)
     try:
         manifest, patch = variants.chosen(manifest, {**deploy, **(overrides or {})}.get(sdk.Deploy.VARIANT))
     except variants.VariantError as error:

@@ -18,6 +18,8 @@ from xpl_cli.packages.manifests import ManifestError, content_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from xpl.contract import Config, Entry
+
 FOLDER: Final = "embodiments"
 DESCRIPTION: Final = "embodiment_description"
 """Key of a recorded run's configuration that holds a robot of the project, so that it can be met again."""
@@ -64,7 +66,7 @@ def described(name: str) -> dict[str, Any]:
     return {DESCRIPTION: dict(sdk_robots.entries()[name])}
 
 
-def meet(config: Mapping[str, Any], where: str) -> None:
+def meet(config: Config, where: str) -> None:
     """Make the robot of a recorded run known where it is not.
 
     Args:
@@ -114,7 +116,7 @@ def _learn(folder: Path, whose: str = "") -> None:
     waiting = {path: state for path, state in waiting.items() if _read.get(path) != state}
     contents: dict[Path, bytes] = {path: content_of(path) or b"" for path in waiting}
     while contents:
-        others: Mapping[str, Mapping[str, Any]] = sdk_robots.entries()
+        others: Mapping[str, Entry] = sdk_robots.entries()
         found = {path: reader.read(content, _shown(path), others) for path, content in contents.items()}
         ready = {path: entry for path, (entry, _) in found.items() if entry is not None}
         if not ready:  # nothing that is left can be like another one any more

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
+    from xpl.contract import Entry
+
 _SCHEMA = "embodiment"
 _ALIASES = "aliases.yml"
 
@@ -72,9 +74,7 @@ def check() -> Iterator[Problem]:
             yield Problem((word,), f"there is no robot {name!r}", file=shown)
 
 
-def read(
-    content: bytes, file: str, others: Mapping[str, Mapping[str, Any]]
-) -> tuple[dict[str, Any] | None, list[Problem]]:
+def read(content: bytes, file: str, others: Mapping[str, Entry]) -> tuple[dict[str, Any] | None, list[Problem]]:
     """Return the robot that a file describes, whole, and all that is wrong with the file, with lines.
 
     Args:
@@ -99,7 +99,7 @@ def read(
     return (None if problems else told), problems
 
 
-def _contradictions(robot: Mapping[str, Any], file: str, base: Mapping[str, Any] | None) -> Iterator[Problem]:
+def _contradictions(robot: Entry, file: str, base: Entry | None) -> Iterator[Problem]:
     stem = file.replace("\\", "/").rpartition("/")[2].removesuffix(".yml")
     if robot["name"] != stem:
         yield Problem(("name",), f"expected the file's name {stem}, got {robot['name']!r}", stem, robot["name"])

@@ -14,8 +14,9 @@ from xpl_cli.basics.errors import UserError
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
+
+    from xpl_cli.standard.spec import Schema
 
 FOLDER = ".xpl"
 """Folder of a package that holds what xpl keeps there."""
@@ -23,6 +24,8 @@ FOLDER = ".xpl"
 MANIFESTS = ("policy", "env", "deploy")
 """The manifests that people write; each is a schema's name."""
 
+Definitions = dict[str, Any]
+"""Parts of schemas by the name that a bundle has for them."""
 _DIALECT = "http://json-schema.org/draft-07/schema#"
 _OWN = "#/$defs/"
 _HEAD = ("$schema", "$id", "$defs")
@@ -61,13 +64,13 @@ def write(folder: Path) -> list[str]:
 def bundle(name: str) -> dict[str, Any]:
     """Return a schema with everything in it that it refers to, in the words of draft 7."""
     schema = spec.schema(name)
-    definitions: dict[str, Any] = {}
+    definitions: Definitions = {}
     body = {key: value for key, value in schema.items() if key not in _HEAD}
     result = _plain(body, name, definitions, name)
     return {"$schema": _DIALECT, **result, "definitions": dict(sorted(definitions.items()))}
 
 
-def _plain(value: object, name: str, definitions: dict[str, Any], root: str) -> Any:
+def _plain(value: object, name: str, definitions: Definitions, root: str) -> Any:
     """Return a part of schema `name` without references to other files; what it refers to is added to `definitions`."""
     if isinstance(value, list):
         return [_plain(entry, name, definitions, root) for entry in value]
@@ -84,7 +87,7 @@ def _plain(value: object, name: str, definitions: dict[str, Any], root: str) -> 
     return result
 
 
-def _referred(reference: str, name: str, definitions: dict[str, Any], root: str) -> str:
+def _referred(reference: str, name: str, definitions: Definitions, root: str) -> str:
     """Put what a reference leads to among the definitions, and return the reference to it there."""
     other, _, pointer = reference.partition("#")
     home = other.rpartition("/")[2] or name
@@ -101,7 +104,7 @@ def _referred(reference: str, name: str, definitions: dict[str, Any], root: str)
     return f"#/definitions/{label}"
 
 
-def _array(wanted: Mapping[str, Any]) -> dict[str, Any]:
+def _array(wanted: Schema) -> dict[str, Any]:
     """Write an `x-array` as nested lists; sizes that go by a symbol are free."""
     result: dict[str, Any] = {"type": _KINDS[wanted["dtype"]]}
     for size in reversed(wanted["shape"]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -13,6 +14,8 @@ from xpl_cli.basics.yaml import text as yaml_text
 if TYPE_CHECKING:
     from pathlib import Path
 
+Schema = Mapping[str, Any]
+"""A JSON Schema, or a part of one."""
 VERSION: Final = "v1"
 """The version of the standard: the folder in `spec/`, and what `spec` in manifests says."""
 

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from jsonschema.protocols import Validator
     from referencing import Registry
 
+    from xpl.contract import Entry
+    from xpl_cli.standard.spec import Schema
+
 __all__ = ["Problem", "mark_of", "page_of", "registry", "shape_text", "validate", "validate_yaml", "validate_yaml_file"]
 
 _LOCAL_SYMBOLS = frozenset("HWN")
@@ -110,9 +113,7 @@ def _validator_class() -> Callable[..., Validator]:
 
     keywords = cast("dict[str, Callable[..., Any]]", Draft202012Validator.VALIDATORS)
 
-    def x_array(
-        _validator: object, wanted: Mapping[str, Any], instance: object, _schema: object
-    ) -> Iterator[ValidationError]:
+    def x_array(_validator: object, wanted: Schema, instance: object, _schema: object) -> Iterator[ValidationError]:
         if message := _array_message(wanted, instance):
             yield ValidationError(message)
 
@@ -174,7 +175,7 @@ def _scalar_kind(value: object) -> str:
     return str(value.dtype.kind) if getattr(value, "shape", None) == () and hasattr(value, "dtype") else "-"
 
 
-def _array_message(wanted: Mapping[str, Any], instance: object) -> str | None:
+def _array_message(wanted: Schema, instance: object) -> str | None:
     """Return how a value differs from `{shape, dtype}`, or None; binds the symbols of a shape that fits."""
     shape, dtype = wanted["shape"], wanted["dtype"]
     array = _as_array(instance, dtype)
@@ -198,7 +199,7 @@ def _array_message(wanted: Mapping[str, Any], instance: object) -> str | None:
     return None
 
 
-def shape_text(wanted: Mapping[str, Any]) -> str:
+def shape_text(wanted: Schema) -> str:
     """Write an `x-array` the way documentation does: `(H, W, 3) uint8`."""
     shape = wanted["shape"]
     dtype = "numbers" if wanted["dtype"] == "number" else wanted["dtype"]
@@ -280,7 +281,7 @@ def validate_yaml(content: bytes, file: str, schema_name: str) -> tuple[Any, lis
     )
 
 
-def _of_variants(document: Mapping[str, Any], problems: Sequence[Problem]) -> Iterator[Problem]:
+def _of_variants(document: Entry, problems: Sequence[Problem]) -> Iterator[Problem]:
     """Yield what is wrong with policy.yml, or with deploy.yml, only as a variant has it."""
     named = document.get("variants")
     patches = (

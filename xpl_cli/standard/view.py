@@ -17,6 +17,9 @@ from xpl_cli.standard.words import choices
 if TYPE_CHECKING:
     from referencing._core import Resolver
 
+    from xpl.contract import Entry
+    from xpl_cli.standard.spec import Schema
+
 _KIND_WIDTH = 40
 PARTS = {
     "conventions": "orders, units, frames, defaults of behaviour",
@@ -73,7 +76,7 @@ def _robot(name: str) -> View:
     return View(entry, partial(_robot_text, robot, entry))
 
 
-def _robot_text(name: str, entry: Mapping[str, Any]) -> str:
+def _robot_text(name: str, entry: Entry) -> str:
     """Return a robot of ours as its file has it, and any other with all that it has from the one it is like."""
     said = f"{name}, from {_from(name)}"
     if robots.origin(name) == robots.OURS:
@@ -85,7 +88,7 @@ def _robot_text(name: str, entry: Mapping[str, Any]) -> str:
     return _whole_text(entry, said)
 
 
-def _whole_text(entry: Mapping[str, Any], said: str) -> str:
+def _whole_text(entry: Entry, said: str) -> str:
     import yaml
 
     whole = yaml.safe_dump(dict(entry), sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
@@ -154,7 +157,7 @@ class Section:
     summary: str = ""
 
 
-def sections(schema: Mapping[str, Any]) -> list[Section]:
+def sections(schema: Schema) -> list[Section]:
     """Return a schema as people read it: its keys, or those of its alternatives and definitions."""
     resolver = registry().resolver(base_uri=schema["$id"])
     if "properties" in schema:
@@ -168,7 +171,7 @@ def sections(schema: Mapping[str, Any]) -> list[Section]:
     return found or [Section(None, (), _kind(schema, resolver))]
 
 
-def _schema_text(schema: Mapping[str, Any]) -> str:
+def _schema_text(schema: Schema) -> str:
     """Write a schema as an outline; `*` marks required keys."""
     lines = [f"{schema['title']}: {schema.get('description', '')}", ""]
     for section in sections(schema):
@@ -194,7 +197,7 @@ def _schema_text(schema: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _rows(schema: Mapping[str, Any], resolver: Resolver[Any], path: tuple[str, ...] = ()) -> Iterator[Row]:
+def _rows(schema: Schema, resolver: Resolver[Any], path: tuple[str, ...] = ()) -> Iterator[Row]:
     """Yield everything in a map, each inner map behind its key."""
     entries = dict(schema.get("properties", {}))
     if isinstance(schema.get("additionalProperties"), Mapping):
@@ -218,7 +221,7 @@ def _rows(schema: Mapping[str, Any], resolver: Resolver[Any], path: tuple[str, .
             yield from _rows(*_resolve(chosen.get("items", {}), there), (*path, key))
 
 
-def _kind(entry: Mapping[str, Any], resolver: Resolver[Any]) -> str:
+def _kind(entry: Schema, resolver: Resolver[Any]) -> str:
     """Write what a value may be, in a few words."""
     target, at = _resolve(entry, resolver)
     if "$ref" in entry and "title" in target:
@@ -241,12 +244,12 @@ def _kind(entry: Mapping[str, Any], resolver: Resolver[Any]) -> str:
     return f"{name} of {_kind(items, at)}" if name == "array" and items else name
 
 
-def _is_open(entry: Mapping[str, Any]) -> bool:
+def _is_open(entry: Schema) -> bool:
     """Tell whether an alternative is that of a value which is known to be open."""
     return str(entry.get("$ref", "")).endswith("/open")
 
 
-def _resolve(entry: Mapping[str, Any], resolver: Resolver[Any]) -> tuple[Mapping[str, Any], Resolver[Any]]:
+def _resolve(entry: Schema, resolver: Resolver[Any]) -> tuple[Schema, Resolver[Any]]:
     """Follow a reference; return what it leads to, and what resolves the references in there."""
     if "$ref" not in entry:
         return entry, resolver

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
+
+    from xpl_cli.standard.spec import Schema
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class Choice:
     words: tuple[Word, ...]
 
 
-def choices(schema: Mapping[str, Any]) -> list[Choice]:
+def choices(schema: Schema) -> list[Choice]:
     """Return every choice of a schema of which a word has a definition; equal ones once, in the schema's order."""
     found: dict[tuple[str, tuple[Word, ...]], Choice] = {}
     for name, entry in (("", schema), *schema.get("$defs", {}).items()):
@@ -56,7 +58,7 @@ def choices(schema: Mapping[str, Any]) -> list[Choice]:
     return list(found.values())
 
 
-def _choices(entry: Mapping[str, Any], place: str) -> Iterator[Choice]:
+def _choices(entry: Schema, place: str) -> Iterator[Choice]:
     options = [option for option in entry.get("oneOf", ()) if "const" in option]
     if options and all("description" in option for option in options):
         yield Choice(place, entry.get("description", ""), tuple(map(_word, options)))
@@ -68,7 +70,7 @@ def _choices(entry: Mapping[str, Any], place: str) -> Iterator[Choice]:
         yield from _choices(entry["items"], place)
 
 
-def _word(option: Mapping[str, Any]) -> Word:
+def _word(option: Schema) -> Word:
     known = ", ".join(f"{library}: {name}" for library, name in option.get("x-known-as", {}).items())
     formula, source = option.get("x-formula", ""), option.get("x-source", "")
     return Word(str(option["const"]), option["description"], formula, source, known)

@@ -14,8 +14,9 @@ from xpl_cli.adopt.checkpoints.makers.lerobot.types import CODE
 from xpl_cli.adopt.facts import Confidence, Open, Told, Tree, leaves, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
+    from xpl.contract import Entry
     from xpl.embodiment import Arm, Embodiment
     from xpl_cli.adopt.checkpoints.trained import Trained
 
@@ -55,12 +56,12 @@ def context(trained: Trained, block: Mapping[str, Tree], robot: Embodiment, chec
     }
 
 
-def _camera(entry: Mapping[str, Any]) -> tuple[str, str, str]:
+def _camera(entry: Entry) -> tuple[str, str, str]:
     size = next((step["resize"]["to"] for step in entry.get("steps", ()) if "resize" in step), [None, None])
     return entry["input"], entry["cameras"][0], f"({size[0]}, {size[1]})"
 
 
-def _read(parts: Sequence[Mapping[str, Any]], robot: Embodiment) -> Any:
+def _read(parts: Sequence[Entry], robot: Embodiment) -> Iterator[str]:
     """Yield what the numbers of the state are made of."""
     for kind, how, arm in _each(parts, robot):
         key = arm.prefix + (sdk.State.ARM_JOINT_STATE if kind == "joints" else sdk.State.EE_JOINT_STATE)
@@ -77,7 +78,7 @@ def _read(parts: Sequence[Mapping[str, Any]], robot: Embodiment) -> Any:
         yield f"np.degrees({text})" if how.get("unit") == "deg" else text
 
 
-def _written(parts: Sequence[Mapping[str, Any]], robot: Embodiment) -> Any:
+def _written(parts: Sequence[Entry], robot: Embodiment) -> Iterator[tuple[str, str]]:
     """Yield what the fields of a step are made of."""
     place = 0
     for kind, how, arm in _each(parts, robot):
@@ -99,7 +100,7 @@ def _written(parts: Sequence[Mapping[str, Any]], robot: Embodiment) -> Any:
         yield key, f"np.radians({text})" if how.get("unit") == "deg" else text
 
 
-def _each(parts: Sequence[Mapping[str, Any]], robot: Embodiment) -> Any:
+def _each(parts: Sequence[Entry], robot: Embodiment) -> Iterator[tuple[str, Entry, Arm]]:
     arms: dict[str, Arm] = dict(zip(layout.sides(robot), robot.arms, strict=True))
     for part in parts:
         ((kind, how),) = part.items()
@@ -108,7 +109,7 @@ def _each(parts: Sequence[Mapping[str, Any]], robot: Embodiment) -> Any:
         yield kind, how, arms[how["arm"]]
 
 
-def _conventions(trained: Trained, block: Mapping[str, Tree], checkpoint: str) -> Any:
+def _conventions(trained: Trained, block: Mapping[str, Tree], checkpoint: str) -> Iterator[tuple[str, str]]:
     """Yield each convention with its source, as Python texts."""
     images, action = block.get("images", []), block["action"]
     joints = [part["joints"] for part in [*block["state"][0]["parts"], *action["parts"]] if "joints" in part]

@@ -12,7 +12,7 @@ from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.formats.writers import WRITERS
 from xpl_cli.data.formats.writing import CONVERTED, Names
 from xpl_cli.data.sets.delegating import DelegatingEpisode, base_format
-from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.interface import Camera, Column, Extras
 
 if TYPE_CHECKING:
     import numpy as np
@@ -143,7 +143,7 @@ class Renamed(DelegatingEpisode):
         return {new: has[old] for new, old in self._how.cameras.items() if old in has}
 
     @property
-    def extras(self) -> Mapping[str, Any]:
+    def extras(self) -> Extras:
         """What else is said of it, without what every format says in its own way."""
         return {name: value for name, value in self._inner.extras.items() if name not in _OWN}
 

@@ -19,6 +19,7 @@ from xpl_cli.data.sets.interface import Camera, Column
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from xpl.contract import State
     from xpl_cli.data.conversion.mapping import Conventions
     from xpl_cli.data.sets.interface import Demonstrations, Episode
 
@@ -244,7 +245,7 @@ class FieldEpisode(_MappedEpisode):
             raise DataError(f"{where}: {error}") from None
         return made
 
-    def _commands(self, states: list[dict[str, Any]], where: str) -> Rows:
+    def _commands(self, states: list[State], where: str) -> Rows:
         actions = self._steps(spec.Trajectory.ACTION, where)
         output = self._mapping.action
         memory: dict[str, Any] = {}
@@ -259,7 +260,7 @@ class FieldEpisode(_MappedEpisode):
         widths = np.cumsum([item.width for item in output.vector.parts])[:-1]
         return dict(zip(self._mapping.columns, np.split(rows, widths, axis=1), strict=True))
 
-    def _steps(self, group: str, where: str) -> list[dict[str, Any]]:
+    def _steps(self, group: str, where: str) -> list[State]:
         series = self._series(group)
         lacking = [name for name in series.values() if name not in self._inner.columns]
         if lacking:

@@ -5,7 +5,7 @@ Source: Diffusion Policy's common/replay_buffer.py; zarr's format 2. It has no p
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -15,7 +15,7 @@ import numpy as np
 from xpl.images import PIXELS
 from xpl_cli.data.formats import libraries
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column, Demonstrations
+from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
@@ -48,14 +48,14 @@ class DiffusionSet(Demonstrations):
             if ends is None or "data" not in store:
                 raise DataError(f"{path} has no data and {ENDS}, which Diffusion Policy's stores have")
             self._ends: list[int] = np.asarray(ends[:], np.int64).tolist()
-            self._extras: Mapping[str, Any] = dict(store.attrs)
+            self._extras: Extras = dict(store.attrs)
             self.contents = {name: _told(name, array) for name, array in sorted(store["data"].arrays())}
         starts = [0, *self._ends]
         if any(end < start for start, end in zip(starts, self._ends, strict=False)):
             raise DataError(f"{path}: {ENDS} does not rise")
 
     @property
-    def extras(self) -> Mapping[str, Any]:
+    def extras(self) -> Extras:
         """The attributes of the store."""
         return self._extras
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
 from xpl_cli.data.formats.hdf5 import Hdf5Episode
 from xpl_cli.data.formats.writing import CONVERTED
-from xpl_cli.data.sets.interface import Demonstrations
+from xpl_cli.data.sets.interface import Demonstrations, Extras
 
 if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Episode
@@ -54,7 +54,7 @@ class FolderSet(Demonstrations):
         return told if isinstance(told, str) else None
 
     @functools.cached_property
-    def extras(self) -> Mapping[str, Any]:
+    def extras(self) -> Extras:
         """Of what the set was made, as the first file says it; each file speaks for itself."""
         told = self[0].extras.get(CONVERTED) if self._files else None
         try:
@@ -81,12 +81,12 @@ class FolderSet(Demonstrations):
 class ToldEpisode(Hdf5Episode):
     """An episode whose file has its sentence itself."""
 
-    def _sentences(self, extras: Mapping[str, Any]) -> tuple[str, ...]:
+    def _sentences(self, extras: Extras) -> tuple[str, ...]:
         """Return those in an attribute or a dataset of one of the usual names."""
         return told_in(extras)
 
 
-def told_in(extras: Mapping[str, Any]) -> tuple[str, ...]:
+def told_in(extras: Extras) -> tuple[str, ...]:
     """Return the sentences under one of the usual names."""
     return next(filter(None, (sentences(extras.get(name)) for name in _TOLD)), ())
 

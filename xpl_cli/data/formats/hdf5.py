@@ -18,7 +18,7 @@ from xpl.trajectory import TrajectoryError, storage
 from xpl.trajectory import pictures as stored
 from xpl_cli.data.formats import libraries, pictures
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.interface import Camera, Column, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ class Hdf5Episode(OutlinedEpisode):
                     extras[name] = storage.plain(dataset[()])
         return Outline(length, self._sentences(extras), columns, cameras, extras)
 
-    def _sentences(self, extras: Mapping[str, Any]) -> tuple[str, ...]:
+    def _sentences(self, extras: Extras) -> tuple[str, ...]:
         """Return what the robot was told, by what else the file says."""
         del extras
         return self._told

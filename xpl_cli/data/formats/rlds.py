@@ -14,7 +14,7 @@ import numpy as np
 
 from xpl.images import PIXELS, size_of
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column, Demonstrations
+from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class RldsSet(Demonstrations):
         self._read: tuple[int, list[dict[str, Any]]] = (-1, [])
 
     @property
-    def extras(self) -> Mapping[str, Any]:
+    def extras(self) -> Extras:
         """Its name there."""
         return {"name": self._builder.name}
 

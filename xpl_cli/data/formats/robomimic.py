@@ -15,7 +15,7 @@ from xpl.trajectory import TrajectoryError, storage
 from xpl_cli.data.formats import hdf5
 from xpl_cli.data.formats.hdf5 import Hdf5Episode, natural
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Demonstrations
+from xpl_cli.data.sets.interface import Demonstrations, Extras
 
 if TYPE_CHECKING:
     from xpl.trajectory.nodes import File
@@ -68,7 +68,7 @@ class RobomimicSet(Demonstrations):
         return first if isinstance(first, str) else None
 
     @functools.cached_property
-    def extras(self) -> Mapping[str, Any]:
+    def extras(self) -> Extras:
         """The attributes of the first file's `data`, texts of JSON read."""
         with hdf5.opened(self._files[0]) as file:
             return {name: _json(value) for name, value in hdf5.attributes(storage.group(file, "data")).items()}

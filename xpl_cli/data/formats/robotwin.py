@@ -7,15 +7,17 @@ given to an encoder that expects BGR.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl_cli.basics import files as bounded
 from xpl_cli.data.formats import hdf5
 from xpl_cli.data.formats.folders import FolderSet, sentences
 from xpl_cli.data.formats.hdf5 import Hdf5Episode
 from xpl_cli.data.sets.errors import DataError
+
+if TYPE_CHECKING:
+    from xpl_cli.data.sets.interface import Extras
 
 NAME: Final = "robotwin"
 _STEPS: Final = ("joint_action/vector", "joint_action/left_gripper", "endpose/left_endpose")
@@ -35,7 +37,7 @@ def opened(path: Path) -> FolderSet:
 class _Episode(Hdf5Episode):
     """An episode, whose sentences lie in `../instructions/<the same name>.json`."""
 
-    def _sentences(self, extras: Mapping[str, Any]) -> tuple[str, ...]:
+    def _sentences(self, extras: Extras) -> tuple[str, ...]:
         """Return those of the file beside, in several wordings."""
         del extras
         path = self._path.parent.parent / "instructions" / f"{self._path.stem}.json"

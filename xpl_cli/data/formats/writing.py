@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 if TYPE_CHECKING:
-    from xpl_cli.data.sets.interface import Camera, Column, Episode
+    from xpl_cli.data.sets.interface import Camera, Column, Episode, Extras
 
 CONVERTED: Final = "converted"
 """Where a set that was made of another one says so: its format, and the names that had to change."""
@@ -55,7 +55,7 @@ class Plan:
     instructions: tuple[tuple[str, ...], ...]
     columns: Mapping[str, Column]
     cameras: Mapping[str, Camera]
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    extras: Extras = field(default_factory=dict)
     options: Options = field(default_factory=Options)
 
     @property
@@ -103,7 +103,7 @@ class Piece:
     psnr_db: Mapping[str, float] = field(default_factory=dict)
     videos: Mapping[str, str] = field(default_factory=dict)
     stats: Mapping[str, Mapping[str, list[Any]]] = field(default_factory=dict)
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    extras: Extras = field(default_factory=dict)
 
 
 class Writer(Protocol):

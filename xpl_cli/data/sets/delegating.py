@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from xpl_cli.data.sets.interface import Demonstrations
+from xpl_cli.data.sets.interface import Demonstrations, Extras
 from xpl_cli.data.sets.outlined import DescribedEpisode
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class DelegatingSet(Demonstrations):
         return self._inner.robot
 
     @property
-    def extras(self) -> Mapping[str, Any]:
+    def extras(self) -> Extras:
         """What else the set says of itself."""
         return self._inner.extras
 

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     import numpy as np
 
 
+Extras = Mapping[str, Any]
+"""What is said of a set or an episode beside columns and cameras: plain data under the file's own names."""
+
+
 @dataclass(frozen=True)
 class Column:
     """A column of numbers: one row for each step.
@@ -81,7 +85,7 @@ class Episode(Protocol):
         """The cameras, by the file's names; groups are joined by `/`, as of columns."""
 
     @property
-    def extras(self) -> Mapping[str, Any]:
+    def extras(self) -> Extras:
         """What else the file says of this episode, plain data under the file's names."""
         return {}
 
@@ -133,7 +137,7 @@ class Demonstrations(Protocol):
         return None
 
     @property
-    def extras(self) -> Mapping[str, Any]:
+    def extras(self) -> Extras:
         """What else the set says of itself, plain data under its own names."""
         return {}
 

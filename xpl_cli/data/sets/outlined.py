@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from xpl_cli.data.sets.interface import Episode
+from xpl_cli.data.sets.interface import Episode, Extras
 
 if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Camera, Column
@@ -21,7 +21,7 @@ class Outline:
     instructions: tuple[str, ...]
     columns: Mapping[str, Column]
     cameras: Mapping[str, Camera]
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    extras: Extras = field(default_factory=dict)
 
 
 class DescribedEpisode(Episode):
@@ -64,7 +64,7 @@ class DescribedEpisode(Episode):
         return self._described.cameras
 
     @property
-    def extras(self) -> Mapping[str, Any]:
+    def extras(self) -> Extras:
         """What else is said of it."""
         return self._described.extras
 

@@ -10,11 +10,14 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.basics import files
 from xpl_cli.data.formats import libraries
 from xpl_cli.data.sets.errors import DataError
+
+if TYPE_CHECKING:
+    from xpl_cli.data.sets.interface import Extras
 
 INFO: Final = "meta/info.json"
 V21: Final = "v2.1"
@@ -63,7 +66,7 @@ class Entry:
     data: str
     first: int
     videos: Mapping[str, tuple[str, float]]
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    extras: Extras = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ class Info:
     data_path: str
     video_path: str
     chunk: int
-    rest: Mapping[str, Any]
+    rest: Extras
 
     @property
     def videos(self) -> list[str]:

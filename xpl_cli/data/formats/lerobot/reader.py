@@ -16,7 +16,7 @@ from xpl.images import PIXELS
 from xpl_cli.data.formats import libraries, pictures, video
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column, Demonstrations
+from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class LeRobotSet(Demonstrations):
         return self.info.robot
 
     @property
-    def extras(self) -> Mapping[str, Any]:
+    def extras(self) -> Extras:
         """What else `meta/info.json` says, without its counts."""
         return self.info.rest
 
