@@ -20,28 +20,21 @@ LEFT = [
 """What `xpl install`, `train`, `record`, `eval`, `native show`, benchmarks, MuJoCo and Python leave."""
 
 
-@pytest.mark.parametrize("name", LEFT)
-def test_what_commands_leave_is_ignored(name: str, tmp_path: Path) -> None:
-    """As a folder, as a file, and as a link: environments and checkpoints may be links to a larger disk."""
+@pytest.mark.parametrize("kind", ["folder", "file", "link"])
+def test_what_commands_leave_is_ignored(kind: str, tmp_path: Path) -> None:
+    """Environments and checkpoints may be links to a larger disk."""
     begin = ["git", "init", "-q", str(tmp_path)]
     subprocess.run(begin, check=True)
     (tmp_path / ".gitignore").write_bytes((ROOT / ".gitignore").read_bytes())
-    path = tmp_path / name.replace("NAME", "some")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    for path in (tmp_path / name.replace("NAME", "some") for name in LEFT):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if kind == "folder" or path.name == "__pycache__":  # which Python makes as a folder
+            path.mkdir()
+            (path / "file").touch()
+        elif kind == "file":
+            path.touch()
+        else:
+            path.symlink_to(ROOT)
     told = ["git", "status", "--porcelain", "--untracked-files=all"]
-    path.mkdir()
-    (path / "file").touch()
-    _is_clean(told, tmp_path)
-    (path / "file").unlink()
-    path.rmdir()
-    if path.name == "__pycache__":
-        return  # which Python makes as a folder
-    for make in (path.touch, lambda: path.symlink_to(ROOT)):
-        make()
-        _is_clean(told, tmp_path)
-        path.unlink()
-
-
-def _is_clean(told: list[str], folder: Path) -> None:
-    done = subprocess.run(told, cwd=folder, capture_output=True, text=True, check=True)
+    done = subprocess.run(told, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout == "?? .gitignore\n"

@@ -57,21 +57,3 @@ def test_what_documents_name_is_imported_first_thing(module: str) -> None:
     command = [sys.executable, "-c", f"from {module} import {', '.join(sorted(PUBLIC[module]))}"]
     done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_names_are_found_in_every_form() -> None:
-    text = """
-    from xpl import Client, _spec as spec
-    from xpl.poses import (
-        compose,
-        pose as place,
-    )
-    Use `xpl.observation.get_image(obs, camera)`, `xpl.Policy`; `xpl.audit/1` is an answer.
-    """
-    assert list(named(text)) == [
-        ("xpl", "Client"),
-        ("xpl.poses", "compose"),
-        ("xpl.poses", "pose"),
-        ("xpl.observation", "get_image"),
-        ("xpl", "Policy"),
-    ]
