@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.recordings.runs import Faults, renamed, synthetic
+from tests.support.recordings.runs import Faults, rewritten, synthetic
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs.stopping import stopping_point
 from xpl_cli.evaluation.statistics import intervals, wording
@@ -16,19 +16,9 @@ from xpl_cli.evaluation.statistics.summary import summarise
 from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 Line = dict[str, Any]
-
-
-def rewritten(folder: Path, change: Callable[[list[Line]], list[Line]], **plan: Any) -> Path:
-    """Change the lines of a record after its first, which gets new values and the name that goes with them."""
-    file = folder / records.FILE
-    first, *rest = (json.loads(line) for line in file.read_text(encoding="utf-8").splitlines())
-    lines = [renamed({**first, **plan}), *change(rest)]
-    file.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
-    return folder
 
 
 def summary_of(folder: Path, method: str = "wilson") -> dict[str, Any]:
@@ -77,11 +67,10 @@ def test_results_do_not_depend_on_the_order_in_which_episodes_ended(tmp_path: Pa
     before = summary_of(folder)
 
     def shuffled(lines: list[Line]) -> list[Line]:
-        machine, *episodes = lines
-        firsts = [line for line in episodes if not line["final"]]
-        finals = [line for line in episodes if line["final"]]
+        firsts = [line for line in lines if not line["final"]]
+        finals = [line for line in lines if line["final"]]
         random.Random(1).shuffle(finals)  # noqa: S311 - an order, not a secret
-        return [machine, *firsts[::2], *finals]
+        return [*firsts[::2], *finals]
 
     after = summary_of(rewritten(folder, shuffled))
     assert json.dumps(results(after)) == json.dumps(results(before))
@@ -113,7 +102,7 @@ def test_a_task_of_which_every_episode_was_spoilt_counts_as_failed_too(tmp_path:
 
     def spoiling(lines: list[Line]) -> list[Line]:
         spoilt = {"success": None, "score": None, "failure": "infrastructure", "end_reason": "infrastructure"}
-        return [line | (spoilt if line.get("task") == "stack_cubes" else {}) for line in lines]
+        return [line | (spoilt if line["task"] == "stack_cubes" else {}) for line in lines]
 
     found = summary_of(rewritten(folder, spoiling))
     assert [row["success_rate"] for row in found["cells"]] == [1.0, 0.0]
@@ -125,9 +114,9 @@ def test_a_success_after_the_policys_process_died_is_not_counted(tmp_path: Path)
     folder = synthetic(tmp_path / "run", ["lift_cube"], ["clean"], 20, rate=1.0, faults=Faults(policy=0.0, retried=0.0))
 
     def reviving(lines: list[Line]) -> list[Line]:
-        machine, head, *rest = lines
+        head, *rest = lines
         died = {"success": False, "failure": "policy", "end_reason": "policy_died", "error": "exit code 0"}
-        return [machine, {**head, **died, "final": False}, {**head, "attempt": 2}, *rest]
+        return [{**head, **died, "final": False}, {**head, "attempt": 2}, *rest]
 
     found = summary_of(rewritten(folder, reviving))
     assert (found["overall"]["successes"], found["overall"]["success_rate"]) == (20, 0.95)
@@ -140,7 +129,7 @@ def test_a_policy_that_fails_has_not_succeeded_and_has_no_score(tmp_path: Path) 
     folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"], episodes=20, rate=1.0)
 
     def failing(lines: list[Line]) -> list[Line]:
-        for line in lines[1:6]:
+        for line in lines[:5]:
             line.update(success=None, score=None, failure="policy", error="no action", end_reason="policy_error")
         return lines
 
@@ -153,11 +142,7 @@ def test_an_environment_without_success_has_no_rate(tmp_path: Path) -> None:
     folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"])
 
     def driving(lines: list[Line]) -> list[Line]:
-        return [
-            line if line["kind"] == "machine" else {**line, "success": None, "score": None, "failure": None}
-            for line in lines
-            if line["kind"] == "machine" or line["final"]
-        ]
+        return [{**line, "success": None, "score": None, "failure": None} for line in lines if line["final"]]
 
     found = summary_of(rewritten(folder, driving))
     row = found["overall"]
@@ -181,7 +166,7 @@ def test_a_run_that_is_not_finished_says_so(tmp_path: Path) -> None:
 def test_what_was_played_after_a_cell_had_ended_does_not_count(tmp_path: Path) -> None:
     """A run that plays until intervals are narrow enough has one result, however many episodes were on their way."""
     cell: dict[str, Any] = {"tasks": ["lift_cube"], "settings": ["clean"], "episodes": 60, "rate": 0.95}
-    whole = summary_of(rewritten(synthetic(tmp_path / "whole", **cell), lambda lines: lines, until_width=0.3))
+    whole = summary_of(rewritten(synthetic(tmp_path / "whole", **cell), until_width=0.3))
     row = whole["overall"]
     outcomes = [line.success for line in records.read(tmp_path / "whole").finals.values()]
     assert row["judged"] == stopping_point(outcomes, 0.3)
@@ -190,17 +175,10 @@ def test_what_was_played_after_a_cell_had_ended_does_not_count(tmp_path: Path) -
     assert any("Tasks ended as soon as" in note for note in whole["notes"])
 
     def cut(lines: list[Line]) -> list[Line]:
-        return [line for line in lines if line["kind"] == "machine" or line["index"] < row["played"]]
+        return [line for line in lines if line["index"] < row["played"]]
 
     short = summary_of(rewritten(synthetic(tmp_path / "short", **cell), cut, until_width=0.3))
     assert json.dumps(results(short)) == json.dumps(results(whole))
-
-
-def test_seeds_may_run_out_before_the_interval_is_narrow(tmp_path: Path) -> None:
-    folder = synthetic(tmp_path / "run", ["lift_cube"], ["clean"], 30, rate=0.5)
-    found = summary_of(rewritten(folder, lambda lines: lines, until_width=0.2))
-    assert found["overall"]["unplayed"] == 0
-    assert any("still wider than asked for: lift_cube (clean)" in note for note in found["notes"])
 
 
 def test_a_gap_keeps_a_cell_from_ending(tmp_path: Path) -> None:
@@ -208,7 +186,7 @@ def test_a_gap_keeps_a_cell_from_ending(tmp_path: Path) -> None:
     folder = synthetic(tmp_path / "run", ["lift_cube"], ["clean"], 60, rate=0.95)
 
     def gap(lines: list[Line]) -> list[Line]:
-        return [line for line in lines if line["kind"] == "machine" or line["index"] != 3]
+        return [line for line in lines if line["index"] != 3]
 
     found = summary_of(rewritten(folder, gap, until_width=0.3))
     assert (found["overall"]["played"], found["overall"]["unplayed"], found["course"]["beyond"]) == (59, 1, 0)
@@ -236,7 +214,7 @@ def test_the_course_of_a_run_is_told_apart(tmp_path: Path) -> None:
     assert course["errors"][0]["count"] >= course["retried"] > 0
 
     def timed(lines: list[Line]) -> list[Line]:
-        for line in lines[1:]:
+        for line in lines:
             line["inference"] = {"count": 10, "seconds": 0.1, "histogram": [0, 0, 9, 0, 0, 0, 0, 0, 1, 0]}
         return lines
 

@@ -8,7 +8,7 @@ import io
 import json
 import math
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -104,6 +104,21 @@ def synthetic(  # noqa: PLR0917 - what most tests vary
 def renamed(first: Mapping[str, Any]) -> dict[str, Any]:
     """Return the first line of a record, whose plan somebody has changed, with the name that goes with it."""
     return {**first, "run": name_of(first)}
+
+
+def rewritten(folder: Path, change: Callable[[list[dict[str, Any]]], list[dict[str, Any]]] = list, **plan: Any) -> Path:
+    """Change a record, and return its folder.
+
+    Args:
+        folder: of the run.
+        change: returns what takes the place of the lines of its episodes.
+        plan: new values of its plan, which gets the name that goes with them.
+    """
+    file = folder / "records.jsonl"
+    first, machine, *episodes = (json.loads(line) for line in file.read_text(encoding="utf-8").splitlines())
+    lines = [renamed({**first, **plan}), machine, *change(episodes)]
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    return folder
 
 
 def planned(config: Mapping[str, Any] | None = None, cells: Sequence[PlannedCell] = ()) -> Plan:
