@@ -55,14 +55,12 @@ def test_advice_is_given_only_where_it_is_selected() -> None:
 
 @pytest.mark.slow
 def test_a_fresh_scaffold_needs_no_advice(adapter: Path) -> None:
-    """Neither tool has anything to say about it, the SDK's types included."""
     found = results(adapter, "advice")
     assert {code: result.outcome for code, result in found.items()} == dict.fromkeys(CODES, Outcome.PASS), found
 
 
 @pytest.mark.slow
 def test_what_a_tool_finds_is_a_warning_with_the_tool_s_own_code_and_place(adapter: Path) -> None:
-    """So that a person can look it up there."""
     append(adapter / "model.py", '\n\ndef count() -> int:\n    return "ten", missing\n')
     line = len((adapter / "model.py").read_text().splitlines())
     found = results(adapter, "advice")
@@ -83,7 +81,6 @@ def test_the_types_of_the_sdk_count(adapter: Path) -> None:
 
 
 def test_only_the_boundary_is_looked_at(adapter: Path) -> None:
-    """A vendored tree is not the adapter's code."""
     (adapter / "vendor/deep").mkdir(parents=True)
     (adapter / "vendor/deep/wrong.py").write_text("missing\n")
     assert results(adapter, "XPL601")["XPL601"].outcome is Outcome.PASS

@@ -107,7 +107,6 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 def test_any_change_that_a_rule_could_see_makes_it_run(
     room: Room, adapter: Path, tmp_path: Path, trace: Path, change: str
 ) -> None:
-    """And what it finds is kept in turn."""
     again(adapter, tmp_path, trace)
     CHANGES[change](adapter)
     assert "passes" in again(adapter, tmp_path, trace)
@@ -127,7 +126,6 @@ def test_another_name_is_another_package(room: Room, adapter: Path, tmp_path: Pa
 
 
 def test_a_changed_rule_runs_again_and_others_do_not(room: Room, adapter: Path, tmp_path: Path, trace: Path) -> None:
-    """A rule's version is the content of its folder."""
     room.rule("second", ran("second", trace), code="XPL104")
     again(adapter, tmp_path, trace)
     room.rule("passes", ran("passes", trace) + "# more", code="XPL101")
@@ -135,7 +133,6 @@ def test_a_changed_rule_runs_again_and_others_do_not(room: Room, adapter: Path, 
 
 
 def test_a_rule_that_is_gone_leaves_nothing(room: Room, adapter: Path, tmp_path: Path, trace: Path) -> None:
-    """As soon as something else is noted."""
     gone = room.rule("second", ran("second", trace), code="XPL104")
     again(adapter, tmp_path, trace)
     gone.unlink()
@@ -192,7 +189,6 @@ def test_records_that_were_not_used_for_long_are_removed(tmp_path: Path) -> None
 def test_a_folder_of_very_many_names_is_not_looked_through(
     room: Room, adapter: Path, tmp_path: Path, trace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing is kept for it, and it is audited all the same."""
     monkeypatch.setattr(cache, "_MOST_NAMES", 3)
     for _ in range(2):
         assert again(adapter, tmp_path, trace) == ["passes", "finds", "asks"]
@@ -213,7 +209,6 @@ def test_runs_at_the_same_time_leave_a_whole_record(adapter: Path, tmp_path: Pat
 
 
 def test_the_cache_lies_where_the_user_keeps_caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """XPL_CACHE, or XDG_CACHE_HOME, if it is an absolute path, else `.cache` at home."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("XPL_CACHE", str(tmp_path / "own"))
     assert cache.default_folder() == tmp_path / "own/audit"

@@ -75,7 +75,6 @@ def _audit(rule: Rule, path: Path) -> Result:
 
 
 def test_codes_and_slugs_are_unique() -> None:
-    """A code or a slug stands for one rule for good, also after the rule is retired."""
     everything = [*RULES, *retired()]
     assert len({rule.code for rule in everything}) == len({rule.slug for rule in everything}) == len(everything)
 
@@ -132,7 +131,6 @@ def test_a_rule_tells_its_subjects_apart(rule: Rule, subject: Subject, tmp_path:
 @pytest.mark.parametrize("robot", sorted(robots.entries()))
 @pytest.mark.parametrize("action_type", ["joint", "ee"])
 def test_a_fresh_scaffold_has_no_static_finding(robot: str, action_type: str, tmp_path: Path) -> None:
-    """Whatever robot it is made for; only its placeholders are still open."""
     answers = Answers(**{**adapter.defaults(), "name": NAME, "embodiment": robot, "action_type": action_type})
     adapter.write(adapter.render(answers), tmp_path / NAME)
     report = engine.audit(tmp_path / NAME, "policy", Options(gates=(Gate.STATIC,)))

@@ -103,7 +103,6 @@ def test_what_only_a_rule_of_a_package_asks_is_no_part_of_the_digest(room: Room,
 
 @pytest.mark.parametrize("gate", Gate)
 def test_a_rule_has_the_gate_and_the_name_of_its_folders(room: Room, gate: Gate) -> None:
-    """It declares neither, and no other gate imports it."""
     file = room.rule("here", "yield from ()", code="XPL101", folder=gate.value)
     (entry,) = room.entries()
     assert [runs for runs in Gate if entry.runs_in(runs)] == [gate]
@@ -112,7 +111,6 @@ def test_a_rule_has_the_gate_and_the_name_of_its_folders(room: Room, gate: Gate)
 
 
 def test_a_rule_about_environments_says_in_which_gate_it_runs(room: Room) -> None:
-    """Its folder leaves that open; it looks at environments."""
     room.rule("here", "yield from ()", code="XPL401", folder="environments", gate="offline")
     (entry,) = room.entries()
     assert [runs for runs in Gate if entry.runs_in(runs)] == [Gate.OFFLINE]
@@ -172,7 +170,6 @@ def test_a_rule_whose_ground_does_not_hold_is_not_run(room: Room, adapter: Path,
 
 
 def test_a_rule_may_say_what_it_proved(room: Room, adapter: Path) -> None:
-    """In numbers, which reports hand on; one that found something proved nothing."""
     proof = "from xpl_cli.audit import Proof\nyield Proof({'pairs': 3})"
     room.rule("proves", proof, code="XPL101")
     room.rule("finds", f"{proof}\nyield Finding('wrong')", code="XPL102")
@@ -203,7 +200,6 @@ def test_a_rule_can_only_need_a_rule_of_its_gate(room: Room, adapter: Path) -> N
 
 
 def test_a_fact_whose_provider_crashes_is_computed_once() -> None:
-    """Every rule that needs it hears the same error."""
     asked = []
 
     def broken() -> None:
@@ -244,7 +240,6 @@ def test_a_package_that_kills_its_reader_is_an_error_and_takes_no_other_with_it(
 
 
 def test_all_means_every_package_below_policy_and_envs(workspace: Path) -> None:
-    """Sorted by name; folders that are no package are left out."""
     (workspace / "policy/notes").mkdir(exist_ok=True)
     done = xpl("audit", "--all", "policy/Foo", "--gate", "static", "--json", "--no-cache", cwd=workspace)
     report = json.loads(done.stdout)
@@ -337,7 +332,6 @@ def test_only_packages_whose_files_changed_are_audited(repository: Path) -> None
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("ref", ["nowhere", "--output=trace", ""])
 def test_a_commit_that_is_not_there_is_told(repository: Path, ref: str) -> None:
-    """Neither taken for an option of git nor for no change."""
     done = xpl("audit", "policy/Foo", f"--changed-since={ref}", cwd=repository)
     assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
     assert "has no commit" in done.stderr

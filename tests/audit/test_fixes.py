@@ -153,7 +153,6 @@ def fixed(folder: Path, *edits: Edit) -> str:
     ],
 )
 def test_places_are_lines_and_characters_from_one(folder: Path, edits: list[Edit], text: str) -> None:
-    """Replacing, inserting, deleting, at the end of the file, and two at once."""
     assert fixed(folder, *edits) == text
 
 
@@ -191,7 +190,6 @@ def test_of_fixes_that_overlap_the_first_is_done_and_the_other_told(folder: Path
 
 
 def test_a_file_that_changed_since_the_audit_is_left_alone(folder: Path) -> None:
-    """Between audit and plan, and between plan and writing."""
     fix = Fix("safe_edit", "", (edit(1, 1, 1, 4, "uno"),))
     plan = planned(folder, fix)
     (folder / "a.txt").write_text("one\nmeanwhile\n")
@@ -203,7 +201,6 @@ def test_a_file_that_changed_since_the_audit_is_left_alone(folder: Path) -> None
 
 
 def test_links_and_files_outside_are_left_alone(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Neither what a link leads to nor what lies beside the package."""
     other = tmp_path_factory.mktemp("other") / "b.txt"
     other.write_text("one\n")
     (folder / "link.txt").symlink_to(other)
@@ -236,7 +233,6 @@ def test_a_fix_that_would_break_a_file_is_left_out(folder: Path, name: str, text
 
 
 def test_if_one_file_cannot_be_written_none_is_changed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What was written before is put back."""
     (folder / "b.txt").write_text("one\n")
     plan = planned(folder, Fix("safe_edit", "", (edit(1, 1, 1, 4, "uno"), edit(1, 1, 1, 4, "uno", name="b.txt"))))
     write = fixes.write_file
@@ -278,7 +274,6 @@ def test_fix_does_safe_edits_and_audits_what_is_then_there(workspace: Path) -> N
 
 
 def test_a_diff_is_what_fix_does_and_writes_nothing(workspace: Path) -> None:
-    """Applied by git, it gives the same files."""
     before = _tree(workspace)
     options = ["audit", "policy/Foo", "--gate", "static", "--unsafe-fixes"]
     shown = xpl(*options, "--diff", cwd=workspace)

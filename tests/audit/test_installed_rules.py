@@ -42,7 +42,6 @@ def bring(install: Install, place: str, text: str, name: str = "bringer") -> Non
 
 
 def test_a_package_brings_a_rule_and_no_page_of_ours_names_it(install: Install) -> None:
-    """Pages of the repository are the same wherever they are written."""
     bring(install, "static/theirs", rule("THEIRS101"))
     assert registry.find("theirs").code == "THEIRS101"
     assert [entry.code for entry in registry.select(("THEIRS1",), (), tuple(registry.Gate))] == ["THEIRS101"]
@@ -61,14 +60,12 @@ def test_a_package_brings_a_rule_and_no_page_of_ours_names_it(install: Install) 
 def test_what_is_wrong_at_first_sight_names_the_distribution(
     install: Install, place: str, text: str, told: str
 ) -> None:
-    """Before anything is imported."""
     bring(install, place, text)
     with pytest.raises(EntryPointError, match=rf"of bringer 1.0 cannot be used: .*{told}"):
         registry.entries()
 
 
 def test_two_packages_with_one_code_are_told(install: Install) -> None:
-    """Both by name."""
     bring(install, "static/one", rule("THEIRS101"), "first")
     bring(install, "static/two", rule("THEIRS101"), "second")
     with pytest.raises(EntryPointError, match=r"of (first|second) 1.0 .* are both called THEIRS101"):
@@ -83,7 +80,6 @@ def test_two_packages_with_one_code_are_told(install: Install) -> None:
     ],
 )
 def test_a_rule_that_cannot_be_imported_names_the_distribution(install: Install, text: str, told: str) -> None:
-    """In one line, when it is used."""
     bring(install, "static/theirs", text)
     with pytest.raises(EntryPointError, match=rf"of bringer 1.0 cannot be used: .*{told}$"):
         registry.find("theirs")

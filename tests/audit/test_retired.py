@@ -30,7 +30,6 @@ def test_what_proves_a_retired_rule_is_a_rule_that_runs_an_adapter() -> None:
 
 
 def test_explain_says_why_a_rule_is_gone_and_what_proves_the_same(tmp_path: Path) -> None:
-    """By code and by slug, with exit code 0, beside rules of today; as JSON, too."""
     shown = xpl("explain", GONE.code, GONE.proven_by[0], cwd=tmp_path)
     assert shown.returncode == ExitCode.CLEAN
     assert f"{GONE.code} {GONE.slug}" in shown.stdout
@@ -41,7 +40,6 @@ def test_explain_says_why_a_rule_is_gone_and_what_proves_the_same(tmp_path: Path
 
 
 def test_a_retired_rule_cannot_be_selected_and_may_be_left_out(tmp_path: Path) -> None:
-    """Asking for it alone would prove nothing; leaving it out changes nothing."""
     adapter = made_adapter(tmp_path / "policy/Foo")
     asked = xpl("audit", str(adapter), "--gate", "static", "--select", GONE.code, cwd=tmp_path)
     assert (asked.returncode, asked.stdout) == (ExitCode.USAGE, "")
@@ -51,7 +49,6 @@ def test_a_retired_rule_cannot_be_selected_and_may_be_left_out(tmp_path: Path) -
 
 
 def test_a_waiver_of_a_retired_rule_is_a_note(tmp_path: Path) -> None:
-    """The audit stays as it is, and says that the waiver may be deleted."""
     adapter = made_adapter(tmp_path / "policy/Foo")
     with (adapter / "policy.yml").open("a") as manifest:
         manifest.write(f"\nwaivers: {json.dumps([{'rule': GONE.slug, 'reason': 'the library does so'}])}\n")

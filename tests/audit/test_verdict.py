@@ -166,7 +166,6 @@ def _said(gates: list[Ended], around: Circumstances = NO_CODE, kind: str = POLIC
     ],
 )
 def test_a_verdict_says_what_is_proven_and_what_is_not(gates: list[Ended], around: Circumstances, said: str) -> None:
-    """No word stands alone, and nothing that was not looked at is told as proven."""
     assert _said(gates, around) == said
 
 
@@ -178,7 +177,6 @@ def test_a_gate_without_anything_to_prove_is_named() -> None:
 
 
 def test_an_environment_has_no_conversions() -> None:
-    """Its contract is all there is to prove, in two gates."""
     assert _said(_gates()[:2], Circumstances(), ENV) == "GREEN contract"
     assert _said(_gates()[:1], Circumstances(), ENV) == "PARTIAL static only: nothing wrong in what ran"
 
@@ -235,7 +233,6 @@ def test_no_verdict_says_more_than_what_ran(kind: str, gates: list[Ended], aroun
 
 
 def test_several_packages_come_to_the_least_of_them() -> None:
-    """Of none, nothing is wrong."""
     assert weakest([Word.GREEN, Word.OPEN, Word.PARTIAL]) is Word.OPEN
     assert weakest([Word.GREEN, Word.RED, Word.INCOMPLETE]) is Word.RED
     assert weakest([]) is Word.GREEN
@@ -245,7 +242,6 @@ def test_several_packages_come_to_the_least_of_them() -> None:
 
 
 def test_the_schema_knows_the_words_and_the_claims() -> None:
-    """And no others."""
     definitions = spec.schema("audit")["$defs"]
     assert set(definitions["target"]["properties"]["verdict"]["enum"]) == set(Word)
     # What is said of demonstrations has a document of its own.
@@ -285,7 +281,6 @@ def test_what_a_request_leaves_out_is_told(adapter: Path) -> None:
 
 
 def test_what_a_package_leaves_open_is_told(adapter: Path) -> None:
-    """A place that is marked, and a native value that is unknown."""
     mark = spec.data("package")["placeholder"]
     with (adapter / "policy.yml").open("a") as manifest:
         manifest.write("native: {images: [{input: image, channels: {unknown: nobody says}}]}\n")
@@ -296,7 +291,6 @@ def test_what_a_package_leaves_open_is_told(adapter: Path) -> None:
 
 
 def test_native_code_that_was_not_recorded_has_its_command(adapter: Path) -> None:
-    """Where there are pairs, the rule that compares has the word."""
     (adapter / "native.py").write_text("CONVENTIONS = {}\n")
     reason = "native.py was not recorded: xpl native record policy/Foo"
     assert _audited(adapter) == f"GREEN contract; conversions unproven ({reason})"

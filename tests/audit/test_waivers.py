@@ -63,7 +63,6 @@ def test_a_waived_finding_is_shown_with_its_reason_and_fails_nothing(adapter: Pa
 
 
 def test_a_message_narrows_a_waiver_to_findings_that_begin_so(adapter: Path) -> None:
-    """The other finding of the rule still counts."""
     waive(adapter, {"rule": "bare-except", "reason": REASON, "message": "why an import fails is hidden"})
     result = audited(adapter)["bare-except"]
     assert result.outcome is Outcome.WARN
@@ -71,7 +70,6 @@ def test_a_message_narrows_a_waiver_to_findings_that_begin_so(adapter: Path) -> 
 
 
 def test_a_waiver_that_covers_nothing_fails(adapter: Path) -> None:
-    """The finding says which one, and that the next fault would pass unseen."""
     waive(adapter, {"rule": "bare-except", "reason": REASON}, {"rule": "print-per-inference", "reason": REASON})
     (finding,) = audited(adapter)["stale-waiver"].findings
     assert finding.message.startswith("waivers[1] ")
@@ -81,7 +79,6 @@ def test_a_waiver_that_covers_nothing_fails(adapter: Path) -> None:
 
 
 def test_a_waiver_is_judged_although_its_rule_was_not_asked_for(adapter: Path) -> None:
-    """`--select stale-waiver` alone gives the same answer."""
     waive(adapter, {"rule": "bare-except", "reason": REASON})
     assert {slug: result.outcome for slug, result in audited(adapter, names=("stale-waiver",)).items()} == {
         "stale-waiver": Outcome.PASS
@@ -122,13 +119,11 @@ def test_a_waiver_of_a_gate_that_did_not_run_is_not_judged(adapter: Path) -> Non
     ],
 )
 def test_an_entry_that_the_schema_refuses_waives_nothing(adapter: Path, entry: Any) -> None:
-    """Above all one without a reason."""
     waive(adapter, entry)
     assert audited(adapter)["bare-except"].outcome is Outcome.WARN
 
 
 def test_a_crash_cannot_be_waived(adapter: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A rule that crashed found nothing that could be accepted."""
     made_room(tmp_path / "room", monkeypatch).rule("crash", "raise ZeroDivisionError", code="XPL101")
     waive(adapter, {"rule": "crash", "reason": REASON})
     assert audited(adapter)["crash"].outcome is Outcome.ERROR

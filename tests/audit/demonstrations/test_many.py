@@ -34,7 +34,6 @@ def test_the_report_of_many_processes_is_that_of_one(tmp_path: Path, monkeypatch
 
 
 def test_things_are_handed_out_as_answers_are_taken(tmp_path: Path) -> None:
-    """Whoever takes one answer of a thousand has few of the others waiting, in memory."""
     answers = parallel.in_processes(functools.partial(_noted, tmp_path), range(1000), 1)
     assert next(answers) == 0
     answers.close()  # type: ignore[attr-defined]

@@ -153,7 +153,6 @@ def test_a_report_on_a_terminal_fits_one_screen(count: int, context: Context) ->
 
 
 def test_a_report_in_a_file_lists_every_finding(context: Context) -> None:
-    """Whole, a line each where they would not fit on a screen."""
     found = [Finding(f"fault {number}: {'word ' * 30}", path="model.py", line=number + 1) for number in range(50)]
     text = render("text", sample.one_target(*found), context)
     assert all(f"fault {number}: {'word ' * 29}word" in text for number in range(50))
@@ -172,7 +171,6 @@ def test_many_targets_take_a_line_each_if_all_is_well(context: Context) -> None:
 
 
 def test_next_commands_can_be_pasted(context: Context) -> None:
-    """Paths are quoted, gates are asked for again, and edits that are safe are offered first."""
     commands = next_commands(sample.reports(), context)
     again = ["xpl", "audit", "policy/Grün 1", "--gate", "static", "--gate", "offline"]
     assert [shlex.split(line) for line in commands] == [
@@ -204,7 +202,6 @@ def test_output_takes_the_report_and_stdout_stays_empty(
 
 
 def test_a_link_and_a_pipe_stay_what_they_are(context: Context, tmp_path: Path) -> None:
-    """The file behind a link is replaced, not the link; a pipe is written to."""
     file, link = tmp_path / "file", tmp_path / "link"
     file.write_text("old")
     link.symlink_to(file)

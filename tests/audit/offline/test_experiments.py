@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from xpl import _spec as sdk
-from xpl import rotation
 from xpl.action import pack, unpack
 from xpl.embodiment import get_embodiment
 from xpl.observation import ObservationError, get_image, get_instruction, pack_state
@@ -17,7 +15,7 @@ from xpl_cli.audit.offline import faulty, limits, rotations
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
-from xpl_cli.audit.served import inputs
+from xpl_cli.audit.served import transports
 from xpl_cli.packages import environments
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
@@ -37,62 +35,22 @@ def obs() -> dict[str, Any]:
     return made
 
 
-def changed_states(before: dict[str, Any], after: dict[str, Any]) -> set[str]:
-    """Return the state keys whose values differ."""
-    return {key for key in before["state"] if not np.array_equal(before["state"][key], after["state"][key])}
-
-
-def test_the_inputs_of_an_observation_are_named_as_in_a_manifest(obs: dict[str, Any]) -> None:
-    """Each name once, whichever arm it belongs to, and the manifest's schema knows all of them."""
-    found = inputs.present(obs)
-    assert len(found) == len(set(found))
-    assert {"instruction", "vision.cam_head", "state.ee_pose", "state.arm_joint_state"} <= set(found)
-    assert set(inputs.present({})) == set()
-
-
-@pytest.mark.parametrize("leaf", ["ee_pose", "arm_joint_state", "ee_joint_state", "delta_ee_pose"])
-def test_a_varied_state_leaves_the_others_alone(obs: dict[str, Any], leaf: str) -> None:
-    """`ee_pose` is not `delta_ee_pose`, although one name ends with the other."""
-    assert changed_states(obs, inputs.varied(obs, f"state.{leaf}")) == {f"left_{leaf}", f"right_{leaf}"}
-
-
-def test_exchanges_keep_what_is_exchanged(obs: dict[str, Any]) -> None:
-    """Nothing is invented: what was left is right, the pictures change places, blue becomes red."""
-    sides = inputs.sides_exchanged(obs, "state.ee_pose")["state"]
-    assert sides["left_ee_pose"] is obs["state"]["right_ee_pose"]
-    swapped = inputs.cameras_exchanged(obs, "vision.cam_head", "vision.cam_left_wrist")
-    assert np.array_equal(get_image(swapped, "cam_head"), get_image(obs, "cam_left_wrist"))
-    assert np.array_equal(get_image(swapped, "cam_left_wrist"), get_image(obs, "cam_head"))
-    blue = get_image(inputs.red_and_blue_exchanged(obs, "vision.cam_head"), "cam_head")
-    assert np.array_equal(blue[..., 0], get_image(obs, "cam_head")[..., 2])
-    assert np.array_equal(blue[..., 1], get_image(obs, "cam_head")[..., 1])
-
-
-def test_each_value_is_nudged_once(obs: dict[str, Any]) -> None:
-    """Of a pose only the position: one number of a quaternion cannot change alone."""
-    for key, count in (("left_arm_joint_state", 6), ("right_ee_joint_state", 1), ("left_ee_pose", sdk.POSITION_DIM)):
-        found = list(inputs.values_nudged(obs, key))
-        assert [index for index, _ in found] == list(range(count))
-        for index, changed in found:
-            moved = np.flatnonzero(changed["state"][key] != obs["state"][key])
-            assert moved.tolist() == [index]
-
-
-def test_antipodal_poses_are_the_same_rotations(obs: dict[str, Any]) -> None:
-    """Every quaternion changes its sign, and nothing else changes."""
-    other = inputs.antipodal(obs)
-    for key in changed_states(obs, other):
-        before, after = obs["state"][key], other["state"][key]
-        assert np.array_equal(before[:3], after[:3])
-        assert rotation.angle_between(before[3:], after[3:]) == pytest.approx(0, abs=1e-6)
-    assert len(changed_states(obs, other)) == 6  # three poses of two arms
-
-
-def test_only_keeps_what_is_listed(obs: dict[str, Any]) -> None:
-    """And the index of the environment, without which a batch cannot be told apart."""
-    kept = inputs.only(obs, ("vision.cam_head", "state.ee_pose"))
-    assert inputs.present(kept) == ("vision.cam_head", "state.ee_pose")
-    assert set(kept) == {"env_idx", "vision", "state"}
+@pytest.mark.parametrize("form", transports.FORMS)
+def test_every_form_of_a_picture_is_read_as_rgb(obs: dict[str, Any], form: str) -> None:
+    """PNG exactly, JPEG within its error, which is far from exchanged colours; the original stays as it was."""
+    sent = transports.encoded(obs, form)
+    for camera in sent[sdk.Obs.VISION].values():
+        color = camera[sdk.Camera.COLOR]
+        assert isinstance(color, bytes)
+        assert images.has_marker(color) == (form == "marked JPEG")
+    read = transports.decoded(sent)
+    error = transports.error_of(obs, read)
+    assert error == 0 if form == "true-RGB PNG" else 0 < error < 40
+    exchanged = {**read[sdk.Obs.VISION]["cam_head"]}
+    exchanged[sdk.Camera.COLOR] = exchanged[sdk.Camera.COLOR][:, :, ::-1]
+    wrong = {**read, sdk.Obs.VISION: {**read[sdk.Obs.VISION], "cam_head": exchanged}}
+    assert transports.error_of(obs, wrong) > 100
+    assert isinstance(obs[sdk.Obs.VISION]["cam_head"][sdk.Camera.COLOR], np.ndarray)
 
 
 def read(obs: dict[str, Any], name: str) -> None:
@@ -137,7 +95,6 @@ def test_a_jump_is_more_than_the_robot_moves_in_one_step() -> None:
 
 
 def test_a_jump_of_a_pose_is_one_of_position_or_orientation() -> None:
-    """The sign of a quaternion is none."""
     (found,) = limits.jumps(ROBOT, *moved(-0.2, 9, "ee"), RATE)
     assert found.what == "position of right_ee_pose"
     state, action = moved(0, 0, "ee")
@@ -159,7 +116,6 @@ def test_joints_end_where_the_embodiment_says() -> None:
 
 
 def test_motions_differ_by_more_than_the_sign_of_a_quaternion() -> None:
-    """But a quaternion that differs is a difference."""
     _, step = moved(0, 0, "ee")
     other = {key: np.array(values) for key, values in step.items()}
     other["right_ee_pose"][3:] *= -1
@@ -167,14 +123,6 @@ def test_motions_differ_by_more_than_the_sign_of_a_quaternion() -> None:
     other["right_ee_pose"][3:] = rotations.LARGE
     assert "right_ee_pose" in str(rotations.rotation_difference([step], [other]))
     assert rotations.rotation_difference([step], [step, step]) is not None
-
-
-def test_half_turns_are_half_turns() -> None:
-    """About different axes, and written as unit quaternions."""
-    for quaternion in rotations.HALF_TURNS.values():
-        assert rotation.angle_between(rotation.identity(), quaternion) == pytest.approx(np.pi)
-    (nearly,) = rotations.NEARLY.values()
-    assert 0 < np.pi - rotation.angle_between(rotation.identity(), nearly) < 0.01
 
 
 DRAWS = """

@@ -45,7 +45,6 @@ class Model:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("share", "outcome"), [(0, "not_applicable"), (1, "pass")])
 def test_equal_answers_prove_something_only_of_who_listens(tmp_path: Path, share: int, outcome: str) -> None:
-    """Form is judged either way."""
     package = tmp_path / "Plain"
     package.mkdir()
     (package / "model.py").write_text(MODEL.format(share=share))

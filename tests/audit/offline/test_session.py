@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from xpl.client import PolicyServerError
 from xpl_cli.audit.offline.inprocess import answers
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.served.exact import mismatch
@@ -50,15 +49,6 @@ MODEL = """
         def step(self, env, step, arm):
             return {"arm_joint_state": arm + np.float32(0.01 * step), "ee_joint_state": np.float32([0.5])}
 """
-
-
-def test_the_first_error_of_an_episode_is_returned(write_adapter: Callable[..., Path]) -> None:
-    """`Session.act` asks for no action after a reset or an observation that failed."""
-    deaf = MODEL + "\n        def update_obs(self, obs):\n            raise RuntimeError('deaf')\n"
-    with Probe.start(write_adapter(deaf), Options()) as probe, probe.session() as policy:
-        answer = policy.act(probe.observation())
-        assert isinstance(answer, PolicyServerError)
-        assert "deaf" in str(answer)
 
 
 def test_a_model_can_be_played_without_a_server(write_adapter: Callable[..., Path], old_python: str) -> None:

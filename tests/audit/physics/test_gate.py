@@ -102,7 +102,6 @@ def test_tasks_are_those_that_are_asked_for_or_claimed(package: Callable[..., Pa
 
 
 def test_a_robot_that_the_environment_lacks_is_not_applicable(package: Callable[..., Path]) -> None:
-    """With the reason, and the robots that there are."""
     folder = package(embodiment="tianji_marvin_wuji")
     with pytest.raises(NotApplicable, match="no tianji_marvin_wuji; it has arx_x5"):
         courses(folder)
@@ -110,7 +109,6 @@ def test_a_robot_that_the_environment_lacks_is_not_applicable(package: Callable[
 
 
 def test_an_unknown_task_is_refused_at_once(package: Callable[..., Path], tmp_path: Path) -> None:
-    """With the names that there are."""
     done = xpl("audit", str(package()), "--gate", "mujoco", "--task", "fold_shirt", cwd=tmp_path)
     assert done.returncode == ExitCode.NOT_FOUND
     assert "lift_cube" in done.stderr
@@ -161,7 +159,6 @@ def test_a_claim_is_measured_as_it_says(package: Callable[..., Path]) -> None:
 
 @pytest.mark.slow
 def test_a_shadow_is_held_to_what_any_model_has_to_do(package: Callable[..., Path]) -> None:
-    """Nothing is measured of it, and no value is judged."""
     report = gate(package(), profile=Profile.SHADOW, tasks=("push_block",))
     asked = {result.slug for result in report.results if result.outcome is not Outcome.NOT_APPLICABLE}
     assert asked == {"closed-loop", "same-seed-same-motion", "batch-moves-alike", "newest-observation", "own-loop"}
@@ -193,7 +190,6 @@ def test_two_runs_print_the_same_finish_line(package: Callable[..., Path]) -> No
 
 @pytest.mark.slow
 def test_every_episode_is_filmed(package: Callable[..., Path], tmp_path: Path) -> None:
-    """A file for each, that shows every second control step."""
     films = tmp_path / "films"
     done = xpl(
         "audit", str(package()), "--gate", "mujoco", "--select", "closed-loop", "--task", "push_block",
@@ -225,7 +221,6 @@ def test_our_own_policies_are_green(name: str) -> None:
 @pytest.mark.parametrize("robot", environments.manifest(environments.find("mujoco")).embodiments)
 @pytest.mark.parametrize("action_type", sdk.ACTION_TYPES)
 def test_a_fresh_scaffold_is_green_in_physics(robot: str, action_type: str, package: Callable[..., Path]) -> None:
-    """For every robot of the environment and both kinds of action."""
     report = gate(package(embodiment=robot, action_type=action_type))
     found = {result.slug: result.findings for result in report.results if result.findings}
     assert report.outcome is Outcome.PASS, found
@@ -263,7 +258,6 @@ def test_one_answer_in_another_convention_is_no_mistake(arm_state: WRITTEN) -> N
 
 
 def test_a_policy_on_its_way_mistakes_nothing(arm_state: WRITTEN) -> None:
-    """Far from where it is, and near nothing that is expressed otherwise."""
     robot = get_embodiment("franka_single")
     away = np.append(arm_state["arm_joint_state"] + 0.3, 1.0)
     assert not list(mistakes(robot, "joint", queries(lambda _: away, arm_state)))
@@ -323,7 +317,6 @@ def test_a_mirrored_world_exchanges_pictures_and_nothing_else() -> None:
 
 
 def test_a_mirrored_world_turns_grippers_round_and_nothing_else() -> None:
-    """Commands, observations or both."""
     robot = get_embodiment("arx_x5")
     config = {"task": "lift_cube", "embodiment": "arx_x5", "cameras": False}
     env = environments.make("mujoco", config)

@@ -122,12 +122,10 @@ def test_places_count_characters_from_one(adapter: Path) -> None:
     ],
 )
 def test_scripts_are_parsed_into_commands(script: str, commands: list[list[str]]) -> None:
-    """Quotes, substitutions, here-documents, redirections and arrays; what is not closed is passed over."""
     assert [[word.raw for word in command.words] for command in parse(script)] == commands
 
 
 def test_words_know_their_place_and_position() -> None:
-    """Line and column, positional arguments, loops and functions."""
     commands = parse("set -e\n  seed=${6:-0}\nf() {\n  local a=$1\n}\nuntil b; do sleep 1; done\nsleep 2\n")
     (name, word) = commands[1].assignments[0]
     assert (name, word.position, word.line, word.column) == ("seed", 6, 2, 8)
@@ -145,7 +143,6 @@ def test_words_know_their_place_and_position() -> None:
     ],
 )
 def test_a_key_is_deleted_with_its_value_and_nothing_else(tmp_path: Path, before: str, after: str) -> None:
-    """Values of one line, blocks, texts, and the last line of a file without a line break."""
     (tmp_path / "deploy.yml").write_text(before)
     lines = before.split("\n")
     (edit,) = deleted(Source(tmp_path), "deploy.yml", "b")

@@ -250,7 +250,6 @@ def test_code_that_no_person_wrote_crashes_no_rule(adapter: Path, name: str, con
 
 
 def test_a_file_of_many_megabytes_is_not_held_in_memory(adapter: Path) -> None:
-    """Sparse files of 80 MB: a table, a checkpoint and a log."""
     for name in ("tables.py", "weights.bin", "run.log", "data.json", "notes.md"):
         with (adapter / name).open("wb") as file:
             file.truncate(80_000_000)
@@ -265,7 +264,6 @@ def test_a_file_of_many_megabytes_is_not_held_in_memory(adapter: Path) -> None:
 
 
 def test_links_lead_nowhere(adapter: Path, tmp_path: Path) -> None:
-    """To itself, to each other, to the folder above, away, and to nothing: as files and as folders."""
     (tmp_path / "secret.py").write_text("def broken(:\n")
     links = {"loop.py": "loop.py", "a.py": "b.py", "b.py": "a.py", "up": "..", "here": ".", "gone.py": "nothing.py"}
     for name, target in {**links, "away.py": "../../secret.py", "root": "/", "device.py": "/dev/zero"}.items():
@@ -382,7 +380,6 @@ def _as_folder(file: Path) -> None:
 def test_files_may_go_while_they_are_read(
     adapter: Path, monkeypatch: pytest.MonkeyPatch, damage: Callable[[Path], object]
 ) -> None:
-    """Every file of the boundary, just before it is opened."""
     monkeypatch.setattr("xpl_cli.audit.engine.providers.Source", _Vanishing)
     monkeypatch.setattr(_Vanishing, "damage", staticmethod(damage))
     static(adapter)

@@ -21,12 +21,10 @@ from xpl_cli.audit.static.shell import parse
     ],
 )
 def test_a_command_knows_what_ends_it(script: str, ends: list[str]) -> None:
-    """The operator behind it, and the operator behind a group for the last command in it."""
     assert [command.end for command in parse(script)] == ends
 
 
 def test_a_command_knows_the_keywords_before_it() -> None:
-    """So that a rule can tell a step from a question."""
     found = [(command.keywords, command.name) for command in parse("if ! a; then b; else c; fi")]
     assert found == [(("if", "!"), "a"), (("then",), "b"), (("else",), "c")]
 
@@ -48,7 +46,6 @@ def test_a_word_knows_its_expansions_and_their_guards(word: str, expansions: lis
 
 
 def test_a_script_knows_its_options_and_variables() -> None:
-    """Options of every form of `set`, names from every form of assignment."""
     script = parse(
         "set -eu\nset -o pipefail\na=1 export b=2\nexport c d=4\nfor e in 1; do read -r f g; done\n"
         'printf -v h %s x\n: "${i:=1}"\nfor ((j = 0; j < 3; j++)); do :; done\n'
@@ -88,5 +85,4 @@ def test_what_a_command_really_runs(command: str, really: str) -> None:
     ],
 )
 def test_what_may_be_empty(script: str, is_open: bool) -> None:
-    """Arguments and defaults that nobody checked, folders that need not exist."""
     assert may_be_empty("a", parse(script)) == is_open

@@ -57,7 +57,6 @@ def _everything(ruler: Ruler) -> range:
 
 
 def test_what_was_done_is_no_error_and_standing_still_is_one(ruler: Ruler) -> None:
-    """The parts are told in their units."""
     own = ruler.errors(_done(ruler), _everything(ruler))
     assert own.units() == {JOINTS: 0.0, GRIPPER: 0.0}
     still, before = (ruler.errors(said, _everything(ruler)) for said in (ruler.still(), ruler.before()))
@@ -89,7 +88,6 @@ def test_poses_are_not_made_up_where_none_were_observed(package: Path) -> None:
 
 
 def test_errors_of_poses_know_no_sign() -> None:
-    """Of a pose three positions and one angle are measured."""
     from xpl_cli.audit.offline.demonstrations.measure import _apart
 
     pose = np.array([[0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0]])
@@ -154,7 +152,6 @@ def test_questions_are_asked_beside_each_other_with_their_histories(ruler: Ruler
 
 
 def test_the_first_tries_are_of_all_episodes(ruler: Ruler) -> None:
-    """And no more than twelve."""
     chosen = few(ruler.session.asked)
     assert {ruler.session.asked[number][0] for number in chosen} == set(range(6))
     assert len(chosen) <= 12
@@ -199,7 +196,6 @@ def _probe(package: Path, demos: Path | None = None, robot: str = ROBOT) -> Any:
 
 
 def test_a_package_names_its_demonstrations(package: Path) -> None:
-    """And without any the rules do not apply."""
     assert len(Demonstrated(_probe(package)).recordings) == 6
     with pytest.raises(NotApplicable, match="--demos"):
         Demonstrated(_probe(package / "demonstrations")).recordings  # noqa: B018 - what is asked for
@@ -218,7 +214,6 @@ def test_other_files_than_were_declared_are_not_held_against_it(package: Path, t
 
 
 def test_too_few_episodes_and_another_robot_tell_nothing(package: Path, tmp_path: Path) -> None:
-    """Both say what to do."""
     with pytest.raises(NotRun, match=f"at least {LEAST_EPISODES}"):
         Demonstrated(_probe(package, package / "demonstrations" / "episode_0000000.hdf5")).recordings  # noqa: B018
     with pytest.raises(NotRun, match=f"env_cfg_type={ROBOT}"):
@@ -226,13 +221,11 @@ def test_too_few_episodes_and_another_robot_tell_nothing(package: Path, tmp_path
 
 
 def test_without_the_weights_nothing_is_told(package: Path) -> None:
-    """A shadow answers what nobody trained."""
     with pytest.raises(NotRun, match="only the real model"):
         Demonstrated(_probe(package)).session  # noqa: B018 - what is asked for
 
 
 def test_declaring_writes_what_is_read(package: Path, tmp_path: Path) -> None:
-    """Relative to the policy's folder; a folder that is no policy is refused."""
     (tmp_path / "policy.yml").write_text("spec: v1\n")
     path, digests = declared.declare(tmp_path, package / "demonstrations")
     assert path == tmp_path / declared.FILE

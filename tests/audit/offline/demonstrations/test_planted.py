@@ -83,7 +83,6 @@ def test_other_vectors_of_a_file_of_lerobots_are_known(statistics: Path) -> None
 
 
 def test_variances_that_are_taken_for_deviations_are_known() -> None:
-    """Of a block that says its numbers."""
     (policy,) = trained(["Tiny_VLA pick_by_language"])
     (subject,) = [one for one in policy.subjects if one.name == "divided by the variance"]
     found = {
@@ -111,7 +110,6 @@ def test_a_camera_that_does_not_reach_the_model_is_said(tmp_path: Path) -> None:
 
 
 def test_the_page_says_what_was_measured(every: list[Subject]) -> None:
-    """Its tables and its picture are made of results.json."""
     rows, text = table.results(), table.PAGE.read_text(encoding="utf-8")
     assert table.page(rows, text) == text
     assert table.picture(rows) == table.PICTURE.read_text(encoding="utf-8")
