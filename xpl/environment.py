@@ -89,7 +89,7 @@ class Place(Protocol):
     def observe(self) -> ObservationDict:
         """Return the present observation."""
 
-    def step(self, action: Action) -> dict[str, Any]:
+    def step(self, action: Action) -> Report:
         """Execute one action step and return its report; an episode that has ended ignores it."""
 
     def result(self) -> Result:
@@ -126,7 +126,7 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
         self._setup = self._config.setup(manifest)
         self._next_seed = self._config.seed
         self._places: list[PlaceT] = []
-        self._last: dict[int, dict[str, Any]] = {}
+        self._last: dict[int, ObservationDict] = {}
         self._begun = False
 
     def reset(self, seed: Sequence[int] | None = None, options: Mapping[str, Any] | None = None) -> None:

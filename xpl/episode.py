@@ -18,7 +18,7 @@ from xpl.action import ActionError
 from xpl.safety import NON_FINITE, Supervisor, Verdict
 
 if TYPE_CHECKING:
-    from xpl.contract import Action, ObservationDict, Report, Result, State
+    from xpl.contract import Action, Entry, ObservationDict, Report, Result, State
     from xpl.embodiment import Embodiment
     from xpl.manifest import EnvManifest
 
@@ -60,7 +60,7 @@ class Setup:
     manifest: EnvManifest
 
     @property
-    def facts(self) -> Mapping[str, Any]:
+    def facts(self) -> Entry:
         """The task's entry of env.yml as it is written, with what only this environment reads."""
         return self.manifest.tasks[self.task].data
 
@@ -179,7 +179,7 @@ class Referee:
     def observe(self) -> ObservationDict:
         """Return the present observation; a new one each time, which the caller may change."""
         episode, setup = self._episode, self._episode.setup
-        result: dict[str, Any] = {
+        result: ObservationDict = {
             spec.Obs.DATA_FORMAT_VERSION: spec.DATA_FORMAT_VERSION,
             spec.Obs.INSTRUCTION: episode.instruction,
             spec.Obs.ENV_IDX: self._env_idx,
@@ -191,7 +191,7 @@ class Referee:
             result[spec.Obs.PRIVILEGED] = dict(episode.truth())
         return result
 
-    def step(self, action: Action) -> dict[str, Any]:
+    def step(self, action: Action) -> Report:
         """Execute one action step, unless the episode has ended; return the step's report.
 
         Raises:

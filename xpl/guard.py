@@ -18,6 +18,7 @@ from xpl import _spec as spec
 
 if TYPE_CHECKING:
     from xpl.contract import Action, Observation, ObservationDict, Report, Result
+    from xpl.environment import TaskEnv
     from xpl.safety import Supervisor, Verdict
 
 _ASKS = (spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH, spec.Method.INFER)
@@ -81,7 +82,7 @@ class GuardedEnv:
     guarded = True
 
     def __init__(
-        self, task_env: Any, make_supervisor: Callable[[], Supervisor], clock: Callable[[], float] = time.monotonic
+        self, task_env: TaskEnv, make_supervisor: Callable[[], Supervisor], clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._env = task_env
         self._make_supervisor = make_supervisor
@@ -119,7 +120,7 @@ class GuardedEnv:
         """Return the observations of some environments, of all running ones by default."""
         chosen = self.get_running_env_idx_list() if env_idx_list is None else list(env_idx_list)
         if last_frame:
-            shown: list[dict[str, Any]] = self._env.get_obs_batch(chosen, last_frame)
+            shown: list[ObservationDict] = self._env.get_obs_batch(chosen, last_frame)
             return shown
         now = self._clock()
         observations: list[ObservationDict] = self._env.get_obs_batch(chosen)

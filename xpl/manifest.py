@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import robots
 from xpl._spec import MODEL_CLASS
 from xpl.document import Document, many, named, one, part
 
 if TYPE_CHECKING:
-    from xpl.contract import Action, Observation, State
+    from xpl.contract import Entry
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Checkpoint(Document):
     size: int | None = one(int)
     license: str | None = one(str)
     files: tuple[CheckpointFile, ...] = many(CheckpointFile)
-    data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    data: Entry = field(default_factory=dict, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -165,17 +165,17 @@ class Native(Document):
         sampling, recurrent: a map where the author says that it is unknown.
     """
 
-    images: tuple[Mapping[str, Any], ...] = many(Mapping)
-    state: tuple[State, ...] = many(Mapping)
+    images: tuple[Entry, ...] = many(Mapping)
+    state: tuple[Entry, ...] = many(Mapping)
     instruction: object = one(object)
     history: History | None = one(History)
-    action: Action = named(object)
+    action: Entry = named(object)
     sampling: object = one(object, "none")
     tolerance: float = one(float, 0.001)
     recurrent: object = one(object, default=False)
-    samples: tuple[Observation, ...] = many(Mapping)
+    samples: tuple[Entry, ...] = many(Mapping)
     code: tuple[str, ...] = many(str)
-    data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    data: Entry = field(default_factory=dict, compare=False, repr=False)
 
     def __bool__(self) -> bool:
         return bool(self.data)
@@ -209,8 +209,8 @@ class Manifest(Document):
     name: str | None = one(str)
     summary: str | None = one(str)
     family: str | None = one(str)
-    paper: Mapping[str, Any] | None = one(Mapping)
-    upstream: Mapping[str, Any] | None = one(Mapping)
+    paper: Entry | None = one(Mapping)
+    upstream: Entry | None = one(Mapping)
     license: str | None = one(str)
     temporal: Temporal = part(Temporal)
     control_frequency: float | None = one(float)
@@ -222,7 +222,7 @@ class Manifest(Document):
     checkpoints: tuple[Checkpoint, ...] = many(Checkpoint)
     environment: PythonEnvironment = part(PythonEnvironment)
     model_class: str = one(str, MODEL_CLASS)
-    variants: Mapping[str, Mapping[str, Any]] = named(Mapping)
+    variants: Mapping[str, Entry] = named(Mapping)
     methods: tuple[str, ...] = many(str)
     serving: Serving = part(Serving)
     shadow: Shadow = part(Shadow)
@@ -231,7 +231,7 @@ class Manifest(Document):
     cameras: Mapping[str, CameraNeeds] = named(CameraNeeds)
     gripper: Gripper | None = one(Gripper)
     native: Native | None = one(Native)
-    data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    data: Entry = field(default_factory=dict, compare=False, repr=False)
 
     def __bool__(self) -> bool:
         return bool(self.data)
@@ -273,7 +273,7 @@ class Task(Document):
     unsupported: Mapping[str, str] = named(str)
     control_frequency: float | None = one(float)
     success_means: str | None = one(str)
-    data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    data: Entry = field(default_factory=dict, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -346,7 +346,7 @@ class EnvManifest(Document):
     embodiments: tuple[str, ...] = many(str)
     any_embodiment: bool = one(bool, default=False)
     action_types: tuple[str, ...] = many(str)
-    cameras: Mapping[str, Mapping[str, Any]] = named(Mapping)
+    cameras: Mapping[str, Entry] = named(Mapping)
     control_frequency: float = one(float, 0.0)
     real_time: bool | None = one(bool)
     pose_frame: str | None = one(str)
@@ -361,9 +361,9 @@ class EnvManifest(Document):
     success_means: str | None = one(str)
     hand_over: HandOver | None = one(HandOver)
     stand_in: str | None = one(str)
-    robot: Mapping[str, Any] | None = one(Mapping)
+    robot: Entry | None = one(Mapping)
     tasks: Mapping[str, Task] = named(Task)
-    data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    data: Entry = field(default_factory=dict, compare=False, repr=False)
 
     def frequency(self, task: str | None) -> float:
         """Return the control rate of a task, Hz: its own, or the environment's."""

@@ -10,20 +10,28 @@ kept by the environment itself or by a guard in front of it; without either noth
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from xpl import _spec as spec
 from xpl.action import ActionError
 
 if TYPE_CHECKING:
     from xpl.contract import Result
+    from xpl.environment import TaskEnv
 
 
 class UnguardedError(TypeError):
     """Nobody keeps the limits of the robot that is to be driven."""
 
 
-def run_episode(task_env: Any, client: Any, *, horizon: int | None = None) -> Result:
+class Caller(Protocol):
+    """Who runs operations of a policy by name, as `xpl.Client` does."""
+
+    def call(self, func_name: str, obs: Any = None) -> Any:
+        """Run an operation and return its result."""
+
+
+def run_episode(task_env: TaskEnv, client: Caller, *, horizon: int | None = None) -> Result:
     """Run one episode in the only environment and return its result.
 
     Args:
@@ -50,11 +58,11 @@ def run_episode(task_env: Any, client: Any, *, horizon: int | None = None) -> Re
             client.call(func_name=spec.Method.UPDATE_OBS, obs=task_env.get_obs())
             if _is_held(report):
                 break
-    result: dict[str, Any] = task_env.results()[0]
+    result: Result = task_env.results()[0]
     return result
 
 
-def run_batch(task_env: Any, client: Any, *, horizon: int | None = None) -> list[Result]:
+def run_batch(task_env: TaskEnv, client: Caller, *, horizon: int | None = None) -> list[Result]:
     """Run one episode in each environment of a batch and return the results.
 
     Each step is one `update_obs_batch` of the environments that still run; they end one by one. All chunks of one
@@ -88,17 +96,17 @@ def run_batch(task_env: Any, client: Any, *, horizon: int | None = None) -> list
             _show(task_env, client, running)
             if alive.intersection(held):  # the rest of the chunk is as old
                 break
-    results: list[dict[str, Any]] = task_env.results()
+    results: list[Result] = task_env.results()
     return results
 
 
-def listened(task_env: Any, client: Any) -> Any:
+def listened(task_env: TaskEnv, client: Caller) -> Caller:
     """Return the client, listened to by the guard (`xpl.guard`) if there is one in front of the environment."""
     listen = getattr(task_env, "listen", None)
     return client if listen is None else listen(client)
 
 
-def _checked(task_env: Any, client: Any, horizon: int | None) -> Any:
+def _checked(task_env: TaskEnv, client: Caller, horizon: int | None) -> Caller:
     """Return the client, listened to by the guard if there is one; refuse what must not be driven."""
     if not getattr(task_env, "guarded", False):
         raise UnguardedError(
@@ -110,7 +118,7 @@ def _checked(task_env: Any, client: Any, horizon: int | None) -> Any:
     return listened(task_env, client)
 
 
-def _show(task_env: Any, client: Any, running: list[int]) -> None:
+def _show(task_env: TaskEnv, client: Caller, running: list[int]) -> None:
     """Show the policy the newest observations; each bears the index of its environment."""
     observations = zip(running, task_env.get_obs_batch(running))
     batch = [obs if spec.Obs.ENV_IDX in obs else {**obs, spec.Obs.ENV_IDX: env} for env, obs in observations]

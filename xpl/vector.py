@@ -71,8 +71,8 @@ class VectorEnv:
         self._options: dict[str, Any] = {}
         self._next_seed = int(config.get(spec.Deploy.SEED) or 0)
         self._running: list[list[int]] = [[] for _ in self._shares]
-        self._last: dict[int, dict[str, Any]] = {}
-        self._final: dict[int, dict[str, Any]] = {}
+        self._last: dict[int, ObservationDict] = {}
+        self._final: dict[int, Result] = {}
         self._crew = Crew(client, [{**config, "num_envs": len(part)} for part in self._shares], python, limits)
 
     @property
@@ -259,7 +259,7 @@ class VectorEnv:
             report["end_reason"] = self._final.get(index, {}).get("end_reason", INFRASTRUCTURE)
         return report
 
-    def _results(self, workers: Iterable[int]) -> dict[int, dict[str, Any]]:
+    def _results(self, workers: Iterable[int]) -> dict[int, Result]:
         """Return what the workers that live say of their environments' episodes."""
         return {
             index: {**result, spec.Obs.ENV_IDX: index}
@@ -267,7 +267,7 @@ class VectorEnv:
             for index, result in zip(self._shares[worker], told)
         }
 
-    def _spoilt(self, env: int) -> dict[str, Any]:
+    def _spoilt(self, env: int) -> Result:
         return {
             spec.Obs.ENV_IDX: env,
             spec.Deploy.SEED: self._seeds[env],

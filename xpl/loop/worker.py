@@ -20,10 +20,9 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from xpl.loop.stand_ins import Client, Judge, TaskEnv
 from xpl.process import child, link
@@ -45,7 +44,7 @@ class LoopWorker:
         self._judge = judge
         self._module: ModuleType | None = None
 
-    def answer(self, head: Mapping[str, Any]) -> dict[str, Any]:
+    def answer(self, head: link.Head) -> link.Head:
         """Do what a message asks for, and return the head of the answer."""
         try:
             if "load" in head:

@@ -14,17 +14,17 @@ import socket
 import sys
 import threading
 import traceback
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Callable, NoReturn
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Callable, NoReturn
 
 from xpl.process import link
-from xpl.process.link import Channel
+from xpl.process.link import Channel, Head
 from xpl.wire.frame import PackingError
 
 if TYPE_CHECKING:
     from xpl.wire.arrays import Data
 
-    Handle = Callable[[Mapping[str, Any], Sequence[memoryview]], tuple[dict[str, Any], list[Data]]]
+    Handle = Callable[[Head, Sequence[memoryview]], tuple[Head, list[Data]]]
 
 SDK_START = """
 import importlib.util, sys

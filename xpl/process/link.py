@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
     from xpl.wire.arrays import Data
 
+Head = dict[str, Any]
+"""What a message says besides its buffers, in what JSON knows."""
+
 _SCRATCH = 1 << 16
 _STEP = 1 << 26
 

@@ -29,6 +29,7 @@ from xpl.wire import packed, telling
 from xpl.worker.loading import check_shareable, load_model_class
 
 if TYPE_CHECKING:
+    from xpl.process.link import Head
     from xpl.wire.arrays import Data
     from xpl.wire.segment import Window
     from xpl.worker.sharing import SharedModel
@@ -74,12 +75,12 @@ class Worker:
         self._policy_dir = Path()
         self._config: dict[str, Any] = {}
 
-    def handle(self, head: Mapping[str, Any], buffers: Sequence[Data] = ()) -> tuple[dict[str, Any], list[Data]]:
+    def handle(self, head: Head, buffers: Sequence[Data] = ()) -> tuple[Head, list[Data]]:
         """Return the answer to one message of the front end; whatever an adapter raises becomes an `error`."""
         if head["op"] == "run":
             requests = [Request(*asked, payload) for asked, payload in zip(head["requests"], buffers)]  # type: ignore[call-arg]
             return self._run(requests)
-        operations: dict[str, Callable[[Mapping[str, Any]], Any]] = {
+        operations: dict[str, Callable[[Head], Head | None]] = {
             "load": self._load,
             "map": self._map,
             "unmap": self._unmap,
@@ -91,7 +92,7 @@ class Worker:
 
     # -- between requests ----------------------------------------------------------------------------------------------
 
-    def _load(self, message: Mapping[str, Any]) -> dict[str, Any]:
+    def _load(self, message: Head) -> Head:
         from xpl.policy import Policy
 
         # Where a model is built anew, the one before has to go first: there may not be room for two.
@@ -114,7 +115,7 @@ class Worker:
         self._model = model_class(config)
         return self._offer(manifest)
 
-    def _offer(self, manifest: Manifest) -> dict[str, Any]:
+    def _offer(self, manifest: Manifest) -> Head:
         """Tell what the model offers, and settle in for serving it."""
         model_class = type(self._model)
         shared = manifest.serving.shared
@@ -133,19 +134,19 @@ class Worker:
             self._shared = SharedModel(self._model)
         return {"class": model_class.__name__, "methods": sorted(self._methods), "shared": shared}
 
-    def _map(self, message: Mapping[str, Any]) -> None:
+    def _map(self, message: Head) -> None:
         from xpl.wire.segment import Window
 
         self._windows[message["segment"]] = Window(message["path"], message["size"])
 
-    def _unmap(self, message: Mapping[str, Any]) -> None:
+    def _unmap(self, message: Head) -> None:
         self._windows.pop(message["segment"], None)  # adapters may keep what they have seen there
 
     # -- requests ------------------------------------------------------------------------------------------------------
 
-    def _run(self, requests: Sequence[Request]) -> tuple[dict[str, Any], list[Data]]:
+    def _run(self, requests: Sequence[Request]) -> tuple[Head, list[Data]]:
         results = self._results(requests) if self._shared is None else self._shared_results(self._shared, requests)
-        answers: list[dict[str, Any] | None] = []
+        answers: list[Head | None] = []
         buffers: list[Data] = []
         for request, result in zip(requests, results):
             if not isinstance(result, BaseException):
@@ -162,7 +163,7 @@ class Worker:
                 result.__traceback__ = None
         return {"answers": answers}, buffers
 
-    def _lacks(self, error: BaseException) -> dict[str, Any]:
+    def _lacks(self, error: BaseException) -> Head:
         """Return what an error tells of the machine; nothing if the adapter is to blame."""
         from xpl.worker import lacking
 

@@ -151,7 +151,7 @@ def _client(folder: Path) -> Path:
     return folder / manifest(folder).client
 
 
-def _guarded(env: object, config: Config, facts: EnvManifest) -> Any:
+def _guarded(env: TaskEnv, config: Config, facts: EnvManifest) -> Any:
     from xpl import get_embodiment
     from xpl.guard import GuardedEnv
     from xpl.safety import Supervisor
