@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from xpl import _spec as sdk
+from xpl import images
 from xpl.action import pack, unpack
 from xpl.embodiment import get_embodiment
 from xpl.observation import ObservationError, get_image, get_instruction, pack_state
