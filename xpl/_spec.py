@@ -230,14 +230,11 @@ class Method:
     RESET_ENVS = "reset_envs"
 
 
-DATA_FORMAT_VERSION: str = "v1.0"
+DATA_FORMAT_VERSION: str = 'v1.0'
 WIRE_VERSION: int = 1
-ARM_PREFIXES: dict[int, tuple[str, ...]] = {1: ("",), 2: ("left_", "right_")}
-ACTION_TYPES: tuple[str, ...] = ("joint", "ee")
-ACTION_KEYS: dict[str, tuple[str, ...]] = {
-    "joint": ("arm_joint_state", "ee_joint_state"),
-    "ee": ("ee_pose", "ee_joint_state"),
-}
+ARM_PREFIXES: dict[int, tuple[str, ...]] = {1: ('',), 2: ('left_', 'right_')}
+ACTION_TYPES: tuple[str, ...] = ('joint', 'ee')
+ACTION_KEYS: dict[str, tuple[str, ...]] = {'joint': ('arm_joint_state', 'ee_joint_state'), 'ee': ('ee_pose', 'ee_joint_state')}
 POSE_DIM: int = 7
 POSITION_DIM: int = 3
 TWIST_DIM: int = 6
@@ -247,112 +244,80 @@ QUATERNION_REPAIR: float = 0.5
 GRIPPER_OVERSHOOT: float = 0.5
 GRIPPER_CLOSED: float = 0.0
 GRIPPER_OPEN: float = 1.0
-CAMERAS: dict[int, tuple[str, ...]] = {
-    1: ("cam_head", "cam_wrist"),
-    2: ("cam_head", "cam_left_wrist", "cam_right_wrist"),
-}
-OPTIONAL_CAMERAS: tuple[str, ...] = ("cam_third_view",)
-READ_ALIASES: dict[str, tuple[str, ...]] = {
-    "color": ("colors", "rgb", "image"),
-    "extrinsics_matrix": ("extrinsic_matrix",),
-    "instruction": ("instructions",),
-}
-TRAJECTORY_STATE: dict[str, str] = {
-    "arm_joint_state": "arm_joint_states",
-    "ee_joint_state": "ee_joint_states",
-    "ee_pose": "ee_poses",
-    "tcp_pose": "tcp_poses",
-    "delta_ee_pose": "delta_ee_poses",
-    "mobile": "mobile",
-    "base_pose": "base_poses",
-    "base_twist": "base_twists",
-}
-TRAJECTORY_CAMERA: dict[str, str] = {
-    "color": "colors",
-    "depth": "depths",
-    "intrinsic_matrix": "intrinsic_matrix",
-    "extrinsics_matrix": "extrinsic_matrix",
-    "shape": "shape",
-}
-JPEG_MARKER: bytes = b"XPL-RGB1"
+CAMERAS: dict[int, tuple[str, ...]] = {1: ('cam_head', 'cam_wrist'), 2: ('cam_head', 'cam_left_wrist', 'cam_right_wrist')}
+OPTIONAL_CAMERAS: tuple[str, ...] = ('cam_third_view',)
+READ_ALIASES: dict[str, tuple[str, ...]] = {'color': ('colors', 'rgb', 'image'), 'extrinsics_matrix': ('extrinsic_matrix',), 'instruction': ('instructions',)}
+TRAJECTORY_STATE: dict[str, str] = {'arm_joint_state': 'arm_joint_states',
+ 'ee_joint_state': 'ee_joint_states',
+ 'ee_pose': 'ee_poses',
+ 'tcp_pose': 'tcp_poses',
+ 'delta_ee_pose': 'delta_ee_poses',
+ 'mobile': 'mobile',
+ 'base_pose': 'base_poses',
+ 'base_twist': 'base_twists'}
+TRAJECTORY_CAMERA: dict[str, str] = {'color': 'colors',
+ 'depth': 'depths',
+ 'intrinsic_matrix': 'intrinsic_matrix',
+ 'extrinsics_matrix': 'extrinsic_matrix',
+ 'shape': 'shape'}
+JPEG_MARKER: bytes = b'XPL-RGB1'
 JOINT_TOLERANCE: float = 0.001
 POSITION_TOLERANCE: float = 0.001
 JOINT_SPEED: float = 6.3
 POSITION_SPEED: float = 2.5
 ROTATION_SPEED: float = 6.3
-CHECKPOINT_DIRECTORY: str = "checkpoints"
-CHECKPOINT_RUN_NAME: tuple[str, ...] = ("bench_name", "ckpt_name", "env_cfg_type", "action_type", "seed")
-CHECKPOINT_KEYS: tuple[str, ...] = ("model_path", "checkpoint_path", "ckpt_path", "model_dir", "pretrained_path")
-CONFIG_ALIASES: dict[str, tuple[str, ...]] = {"bench_name": ("dataset_name",)}
-DEPLOY_DEFAULTS: dict[str, Any] = {
-    "protocol": "ws",
-    "host": "localhost",
-    "port": None,
-    "bench_name": None,
-    "task_name": None,
-    "env_cfg_type": None,
-    "seed": 0,
-    "action_type": "joint",
-    "eval_batch": False,
-    "ckpt_name": None,
-    "variant": None,
-    "gpu_id": None,
-    "request_timeout_s": 120,
-    "handshake_timeout_s": 60,
-    "connect_timeout_s": 30,
-    "max_connect_attempts": 180,
-    "connect_retry_delay_s": 5,
-    "max_connect_seconds": 900,
-    "ws_ping_interval_s": 20,
-    "ws_ping_timeout_s": 20,
-    "close_timeout_s": 10,
-}
-MODEL_CLASS: str = "Model"
-ANSWERS: dict[str, Any] = {
-    "hello": "hello_ack",
-    "prepare_case": "prepare_case_ack",
-    "reset": "reset_result",
-    "infer": "infer_result",
-    "call": "call_result",
-    "trial_end": "trial_end_ack",
-    "heartbeat": "heartbeat_ack",
-    "close": None,
-}
-CONTRACT_METHODS: tuple[str, ...] = ("update_obs", "update_obs_batch", "get_action", "get_action_batch", "reset")
-HOOKS: tuple[str, ...] = ("prepare_case", "on_trial_end")
-ARRAY_KEYS: dict[str, bytes] = {
-    "nd": b"nd",
-    "type": b"type",
-    "kind": b"kind",
-    "shape": b"shape",
-    "data": b"data",
-    "complex": b"complex",
-}
-STRUCTURED_KIND: bytes = b"V"
-LIMITS: dict[str, int] = {
-    "frame_bytes": 268435456,
-    "nesting": 32,
-    "elements": 4194304,
-    "packed_header": 1048576,
-    "replay_entries": 256,
-    "replay_bytes": 67108864,
-    "connections": 256,
-    "pending": 64,
-    "pending_bytes": 67108864,
-    "fragments": 65536,
-    "pipelined": 8,
-    "shared_array": 16384,
-    "shared_bytes": 1073741824,
-    "clients": 64,
-    "client_envs": 4096,
-}
-SHARED_MEMORY: dict[str, int] = {
-    "token_bytes": 16,
-    "states_at": 64,
-    "blocks": 1024,
-    "data_at": 4096,
-    "free": 0,
-    "sent": 1,
-    "taken": 2,
-}
-CLOSE_CODES: dict[str, int] = {"server_failed": 4011, "replaced": 4009, "no_hello": 4008}
+CHECKPOINT_DIRECTORY: str = 'checkpoints'
+CHECKPOINT_RUN_NAME: tuple[str, ...] = ('bench_name', 'ckpt_name', 'env_cfg_type', 'action_type', 'seed')
+CHECKPOINT_KEYS: tuple[str, ...] = ('model_path', 'checkpoint_path', 'ckpt_path', 'model_dir', 'pretrained_path')
+CONFIG_ALIASES: dict[str, tuple[str, ...]] = {'bench_name': ('dataset_name',)}
+DEPLOY_DEFAULTS: dict[str, Any] = {'protocol': 'ws',
+ 'host': 'localhost',
+ 'port': None,
+ 'bench_name': None,
+ 'task_name': None,
+ 'env_cfg_type': None,
+ 'seed': 0,
+ 'action_type': 'joint',
+ 'eval_batch': False,
+ 'ckpt_name': None,
+ 'variant': None,
+ 'gpu_id': None,
+ 'request_timeout_s': 120,
+ 'handshake_timeout_s': 60,
+ 'connect_timeout_s': 30,
+ 'max_connect_attempts': 180,
+ 'connect_retry_delay_s': 5,
+ 'max_connect_seconds': 900,
+ 'ws_ping_interval_s': 20,
+ 'ws_ping_timeout_s': 20,
+ 'close_timeout_s': 10}
+MODEL_CLASS: str = 'Model'
+ANSWERS: dict[str, Any] = {'hello': 'hello_ack',
+ 'prepare_case': 'prepare_case_ack',
+ 'reset': 'reset_result',
+ 'infer': 'infer_result',
+ 'call': 'call_result',
+ 'trial_end': 'trial_end_ack',
+ 'heartbeat': 'heartbeat_ack',
+ 'close': None}
+CONTRACT_METHODS: tuple[str, ...] = ('update_obs', 'update_obs_batch', 'get_action', 'get_action_batch', 'reset')
+HOOKS: tuple[str, ...] = ('prepare_case', 'on_trial_end')
+ARRAY_KEYS: dict[str, bytes] = {'nd': b'nd', 'type': b'type', 'kind': b'kind', 'shape': b'shape', 'data': b'data', 'complex': b'complex'}
+STRUCTURED_KIND: bytes = b'V'
+LIMITS: dict[str, int] = {'frame_bytes': 268435456,
+ 'nesting': 32,
+ 'elements': 4194304,
+ 'packed_header': 1048576,
+ 'replay_entries': 256,
+ 'replay_bytes': 67108864,
+ 'connections': 256,
+ 'pending': 64,
+ 'pending_bytes': 67108864,
+ 'fragments': 65536,
+ 'pipelined': 8,
+ 'shared_array': 16384,
+ 'shared_bytes': 1073741824,
+ 'clients': 64,
+ 'client_envs': 4096}
+SHARED_MEMORY: dict[str, int] = {'token_bytes': 16, 'states_at': 64, 'blocks': 1024, 'data_at': 4096, 'free': 0, 'sent': 1, 'taken': 2}
+CLOSE_CODES: dict[str, int] = {'server_failed': 4011, 'replaced': 4009, 'no_hello': 4008}
