@@ -95,15 +95,6 @@ def test_an_observation_is_nobody_elses() -> None:
     assert np.array_equal(again["vision"]["cam_head"]["color"], kept["vision"]["cam_head"]["color"])
 
 
-def test_every_convention_names_its_source() -> None:
-    """One place, env.yml, says what RoboDojo's numbers mean and which file says so."""
-    told = environments.manifest(ENV).data["conventions"]
-    assert {"cameras", "extrinsic_matrix", "gripper", "pose"} <= set(told)
-    for convention in told.values():
-        assert set(convention) == {"theirs", "ours", "source"}
-        assert ".py" in convention["source"] or ".yml" in convention["source"] or ".json" in convention["source"]
-
-
 # -- actions -----------------------------------------------------------------------------------------------------------
 
 REFUSED = {
@@ -250,7 +241,6 @@ def test_the_last_frame_of_an_episode_belongs_to_its_film() -> None:
 
 
 def test_fewer_layouts_than_environments_leave_some_idle() -> None:
-    """A last batch is smaller."""
     env = made(num_envs=3)
     env.reset([5, None])
     assert env.get_running_env_idx_list() == [0]
