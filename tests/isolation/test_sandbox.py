@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -204,40 +205,22 @@ def test_a_load_that_hangs_has_a_deadline(write_adapter: Write) -> None:
 
 
 @pytest.mark.usefixtures("isolation")
-def test_an_isolated_adapter_has_no_network_and_writes_nothing(write_adapter: Write, serve: Serve) -> None:
-    """It has a home and temporary files of its own, and the memory that it shares with its client."""
-    import numpy as np
-
+def test_an_isolated_adapter_has_no_network_and_writes_nothing(write_adapter: Write) -> None:
+    """Home and temporary files are its own and go with it; shared memory works; not even root undoes it inside."""
     folder = write_adapter(SUBJECT)
-    server = serve(folder, options=("--isolate",))
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        assert _ask(server, "connect", listener.getsockname()[1]) != 0
-    assert "Read-only" in str(_ask(server, "write", str(folder / "left.txt")))
-    assert "Read-only" in str(_ask(server, "write", str(folder.parent / "left.txt")))
-    assert not list(folder.parent.rglob("left.txt"))
-    assert _ask(server, "picture", np.ones((480, 640, 3), np.uint8)) == 480 * 640 * 3
-    home, temporary, text = _ask(server, "write_home")  # type: ignore[misc]
-    assert text == "written"
-    assert Path(home).parent == Path(temporary).parent
-    assert Path(home).parent.is_dir()
-
-
-@pytest.mark.usefixtures("isolation")
-def test_what_an_isolated_adapter_wrote_goes_with_it(write_adapter: Write) -> None:
-    """Its temporary folder lasts as long as its server."""
-    with serving(write_adapter(SUBJECT), options=("--isolate",)) as server:
-        home, *_ = _ask(server, "write_home")  # type: ignore[misc]
+    with serving(folder, options=("--isolate",)) as server:
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            assert _ask(server, "connect", listener.getsockname()[1]) != 0
+        assert _ask(server, "undo", str(folder)) != 0
+        for place in (folder, folder.parent):
+            assert "Read-only" in str(_ask(server, "write", str(place / "left.txt")))
+        assert not list(folder.parent.rglob("left.txt"))
+        assert _ask(server, "picture", np.ones((480, 640, 3), np.uint8)) == 480 * 640 * 3
+        home, temporary, text = _ask(server, "write_home")  # type: ignore[misc]
+        assert text == "written"
+        assert Path(home).parent == Path(temporary).parent
         assert Path(home).is_dir()
     assert not Path(home).parent.exists()
-
-
-@pytest.mark.usefixtures("isolation")
-def test_isolation_cannot_be_undone_from_within(write_adapter: Write, serve: Serve) -> None:
-    """Not even where the adapter runs as root."""
-    folder = write_adapter(SUBJECT)
-    server = serve(folder, options=("--isolate",))
-    assert _ask(server, "undo", str(folder)) != 0
-    assert "Read-only" in str(_ask(server, "write", str(folder / "left.txt")))
 
 
 @pytest.mark.usefixtures("isolation")

@@ -30,7 +30,7 @@ FILES = {
 }
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def hub() -> Iterator[str]:
     """A hub with one repository at one commit."""
 
@@ -81,32 +81,19 @@ def hub() -> Iterator[str]:
 
 
 def _told() -> dict[str, object]:
-    large = {name for name in FILES if name.endswith(".bin")}
-    siblings = [
-        {
-            "rfilename": name,
-            "size": len(content),
-            "blobId": "0" * 40,
-            **({"lfs": {"sha256": _sha(content), "size": len(content), "pointerSize": 130}} if name in large else {}),
-        }
-        for name, content in FILES.items()
-    ]
+    siblings = [{"rfilename": name, "blobId": "0" * 40, **_sizes(name, "sha256")} for name in FILES]
     return {"id": "owner/model", "modelId": "owner/model", "sha": COMMIT, "siblings": siblings, "tags": []}
 
 
 def _listed() -> list[dict[str, object]]:
     """Return the same as later clients ask for it."""
-    large = {name for name in FILES if name.endswith(".bin")}
-    return [
-        {
-            "type": "file",
-            "oid": "0" * 40,
-            "size": len(content),
-            "path": name,
-            **({"lfs": {"oid": _sha(content), "size": len(content), "pointerSize": 130}} if name in large else {}),
-        }
-        for name, content in FILES.items()
-    ]
+    return [{"type": "file", "oid": "0" * 40, "path": name, **_sizes(name, "oid")} for name in FILES]
+
+
+def _sizes(name: str, digest: str) -> dict[str, object]:
+    size = len(FILES[name])
+    large = {"lfs": {digest: _sha(FILES[name]), "size": size, "pointerSize": 130}} if name.endswith(".bin") else {}
+    return {"size": size, **large}
 
 
 def _sha(content: bytes) -> str:

@@ -83,6 +83,14 @@ def surroundings(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyP
     return monkeypatch
 
 
+@pytest.fixture(params=INSTALLERS)
+def installer(request: pytest.FixtureRequest, surroundings: pytest.MonkeyPatch) -> str:
+    """Return what installs: uv, or pip where there is no uv."""
+    if request.param == "pip":
+        surroundings.setenv("PATH", without("uv"))
+    return str(request.param)
+
+
 def subject(folder: Path, text: str | None = None, **environment: Any) -> Path:
     """Write an adapter that declares an environment, with what its lock holds, and return its folder."""
     place_ = folder / "Subject"
@@ -125,13 +133,10 @@ def without(program: str) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("installer", INSTALLERS)
 def test_a_lock_becomes_an_environment_that_serves(
     installer: str, surroundings: pytest.MonkeyPatch, shelf: Path, tmp_path: Path
 ) -> None:
     """Exactly what the lock names, whatever variables say; a second time there is nothing to do."""
-    if installer == "pip":
-        surroundings.setenv("PATH", without("uv"))
     trap = tmp_path / "trap"
     wheel(trap, "trap", "1.0", {})
     # What leads an installer elsewhere: into the tool's environment, or past the lock.
@@ -169,45 +174,31 @@ def test_a_lock_becomes_an_environment_that_serves(
         assert client.infer({}) == [1, str((folder / ".venv").resolve())]
 
 
-@pytest.mark.parametrize("installer", INSTALLERS)
+@pytest.mark.parametrize(
+    ("with_numpy", "answer", "said"),
+    [(True, "'stolen'", "is unchanged"), (False, "1", "add numpy to the lock")],
+    ids=["a wheel of another digest", "no numpy, which the worker needs"],
+)
 @pytest.mark.slow
-def test_a_package_of_another_digest_is_not_installed(
-    installer: str, surroundings: pytest.MonkeyPatch, shelf: Path, tmp_path: Path
+@pytest.mark.usefixtures("installer")
+def test_what_is_not_the_lock_or_cannot_serve_is_not_put_in_use(
+    with_numpy: bool, answer: str, said: str, shelf: Path, tmp_path: Path
 ) -> None:
-    """A wheel that is not the one of the lock; nothing is put in use, and nothing stays."""
-    if installer == "pip":
-        surroundings.setenv("PATH", without("uv"))
-    other = wheel(tmp_path / "other", "only_here", "1.0", {"only_here.py": "ANSWER = 'stolen'\n"})
-    folder = subject(tmp_path, pinned(shelf / "numpy-99.0-py3-none-any.whl", other), manager="uv")
+    """Nothing of it stays."""
+    wheels = [shelf / "numpy-99.0-py3-none-any.whl"] if with_numpy else []
+    wheels.append(wheel(tmp_path / "other", "only_here", "1.0", {"only_here.py": f"ANSWER = {answer}\n"}))
+    folder = subject(tmp_path, pinned(*wheels), manager="uv")
     done = run(cwd=tmp_path)
     assert (done.returncode, done.stdout) == (ExitCode.NOT_RUN, "")
-    assert "is unchanged" in done.stderr
+    assert said in done.stderr
     assert list(folder.glob(".venv*")) == []
 
 
-@pytest.mark.parametrize("installer", INSTALLERS)
-@pytest.mark.slow
-def test_an_environment_that_cannot_serve_is_not_used(
-    installer: str, surroundings: pytest.MonkeyPatch, shelf: Path, tmp_path: Path
-) -> None:
-    """The worker needs numpy; without it nothing is put in use, and nothing stays."""
-    if installer == "pip":
-        surroundings.setenv("PATH", without("uv"))
-    folder = subject(tmp_path, pinned(shelf / "only_here-1.0-py3-none-any.whl"), manager="venv")
-    done = run(cwd=tmp_path)
-    assert done.returncode == ExitCode.NOT_RUN
-    assert "add numpy to the lock" in done.stderr
-    assert list(folder.glob(".venv*")) == []
-
-
-@pytest.mark.parametrize("installer", INSTALLERS)
 @pytest.mark.slow
 def test_a_lock_is_taken_as_it_is(
     installer: str, surroundings: pytest.MonkeyPatch, shelf: Path, tmp_path: Path
 ) -> None:
     """What a package asks for beyond the lock is named in a warning, and not installed; without a lock it is."""
-    if installer == "pip":
-        surroundings.setenv("PATH", without("uv"))
     wheel(shelf, "asks", "1.0", {"asks.py": ""}, ["only_here"])
     subject(tmp_path, "numpy==99.0\nasks==1.0\n", manager="uv")
     done = run("--json", cwd=tmp_path)
