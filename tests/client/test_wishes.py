@@ -182,27 +182,6 @@ def test_what_a_history_holds_stays_as_it_was(shared: RunningServer) -> None:
         assert 30 * SIZE < touched(os.getpid()) < 90 * SIZE  # 120 pictures were sent, 30 are held
 
 
-def test_every_kind_of_large_array_crosses(shared: RunningServer) -> None:
-    arrays: list[np.ndarray] = [
-        np.arange(10_000.0),
-        np.arange(10_000, dtype=">i8").reshape(10, 10, 100),
-        picture()[::2, ::-1],
-        np.asfortranarray(np.arange(40_000.0).reshape(200, 200)),
-        np.zeros((0, 100_000)),
-        np.ones(30_000, bool),
-        np.zeros(5000, [("a", "i4"), ("b", "<f8", (2,))]),
-        np.full(30_000, 1j),
-        np.array(["text"] * 5000),
-        np.broadcast_to(np.float32(3), (100, 100)),
-    ]
-    with Client(shared.url) as client:
-        for sent in arrays:
-            got = client.call("echo", {"x": sent})["x"]
-            assert (got.dtype, got.shape, got.tobytes()) == (sent.dtype, sent.shape, sent.tobytes())
-        for sent, got in zip(arrays, client.call("echo", arrays), strict=True):
-            assert np.array_equal(got, sent)
-
-
 def test_a_goodbye_gives_the_memory_back(shared: RunningServer) -> None:
     (worker,) = workers(shared)
     for _ in range(3):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import http.server
 import socket
 import threading
 from collections.abc import Iterator
@@ -244,34 +242,6 @@ def test_a_server_that_waits_for_hello_is_told_apart() -> None:
         ),
     ):
         Client(f"openpi+{address}", config={**CONFIG, "handshake_timeout_s": 0.05, "max_connect_attempts": 9})
-
-
-def test_an_http_server_is_told_with_what_is_spoken() -> None:
-    with _web() as url:
-        for refused in (lambda: Client(url, config=ONCE), lambda: Client(f"openpi+{url}", config=CONFIG)):
-            with pytest.raises(ServerConnectionError, match=r"HTTP 404.*JSON over HTTP are not spoken yet"):
-                refused()
-
-
-@contextlib.contextmanager
-def _web() -> Iterator[str]:
-    class Quiet(http.server.BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
-
-        def do_GET(self) -> None:
-            self.send_error(404)
-
-        def log_message(self, *_: Any) -> None:
-            pass
-
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Quiet) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        try:
-            yield f"ws://127.0.0.1:{server.server_address[1]}"
-        finally:
-            server.shutdown()
-            thread.join()
 
 
 def test_a_wire_that_is_not_spoken_is_refused(url: str) -> None:

@@ -199,11 +199,3 @@ def test_the_sign_of_a_quaternion_does_not_matter(seed: int, flips: list[bool]) 
             assert np.abs(np.sum(got[:, quaternion] * expected[:, quaternion], axis=1)) == pytest.approx(1.0)
         positions = [column for column in range(16) if column not in {*range(3, 7), *range(11, 15)}]
         assert got[:, positions] == pytest.approx(expected[:, positions])
-
-
-def test_antipodal_quaternions_do_not_cancel() -> None:
-    predictions: dict[int, np.ndarray] = {}
-    pose = np.array([[0, 0, 0, 1.0, 0, 0, 0, 0.5]] * 2)
-    ensemble(predictions, pose, 0, 0.0, [slice(3, 7)])
-    averaged = ensemble(predictions, pose * [1, 1, 1, -1, -1, -1, -1, 1], 1, 0.0, [slice(3, 7)])
-    assert averaged[0, 3:7].tolist() == [-1, 0, 0, 0]

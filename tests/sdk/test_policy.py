@@ -198,16 +198,6 @@ def test_equal_seeds_repeat_and_others_do_not() -> None:
     assert len(everything) == 18
 
 
-def test_resets_and_empty_batches_do_not_advance_the_episode() -> None:
-    """Some clients reset twice, before and after connecting."""
-    plain, often = Tracing(config()), Tracing(config())
-    for _ in range(3):
-        often.reset()
-        often.update_obs_batch([])
-        often.reset()
-    assert np.array_equal(episode(plain, [0], 1, batch=True)[0], episode(often, [0], 1, batch=True)[0])
-
-
 def test_asking_twice_is_answered_twice_and_encodes_once() -> None:
     policy = Tracing(config())
     for number in range(5):
@@ -266,11 +256,6 @@ def test_a_reset_that_fails_raises() -> None:
 CLIENT = spec.LIMITS["client_envs"]
 
 
-def drawn(policy: Tracing, env: int) -> float:
-    policy.update_obs(observed(1, env))
-    return float(rows(policy.get_action())[0, 5])
-
-
 def test_reset_envs_ends_the_episode_of_these_environments_only() -> None:
     policy = Tracing(config())
     policy.update_obs_batch([observed(number, env) for number, env in ((1, 0), (2, 1), (3, CLIENT))])
@@ -285,18 +270,6 @@ def test_reset_envs_ends_the_episode_of_these_environments_only() -> None:
     policy.reset_envs([])
     policy.reset_envs([0, 1])
     assert rows(policy.get_action())[0, :3].tolist() == [3, 3, 4]
-
-
-def test_the_seeds_of_a_client_are_those_that_it_would_have_alone() -> None:
-    alone, shared = Tracing(config()), Tracing(config())
-    other = Tracing(config())  # never resets
-    for _ in range(4):
-        expected = [drawn(alone, env) for env in (0, 3)]
-        assert [drawn(shared, 2 * CLIENT + env) for env in (0, 3)] == expected
-        assert [drawn(shared, 5 * CLIENT + env) for env in (0, 3)] == [drawn(other, env) for env in (0, 3)]
-        for _ in range(2):  # a second reset changes nothing
-            alone.reset()
-            shared.reset_envs([2 * CLIENT, 2 * CLIENT + 3])
 
 
 def test_a_forward_pass_that_fails_leaves_the_random_generators_where_they_were() -> None:
@@ -412,10 +385,6 @@ def test_ensembling_of_poses_ignores_the_sign_of_quaternions() -> None:
 def test_a_setting_keeps_its_type(value: Any, default: Any, result: Any) -> None:
     got = Tracing(config(key=value)).setting("key", default)
     assert (got, type(got)) == (result, type(result))
-
-
-def test_a_setting_that_is_absent_has_its_default() -> None:
-    assert Tracing(config()).setting("key", 2.5) == 2.5
 
 
 @pytest.mark.parametrize(

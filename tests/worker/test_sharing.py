@@ -142,18 +142,6 @@ def test_the_number_of_an_environment_is_all_that_changes_in_an_observation() ->
 # -- failures ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("first", [True, False], ids=["first", "last"])
-@pytest.mark.parametrize("fail", ["encode", "nan", "exit"])
-def test_a_failure_belongs_to_the_client_that_caused_it(fail: str, first: bool) -> None:
-    shared, own = SharedModel(model()), model()
-    for number in range(3):
-        bad = Request(1, "infer", observed(number, fail=fail if number == 1 else None))
-        good = Request(0, "infer", observed(number))
-        results = shared.run([bad, good] if first else [good, bad])
-        assert isinstance(results[not first], BaseException) or number != 1
-        assert plain(results[first]) == plain(alone(own, "infer", observed(number)))
-
-
 class Wayward:
     answer: Any = None
 
@@ -224,20 +212,6 @@ def test_environments_are_told_in_the_clients_own_numbers() -> None:
 
 
 # -- resets ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_reset_is_that_of_one_client() -> None:
-    policy = model()
-    shared = SharedModel(policy)
-    for client in range(2):
-        shared.run([Request(client, "update_obs_batch", [observed(1, 0), observed(1, 3)])])
-    policy.forgotten.clear()
-    assert shared.run([Request(1, "reset")]) == [None]
-    assert policy.forgotten == [SPAN, SPAN + 3]
-    (gone,) = shared.run([Request(1, "get_action_batch", [0])])
-    assert isinstance(gone, PolicyStateError)
-    (chunks,) = shared.run([Request(0, "get_action_batch")])
-    assert len(chunks) == 2
 
 
 def test_a_reset_that_failed_is_tried_again_for_the_same_environments() -> None:

@@ -340,18 +340,6 @@ def test_hooks_are_optional_and_get_the_payload(worker: Process, write_adapter: 
 
 # -- arrays in shared memory -------------------------------------------------------------------------------------------
 
-KEEPER = """
-    import numpy as np
-
-    class Model:
-        def __init__(self, config): self.kept = []
-        def update_obs(self, obs): self.kept.append(obs["image"])
-        def get_action(self): return [int(image[0]) for image in self.kept]
-        def reset(self): self.kept.clear()
-        def infer(self, obs): raise ValueError("not this one")
-        def get_action_batch(self, image): return image["image"][:3]
-"""
-
 
 @pytest.fixture
 def memory() -> Iterator[tuple[Segment, Arena]]:
@@ -369,30 +357,6 @@ def states(arena: Arena) -> set[int]:
 
 def image(value: int) -> dict[str, Any]:
     return {"image": np.full(50_000, value, np.uint8)}
-
-
-def test_arrays_of_requests_may_lie_in_shared_memory(
-    worker: Process, write_adapter: Any, memory: tuple[Segment, Arena]
-) -> None:
-    segment, arena = memory
-    worker.load(write_adapter(KEEPER))
-    assert worker.ask(op="map", segment=7, path=str(segment.path), size=segment.size) == {"ok": None}
-    segment.unlink()
-    sends = [request("update_obs", image(value), place=arena.place, segment=7) for value in (1, 2)]
-    assert all(len(one.payload) < 1000 for one in sends)
-    assert worker.run(*sends) == [{"ok": {}}] * 2
-    worker.run(request("update_obs", image(3), place=arena.place, segment=7))
-    assert worker.call("get_action") == [1, 2, 3]
-    assert worker.run(request("get_action_batch", image(9), place=arena.place, segment=7))[0]["ok"]["result"][0] == 9
-    assert worker.ask(op="unmap", segment=7) == {"ok": None}
-    assert worker.call("get_action") == [1, 2, 3]
-    free, taken = spec.SHARED_MEMORY["free"], spec.SHARED_MEMORY["taken"]
-    assert states(arena) == {free, taken}
-    worker.call("reset")
-    assert states(arena) == {free}
-    (late,) = worker.run(request("update_obs", image(4), place=arena.place, segment=7))
-    assert "none was agreed on" in late["error"]["message"]
-    assert late["error"]["refused"] is True
 
 
 @pytest.mark.parametrize("shared", [False, True])

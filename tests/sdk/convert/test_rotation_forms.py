@@ -74,9 +74,3 @@ def test_what_a_model_regresses_becomes_a_rotation(form: str) -> None:
 def test_what_is_no_rotation_is_refused(form: str, numbers: list[float]) -> None:
     with pytest.raises(NativeError, match="no rotation"):
         rotations.decode(np.array(numbers, float), form)
-
-
-def test_a_half_turn_keeps_its_axis() -> None:
-    half = np.array([0.0, 0.6, 0.0, -0.8])
-    assert np.allclose(np.abs(rotations.encode(half, "axis_angle")), np.pi * np.array([0.6, 0, 0.8]))
-    assert np.allclose(rotations.encode(np.array([1.0, 0, 0, 0]), "axis_angle"), 0)
