@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from tests.support.peer import DEADLINE_S
+from xpl.client import Client
 from xpl.policy import Policy
 from xpl.worker.belonging import is_third_party
 from xpl.worker.lacking import ShadowError, lacking
@@ -357,9 +354,5 @@ def test_a_shadow_is_served_and_says_so(package: Path) -> None:
     with pytest.raises(ServerStartError) as caught, serving(package):
         pass
     assert caught.value.lacks == Lacks("module", MISSING)
-    command = [sys.executable, "-m", "xpl_cli", "serve", str(package), "--port", "0", "--shadow", "--until-stdin-ends"]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    assert process.stdout is not None
-    ready = json.loads(process.stdout.readline())
-    process.communicate(timeout=DEADLINE_S)
-    assert (ready["event"], ready["shadow"]) == ("ready", True)
+    with serving(package, options=("--shadow",)) as server, Client(server.url) as client:
+        assert client.policy["shadow"] is True

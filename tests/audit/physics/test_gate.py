@@ -19,8 +19,8 @@ from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import as_json, render
 from xpl_cli.audit.formats.listing import Context
 from xpl_cli.audit.physics.conventions import mistakes
-from xpl_cli.audit.physics.loop import Query, Rollout, jumps_of_chunks
-from xpl_cli.audit.physics.mirrors import CAMERAS, COLOURS, COMMANDS, GRIPPERS, OBSERVATIONS, World, pictured
+from xpl_cli.audit.physics.loop import Query
+from xpl_cli.audit.physics.mirrors import CAMERAS, COLOURS, World, pictured
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.rules.figures import Course
 from xpl_cli.audit.rules.gates import Gate
@@ -134,8 +134,7 @@ def test_success_is_reported_with_its_interval(package: Callable[..., Path]) -> 
     assert found.outcome is Outcome.NOT_APPLICABLE
     (figure,) = found.figures
     assert (figure.successes, figure.episodes) == (0, 2)
-    told = "0 of 2 episodes succeed (0% to 66%), mean score 0.00 (0.00 to 0.66)"
-    assert told in render("text", [report], Context())
+    assert str(figure) in render("text", [report], Context())
     document = as_json([report], Context())
     assert validate(document, "audit") == []
     (entry,) = document["targets"][0]["gates"][0]["figures"]
@@ -210,11 +209,9 @@ def test_every_episode_is_filmed(package: Callable[..., Path], tmp_path: Path) -
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["demo_policy", "scripted_expert"])
 def test_our_own_policies_are_green(name: str) -> None:
-    """With every robot and action type that they declare, twice with the same digest."""
-    reports = [gate(content.room("policy") / name) for _ in range(2)]
-    found = [(result.slug, result.outcome, result.reason, result.findings) for result in reports[0].results]
-    assert {outcome for _, outcome, _, _ in found} == {Outcome.PASS, Outcome.NOT_APPLICABLE}, found
-    assert reports[0].finish == reports[1].finish
+    """With every robot and action type that they declare."""
+    results = gate(content.room("policy") / name).results
+    assert {result.outcome for result in results} == {Outcome.PASS, Outcome.NOT_APPLICABLE}, results
 
 
 @pytest.mark.slow
@@ -257,12 +254,6 @@ def test_one_answer_in_another_convention_is_no_mistake(arm_state: WRITTEN) -> N
     assert not list(mistakes(robot, "ee", queries(lambda _: here, arm_state)[:1]))
 
 
-def test_a_policy_on_its_way_mistakes_nothing(arm_state: WRITTEN) -> None:
-    robot = get_embodiment("franka_single")
-    away = np.append(arm_state["arm_joint_state"] + 0.3, 1.0)
-    assert not list(mistakes(robot, "joint", queries(lambda _: away, arm_state)))
-
-
 @pytest.mark.parametrize(
     ("said", "what"),
     [
@@ -282,21 +273,6 @@ def test_joints_in_another_convention_are_told(said: Callable[[WRITTEN], np.ndar
     assert (found.key, found.what) == ("left_arm_joint_state", what)
 
 
-def test_seams_are_told_from_the_inside_of_chunks() -> None:
-    """A gripper may jump; chunks of one step have no inside."""
-    robot = get_embodiment("franka_single")
-    played = Rollout(Course("lift_cube", robot.name, "joint"), robot, (0,))
-    played.commands[0] = [np.full(8, 0.01 * step + 0.5 * (step >= 2)) for step in range(4)]
-    for command in played.commands[0]:
-        command[7] = 0.0
-    played.commands[0][1][7] = 1.0
-    chunk = np.zeros((2, 8))
-    played.queries[0] = [Query(0, {}, chunk, 0.0), Query(2, {}, chunk, 0.0)]
-    assert list(jumps_of_chunks(played)) == [pytest.approx((0.51, 0.01))]
-    played.queries[0] = [Query(step, {}, chunk[:1], 0.0) for step in range(4)]
-    assert list(jumps_of_chunks(played)) == []
-
-
 def test_a_mirrored_world_exchanges_pictures_and_nothing_else() -> None:
     """Red and blue of all, or two cameras; wrists are the first pair that is tried, and grippers come after them."""
     robot = get_embodiment("arx_x5")
@@ -314,24 +290,3 @@ def test_a_mirrored_world_exchanges_pictures_and_nothing_else() -> None:
     for name, other in came_from.items():
         assert np.array_equal(seen["vision"][name]["color"], real["vision"][other]["color"])
     assert all(np.array_equal(seen["state"][key], value) for key, value in real["state"].items())
-
-
-def test_a_mirrored_world_turns_grippers_round_and_nothing_else() -> None:
-    robot = get_embodiment("arx_x5")
-    config = {"task": "lift_cube", "embodiment": "arx_x5", "cameras": False}
-    env = environments.make("mujoco", config)
-    env.reset([1])
-    (real,) = env.get_obs_batch([0])
-    (seen,) = World(GRIPPERS, (OBSERVATIONS,)).around(env, robot).get_obs_batch([0])
-    assert {key for key in real["state"] if not np.array_equal(real["state"][key], seen["state"][key])} == {
-        "left_ee_joint_state",
-        "right_ee_joint_state",
-    }
-    held = {key: real["state"][key] for key in robot.dims("joint")}
-    mirrored = World(GRIPPERS, (COMMANDS,)).around(env, robot)
-    for _ in range(10):
-        mirrored.take_action_batch([held], [0])  # told to stay open
-    after = mirrored.get_obs_batch([0])[0]["state"]
-    assert real["state"]["left_ee_joint_state"] > 0.9
-    assert after["left_ee_joint_state"] < 0.1
-    assert after["left_arm_joint_state"] == pytest.approx(real["state"]["left_arm_joint_state"], abs=0.02)
