@@ -92,19 +92,10 @@ def test_there_are_five_skills() -> None:
 
 
 @each_skill
-def test_a_skill_is_valid(skill: bundles.Bundle) -> None:
+def test_a_skill_is_valid_of_this_version_and_reaches_its_references(skill: bundles.Bundle) -> None:
+    """An agent that reads a stale copy can tell; a file that nothing points to is never read."""
     assert specification.problems(skill.folder) == []
-
-
-@each_skill
-def test_a_skill_names_the_version_that_it_belongs_to(skill: bundles.Bundle) -> None:
-    """An agent that reads a stale copy can tell: the version is that of the tool."""
     assert skill.version == xpl.__version__
-
-
-@each_skill
-def test_every_reference_is_reached_from_the_body(skill: bundles.Bundle) -> None:
-    """A file that nothing points to is never read."""
     assert skill.references
     for path in skill.references:
         assert f"({bundles.REFERENCES}/{path.name})" in skill.body, f"{path.name} is linked nowhere"
@@ -187,21 +178,16 @@ def test_skills_lie_where_agents_look(skills: Callable[..., Answer], project: Pa
     assert (moved / ".claude/skills" / NAMES[0] / bundles.FILE).is_file()
 
 
-def test_installing_again_changes_nothing(skills: Callable[..., Answer], project: Path) -> None:
-    skills("install")
+def test_skills_go_to_the_top_of_the_work_tree_once(skills: Callable[..., Answer], project: Path) -> None:
+    inside = project / "policy" / "Foo"
+    inside.mkdir(parents=True)
+    assert skills("install", cwd=inside).code == 0
+    assert not (inside / ".agents").exists()
     before = _tree(project)
     again = skills("install", "--json")
     assert again.code == 0
     assert {item["state"] for item in again.json["items"]} == {"unchanged"}
     assert _tree(project) == before
-
-
-def test_skills_go_to_the_top_of_the_work_tree(skills: Callable[..., Answer], project: Path) -> None:
-    inside = project / "policy" / "Foo"
-    inside.mkdir(parents=True)
-    assert skills("install", cwd=inside).code == 0
-    assert (project / ".agents/skills" / NAMES[0]).is_dir()
-    assert not (inside / ".agents").exists()
 
 
 def test_only_what_is_named_is_installed(skills: Callable[..., Answer], project: Path) -> None:
@@ -227,12 +213,17 @@ def test_claude_codes_own_folder_is_found(
     assert (tmp_path / "elsewhere/skills" / NAMES[0] / bundles.FILE).is_file()
 
 
-def test_a_trial_run_writes_nothing(skills: Callable[..., Answer], project: Path) -> None:
+def test_a_trial_run_writes_nothing_and_a_project_keeps_its_own_agents_file(
+    skills: Callable[..., Answer], project: Path
+) -> None:
     (project / "CLAUDE.md").write_text("# Mine\n", encoding="utf-8")
+    (project / "AGENTS.md").write_text("# Mine\n", encoding="utf-8")
     before = _tree(project)
     done = skills("install", "--dry-run", "--json")
     assert {item["state"] for item in done.json["items"]} == {"written", "linked", "left"}
     assert _tree(project) == before
+    skills("install")
+    assert (project / "AGENTS.md").read_text(encoding="utf-8") == f"# Mine\n\n{instructions.block()}\n"
 
 
 def test_copies_instead_of_links(skills: Callable[..., Answer], project: Path) -> None:
@@ -352,13 +343,6 @@ def test_around_the_block_nothing_changes(skills: Callable[..., Answer], project
     skills("install")
     assert path.read_bytes() == before + instructions.block().encode() + after
     assert path.stat().st_mode & 0o777 == 0o600
-
-
-def test_a_project_keeps_its_own_agents_file(skills: Callable[..., Answer], project: Path) -> None:
-    path = project / "AGENTS.md"
-    path.write_text("# Mine\n", encoding="utf-8")
-    skills("install")
-    assert path.read_text(encoding="utf-8") == f"# Mine\n\n{instructions.block()}\n"
 
 
 def test_somebodys_own_claude_file_is_left(skills: Callable[..., Answer], project: Path) -> None:
