@@ -53,8 +53,10 @@ def test_whole_episodes_of_inspect_robots_carry_every_bit(serve: Serve, plugin: 
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
-@pytest.mark.parametrize(("robot", "prefixes"), [("franka_single", [""]), ("arx_x5", ["left_", "right_"])])
+@pytest.mark.parametrize(
+    ("robot", "prefixes", "action_type"),
+    [("franka_single", [""], "joint"), ("arx_x5", ["left_", "right_"], "ee")],
+)
 def test_inspect_robots_plays_the_demo_policy(
     serve: Serve, plugin: Connect, robot: str, prefixes: list[str], action_type: str
 ) -> None:
