@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.model import GateReport, TargetReport
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.rules.verdict import Verdict
-    from xpl_cli.standard.zoo.policies import Policy
+    from xpl_cli.standard.zoo.policies import GateProof, Played, Policy, Proof, Read
 
 _SERVES: Final = "XPL201"
 """The rule that says whether an adapter could be served."""
@@ -93,17 +93,17 @@ def _own_commit() -> str | None:
 def proof(
     adapter: Adapter,
     options: Options,
-    manifest: Mapping[str, Mapping[str, Any]],
+    manifest: Mapping[str, Read],
     arguments: Sequence[str] = (),
     run: Path | None = None,
-) -> dict[str, Any]:
-    """Audit an adapter, and return how far it runs, as `proof.schema.json` has it.
+) -> Proof:
+    """Audit an adapter, and return how far it runs.
 
     Args:
         adapter: what to run.
         options: of the audit; its gates are carried on with, whatever an earlier one finds, and serve no shadow: a
             level is of the adapter with its own libraries.
-        manifest: what its manifest says, as `{key: {value, source}}`.
+        manifest: what its manifest says, by key.
         arguments: options of the command, by which it is repeated.
         run: a recorded run of its weights.
 
@@ -120,7 +120,7 @@ def proof(
     if not level:
         raise UserError(f"{adapter.folder} was not judged by the static gate: {following}", code=ExitCode.NOT_RUN)
     name = adapter.policy.name
-    found: dict[str, Any] = {
+    found: Proof = {
         "name": name,
         "level": level,
         "date": dt.datetime.now(dt.UTC).date().isoformat(),
@@ -131,16 +131,17 @@ def proof(
         "verdict": verdict.word.value,
         "statement": _short(str(verdict)),
         "gates": [_gate(gate) for gate in report.gates],
-        "read": {key: dict(entry) for key, entry in manifest.items()},
+        "read": dict(manifest),
         "next": following,
     }
     if evaluated is not None and level == _WEIGHTS:
         found["run"] = evaluated
     root = adapter.path.parents[1] if adapter.path.as_posix().endswith(f"/{adapter.folder}") else adapter.path
-    return {key: _portable(value, str(root)) for key, value in found.items()}
+    proven: Proof = _portable(found, str(root))
+    return proven
 
 
-def write(found: Mapping[str, Any]) -> Path:
+def write(found: Proof) -> Path:
     """Put a proof where the zoo keeps it, in place of an older one, and return its path."""
     path = policies.proof_path(found["name"])
     path.parent.mkdir(exist_ok=True)
@@ -149,7 +150,7 @@ def write(found: Mapping[str, Any]) -> Path:
     return path
 
 
-def _level(report: TargetReport, verdict: Verdict, evaluated: Mapping[str, Any] | None) -> tuple[int, str | None]:
+def _level(report: TargetReport, verdict: Verdict, evaluated: Played | None) -> tuple[int, str | None]:
     """Return the level, and why it is not the next one."""
     gates = {gate.name: gate for gate in report.gates}
     for level, gate in enumerate((Gate.STATIC, Gate.OFFLINE)):
@@ -180,7 +181,7 @@ def _missed(gate: GateReport) -> str | None:
     return None
 
 
-def _gate(gate: GateReport) -> dict[str, Any]:
+def _gate(gate: GateReport) -> GateProof:
     of = {outcome: [item.code for item in gate.results if item.outcome is outcome] for outcome in Outcome}
     silent = next((item.reason for item in gate.results if item.outcome is Outcome.NOT_RUN), None)
     reason = gate.reason or silent
@@ -196,7 +197,7 @@ def _gate(gate: GateReport) -> dict[str, Any]:
     }
 
 
-def _evaluated(adapter: Adapter, path: Path) -> dict[str, Any]:
+def _evaluated(adapter: Adapter, path: Path) -> Played:
     """Return what a recorded run says of the weights of an adapter.
 
     Raises:

@@ -14,6 +14,8 @@ from xpl_cli.commands.plain import PlainGroup
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from xpl_cli.standard.zoo.policies import Read
+
 _GATES = ("static", "offline")
 _READ = ("embodiments", "action_types")
 """Keys of the manifest that a proof writes down."""
@@ -133,7 +135,7 @@ def prove(
         console.note(f"{path}: written; `xpl spec compile` renews the page")
 
 
-def _said(sections: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _said(sections: Mapping[str, Any]) -> Iterator[tuple[str, Read]]:
     """Yield what the adapter's files say of some keys of a manifest, with where they say it."""
     from xpl_cli.adopt.facts import Findings
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NotRequired, TypedDict
 
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import UnknownTargetError, no_such
@@ -45,6 +45,70 @@ class Fact:
         return {"value": self.value, "source": self.source, "unknown": self.unknown, "note": self.note}
 
 
+class Tool(TypedDict):
+    """What proved a policy; `commit` is None for an installed version."""
+
+    name: str
+    version: str
+    commit: str | None
+
+
+class Proven(TypedDict):
+    """What was proven: an adapter in a checkout, by its commit and the hash of its files."""
+
+    folder: str
+    commit: str | None
+    files: str
+
+
+class GateProof(TypedDict):
+    """What one gate came to; rules by their codes."""
+
+    gate: str
+    outcome: str
+    counts: dict[str, int]
+    failed: list[str]
+    not_run: list[str]
+    reason: str | None
+    digest: str | None
+    fingerprint: str | None
+
+
+class Read(TypedDict):
+    """What a manifest says of one key, and where."""
+
+    value: Any
+    source: str
+
+
+class Played(TypedDict):
+    """The recorded run of a policy's weights."""
+
+    run: str
+    environment: str
+    checkpoint: str
+    episodes: int
+    successes: int
+
+
+class Proof(TypedDict):
+    """How far a policy was proven to run: a file of `proofs/`, as `proof.schema.json` has it."""
+
+    name: str
+    level: int
+    date: str
+    tool: Tool
+    command: str
+    adapter: Proven
+    spec: str
+    verdict: str
+    statement: str
+    gates: list[GateProof]
+    read: dict[str, Read]
+    next: str | None
+    run: NotRequired[Played]
+
+
 @dataclass(frozen=True)
 class Level:
     """One step of how far a policy was carried.
@@ -69,14 +133,14 @@ class Policy:
         title: what people call it.
         in_paper: whether it is in the paper's table.
         facts: by name, every one that the schema has, in its order.
-        proof: how far it was proven, as `proof.schema.json` has it; None if it was not run.
+        proof: how far it was proven; None if it was not run.
     """
 
     name: str
     title: str
     in_paper: bool
     facts: Mapping[str, Fact]
-    proof: Mapping[str, Any] | None = field(default=None)
+    proof: Proof | None = None
 
     @property
     def level(self) -> Level:
@@ -84,17 +148,19 @@ class Policy:
         return levels()[0 if self.proof is None else self.proof["level"]]
 
     @property
-    def gates(self) -> Sequence[Mapping[str, Any]]:
+    def gates(self) -> Sequence[GateProof]:
         """The gates that judged it."""
-        told: Sequence[Mapping[str, Any]] = () if self.proof is None else self.proof["gates"][: self.proof["level"]]
-        return told
+        return () if self.proof is None else self.proof["gates"][: self.proof["level"]]
 
     @property
     def said(self) -> str | None:
         """What came out where it was judged, in a few words; None where it was not."""
         if self.proof is None:
             return None
-        failed, silent = (sum(len(gate[key]) for gate in self.gates) for key in ("failed", "not_run"))
+        failed, silent = (
+            sum(len(gate["failed"]) for gate in self.gates),
+            sum(len(gate["not_run"]) for gate in self.gates),
+        )
         told = f"{_rules(failed)} failed" if failed else "nothing wrong"
         return f"{told}, {_rules(silent)} could not run" if silent else told
 
@@ -110,8 +176,7 @@ class Policy:
     def next(self) -> str | None:
         """Why it is not carried further; None at the last level."""
         if self.proof is not None:
-            told: str | None = self.proof["next"]
-            return told
+            return self.proof["next"]
         return self.facts["adapter"].unknown or "not run here yet"
 
     @property
@@ -195,10 +260,10 @@ def _words() -> dict[str, Any]:
 def _policy(name: str) -> Policy:
     told = spec.read_yaml(folder() / "policies" / f"{name}.yml")
     path = proof_path(name)
-    proof = json.loads(path.read_bytes()) if path.is_file() else None
+    proof: Proof | None = json.loads(path.read_bytes()) if path.is_file() else None
     facts = {key: Fact(**told[key]) if key in told else Fact(unknown=told["otherwise"]) for key in fact_names()}
     for key, manifest_key in _READ.items():
-        read = {} if proof is None else proof["read"].get(manifest_key, {})
-        if read and facts[key].value is None:
+        read = None if proof is None else proof["read"].get(manifest_key)
+        if read is not None and facts[key].value is None:
             facts[key] = Fact(read["value"], f"manifest, {read['source']}", note=facts[key].note)
     return Policy(told["name"], told["title"], told["in_paper"], facts, proof)
