@@ -10,7 +10,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl.convert.images import ImageInput
 from xpl.observation import get_image
-from xpl.worker.encoded.walk import UnfitError, changed, leaves
+from xpl.worker.encoded.walk import EncodeOne, UnfitError, changed, leaves
 
 if TYPE_CHECKING:
     from xpl.contract import Entry, Observation
@@ -134,7 +134,7 @@ class Resized:
         UnfitError: if it does not see through to the adapter's pictures: other sizes, other ways to cut them.
     """
 
-    def __init__(self, encode: Any, sample: Observation) -> None:
+    def __init__(self, encode: EncodeOne, sample: Observation) -> None:
         made = encode(sample)
         found = sizes(made)
         if not found:
@@ -166,7 +166,7 @@ class Resized:
         frame[top : top + size[0], left : left + size[1]] = view
         return frame
 
-    def _is_seen_through(self, encode: Any, sample: Observation) -> bool:
+    def _is_seen_through(self, encode: EncodeOne, sample: Observation) -> bool:
         """Tell whether the encoded pictures have the very pixels that were shown, scaled and in whatever place."""
         height, width = self._size
         levels = np.arange(height * width) * 256 // (height * width)

@@ -14,31 +14,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Callable, NoReturn
+from typing import Any, Callable, NoReturn
 
 from xpl import _spec as spec
+from xpl.contract import Entry, Observation
 from xpl.policy import Policy
 from xpl.wire.arrays import as_array
 from xpl.worker.encoded import pictures, texts, turns, vectors
 from xpl.worker.encoded.draws import Drawn
 from xpl.worker.encoded.rebuilt import Rebuilt
 from xpl.worker.encoded.segments import Segments
-from xpl.worker.encoded.walk import UnfitError, changed, leaves
+from xpl.worker.encoded.walk import EncodeOne, UnfitError, changed, leaves
 from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
 from xpl.worker.inprocess import on_model
 from xpl.worker.variants import renewed
-
-if TYPE_CHECKING:
-    from xpl.contract import Entry, Observation
 
 _MOST_KEPT = 64
 """Observations whose inputs are kept."""
 _SAMPLES = 6
 """Observations by which it is seen what numbers are."""
 
-Encode = Callable[[Mapping[str, Any], int], Any]
+Encode = Callable[[Observation, int], Any]
 
-_CHANGES: dict[str, Callable[[Any, Mapping[str, Any]], Any]] = {
+_CHANGES: dict[str, Callable[[Any, Entry], Any]] = {
     "scaled": pictures.scaled,
     "colours": pictures.colours,
     "layout": pictures.layout,
@@ -154,7 +152,7 @@ def _wrapped(
 
 
 def _resized(
-    own: Encode, encode: Callable[[Any], Any], how: Entry, sample: Observation, known: dict[str, Any]
+    own: Encode, encode: EncodeOne, how: Entry, sample: Observation, known: dict[str, Any]
 ) -> tuple[Encode, dict[str, Any]]:
     """Return an `encode` whose pictures got their size otherwise: shown in that size, or made again.
 

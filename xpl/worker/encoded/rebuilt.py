@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from xpl import _spec as spec
 from xpl.convert.images import ImageInput
 from xpl.observation import get_image
 from xpl.worker.encoded.pictures import channel_axis, whole
-from xpl.worker.encoded.walk import UnfitError, changed, leaves
+from xpl.worker.encoded.walk import EncodeOne, UnfitError, changed, leaves
 
 if TYPE_CHECKING:
     from xpl.contract import Entry, Observation
@@ -64,7 +64,7 @@ class Rebuilt:
         UnfitError: if that cannot be seen.
     """
 
-    def __init__(self, encode: Callable[[Any], Any], sample: Observation) -> None:
+    def __init__(self, encode: EncodeOne, sample: Observation) -> None:
         self._encode, self._sample = encode, sample
         self._cameras = [name for name, one in sample[spec.Obs.VISION].items() if spec.Camera.COLOR in one]
         black = self._planes({})

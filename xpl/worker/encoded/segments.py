@@ -6,14 +6,14 @@ import itertools
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl.worker.encoded.pictures import channel_axis
 from xpl.worker.encoded.vectors import is_vector, lines, of_width
-from xpl.worker.encoded.walk import UnfitError, changed, leaves
+from xpl.worker.encoded.walk import EncodeOne, UnfitError, changed, leaves
 
 if TYPE_CHECKING:
     from xpl.contract import Entry, Observation
@@ -49,7 +49,7 @@ class Segments:
         samples: observations by which parts are known.
     """
 
-    def __init__(self, model: Any, encode: Callable[[Any], Any], samples: Sequence[Observation]) -> None:
+    def __init__(self, model: Any, encode: EncodeOne, samples: Sequence[Observation]) -> None:
         self._lines = {width: list(_turned(_arrays(model, width))) for width in _WIDTHS}
         self._found: dict[int, list[_Segment]] = {}
         vectors = [[leaf for leaf in leaves(encode(one)) if _is_one(leaf)] for one in samples]

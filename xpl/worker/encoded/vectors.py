@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl.worker.encoded.pictures import channel_axis
-from xpl.worker.encoded.walk import UnfitError, changed, leaves
+from xpl.worker.encoded.walk import Change, EncodeOne, UnfitError, changed, leaves
 
 if TYPE_CHECKING:
     from xpl.contract import Entry, Observation
@@ -20,7 +20,7 @@ _MOST_ARRAYS = 12
 _NEAR = 1e-4
 _EPSILON = 1e-6
 
-Line = tuple[str, Callable[[Any], Any], Callable[[Any], Any]]
+Line = tuple[str, Change, Change]
 """A normalisation by its words: there and back."""
 
 
@@ -90,7 +90,7 @@ class Normalized:
         sample: an observation.
     """
 
-    def __init__(self, model: Any, encode: Any, sample: Observation) -> None:
+    def __init__(self, model: Any, encode: EncodeOne, sample: Observation) -> None:
         widths = [leaf.shape[-1] for leaf in leaves(encode(sample)) if channel_axis(leaf) is None and is_vector(leaf)]
         self._width = widths[0] if len(set(widths)) == 1 else 0
         self._lines = list(lines(_arrays(model, self._width))) if self._width else []
@@ -150,7 +150,7 @@ def _same(value: object) -> Any:
     return value
 
 
-def _line(shift: object, scale: object) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+def _line(shift: object, scale: object) -> tuple[Change, Change]:
     return lambda value: (value - shift) / scale, lambda value: value * scale + shift
 
 

@@ -7,7 +7,13 @@ from typing import Any, Callable
 
 import numpy as np
 
+from xpl.contract import Observation
 from xpl.wire.arrays import ArrayError, as_array
+
+Change = Callable[[Any], Any]
+"""Returns what takes the place of a leaf."""
+EncodeOne = Callable[[Observation], Any]
+"""An adapter's `encode`, of one environment."""
 
 _DEEPEST = 6
 
@@ -32,7 +38,7 @@ def leaves(value: object, depth: int = _DEEPEST) -> Iterator[Any]:
             yield array
 
 
-def changed(value: object, change: Callable[[Any], Any], depth: int = _DEEPEST) -> Any:
+def changed(value: object, change: Change, depth: int = _DEEPEST) -> Any:
     """Return a value with its arrays and texts changed.
 
     Args:
