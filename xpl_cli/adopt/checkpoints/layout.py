@@ -11,7 +11,7 @@ import math
 import re
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, assumed, likely
 
@@ -197,11 +197,22 @@ def _part(members: list[_Name], arm: Arm, where: Evidence, of: _Slice) -> Tree |
 
 def _pose(members: list[_Name], said: Told, where: Evidence) -> Tree | None:
     """Return the position or rotation that some names mean together; None where they mean none."""
-    kind = members[0].kind
-    if kind == "position" and [member.word for member in members] == ["x", "y", "z"]:
+    kind, words = members[0].kind, [member.word for member in members]
+    form: dict[str, Tree]
+    if kind == "position" and words == ["x", "y", "z"]:
         return {"position": {"arm": said, **_point()}}
-    form = _FORMS[kind](members) if kind in _FORMS else None
-    return None if form is None else {"rotation": {"arm": said, **form(where), **_point()}}
+    if kind == "axis_angle" and len(words) == 3:
+        form = {"form": likely("axis_angle", where)}
+    elif kind == "euler" and sorted(axes := "".join(_AXES[word] for word in words)) == ["x", "y", "z"]:
+        reason = f"about fixed axes ({axes}, as URDF's roll, pitch, yaw) or moving ones ({axes.upper()})"
+        form = {"form": likely("euler", where), "euler": Open(reason, (where,))}
+    elif kind == "quaternion" and (order := "".join(words)) in ("wxyz", "xyzw"):
+        form = {"form": likely(f"quaternion_{order}", where)}
+    elif kind == "rot6d" and len(words) == 6:
+        form = {"form": Open("rot6d_rows or rot6d_columns: both are written with six numbers", (where,))}
+    else:
+        return None
+    return {"rotation": {"arm": said, **form, **_point()}}
 
 
 def _point() -> dict[str, Tree]:
@@ -210,39 +221,6 @@ def _point() -> dict[str, Tree]:
         "point": Open(f"flange or tcp: {why}; whoever recorded the data knows"),
         "frame": Open(f"world or base: {why}; whoever recorded the data knows"),
     }
-
-
-def _axis_angle(members: list[_Name]) -> Any:
-    return (lambda where: {"form": likely("axis_angle", where)}) if len(members) == 3 else None
-
-
-def _euler(members: list[_Name]) -> Any:
-    axes = "".join(_AXES[member.word] for member in members)
-    if sorted(axes) != ["x", "y", "z"]:
-        return None
-
-    def told(where: Evidence) -> dict[str, Tree]:
-        reason = f"about fixed axes ({axes}, as URDF's roll, pitch, yaw) or moving ones ({axes.upper()})"
-        return {"form": likely("euler", where), "euler": Open(reason, (where,))}
-
-    return told
-
-
-def _quaternion(members: list[_Name]) -> Any:
-    order = "".join(member.word for member in members)
-    if order not in ("wxyz", "xyzw"):
-        return None
-    return lambda where: {"form": likely(f"quaternion_{order}", where)}
-
-
-def _rot6d(members: list[_Name]) -> Any:
-    if len(members) != 6:
-        return None
-    reason = "rot6d_rows or rot6d_columns: both are written with six numbers"
-    return lambda where: {"form": Open(reason, (where,))}
-
-
-_FORMS: Final = {"axis_angle": _axis_angle, "euler": _euler, "quaternion": _quaternion, "rot6d": _rot6d}
 
 
 def _meaning(name: str, robot: Embodiment) -> _Name:

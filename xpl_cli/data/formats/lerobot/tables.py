@@ -12,13 +12,14 @@ import numpy as np
 from xpl_cli.data.formats import libraries
 
 if TYPE_CHECKING:
+    from xpl_cli.data.formats.lerobot.layout import Feature
     from xpl_cli.data.formats.writing import Piece
 
 
-def schema(features: Mapping[str, Any]) -> Any:
+def schema(features: Mapping[str, Feature]) -> Any:
     """Return the types of the columns of info.json's features, but for videos."""
     arrow = libraries.arrow()
-    fields = [arrow.field(name, _type(feature)) for name, feature in features.items() if feature["dtype"] != "video"]
+    fields = [arrow.field(name, _type(feature)) for name, feature in features.items() if feature.dtype != "video"]
     return arrow.schema(fields)
 
 
@@ -90,19 +91,18 @@ def write_episodes(path: Path, rows: list[dict[str, Any]], pieces: list[Piece]) 
     libraries.parquet().write_table(arrow.Table.from_pydict(columns), path, compression="snappy")
 
 
-def _type(feature: Mapping[str, Any]) -> Any:
+def _type(feature: Feature) -> Any:
     arrow = libraries.arrow()
-    if feature["dtype"] == "image":
+    if feature.dtype == "image":
         return arrow.struct([("bytes", arrow.binary()), ("path", arrow.string())])
-    if feature["dtype"] == "string":
+    if feature.dtype == "string":
         return arrow.string()
-    plain = arrow.from_numpy_dtype(np.dtype(feature["dtype"]))
-    shape = feature["shape"]
-    if shape == [1]:
+    plain = arrow.from_numpy_dtype(np.dtype(feature.dtype))
+    if feature.shape == (1,):
         return plain
-    if len(shape) == 1:
-        return arrow.list_(plain, shape[0])
-    for _ in shape:
+    if len(feature.shape) == 1:
+        return arrow.list_(plain, feature.shape[0])
+    for _ in feature.shape:
         plain = arrow.list_(plain)
     return plain
 

@@ -15,6 +15,7 @@ from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.formats import encoding, pictures, video
 from xpl_cli.data.formats.lerobot import layout, stats, tables
+from xpl_cli.data.formats.lerobot.layout import Feature
 from xpl_cli.data.formats.writing import Names, Piece
 from xpl_cli.data.sets.errors import DataError
 
@@ -120,7 +121,10 @@ class LeRobotWriter:
 def _information(plan: Plan, pieces: list[Piece], tasks: list[str]) -> dict[str, Any]:
     """Return `meta/info.json`."""
     rate = float(plan.rate_hz or 0)
-    features = _features(plan)
+    features: dict[str, dict[str, Any]] = {
+        name: {"dtype": feature.dtype, "shape": list(feature.shape), "names": list(feature.names) or None}
+        for name, feature in _features(plan).items()
+    }
     for name, codec in pieces[0].videos.items():
         features[name]["info"] = {
             "video.height": plan.cameras[name].height,
@@ -260,21 +264,16 @@ def _is_video(plan: Plan, camera: str) -> bool:
     return wanted == "video" or (wanted == "auto" and plan.cameras[camera].encoding != "png")
 
 
-def _features(plan: Plan) -> dict[str, Any]:
+def _features(plan: Plan) -> dict[str, Feature]:
     """Return the features of info.json."""
-    features: dict[str, Any] = {}
+    features: dict[str, Feature] = {}
     for name, column in plan.columns.items():
         dtype = "string" if column.dtype == "str" else column.dtype
-        features[name] = {"dtype": dtype, "shape": list(column.shape) or [1], "names": list(column.names) or None}
+        features[name] = Feature(dtype, column.shape or (1,), column.names)
     for name, camera in plan.cameras.items():
-        features[name] = {
-            "dtype": "video" if _is_video(plan, name) else "image",
-            "shape": [camera.height, camera.width, 3],
-            "names": ["height", "width", "channels"],
-        }
-    for name, dtype in layout.DEFAULTS.items():
-        features[name] = {"dtype": dtype, "shape": [1], "names": None}
-    return features
+        dtype = "video" if _is_video(plan, name) else "image"
+        features[name] = Feature(dtype, (camera.height, camera.width, 3), ("height", "width", "channels"))
+    return features | {name: Feature(dtype, (1,), ()) for name, dtype in layout.DEFAULTS.items()}
 
 
 def _row(plan: Plan, index: int, piece: Piece) -> dict[str, Any]:
