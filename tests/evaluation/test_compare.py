@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.peer import xpl
+from tests.support.commands import xpl
 from tests.support.places import ROOT
 from tests.support.recordings.runs import Faults, rewritten, synthetic
 from xpl_cli.basics.errors import ExitCode
@@ -138,13 +138,15 @@ def test_equal_seeds_that_drew_other_scenes_are_refused(runs: tuple[Path, Path])
     assert found["known_layouts"] == 0
 
 
-def test_exit_codes(runs: tuple[Path, Path], tmp_path: Path) -> None:
-    done = xpl("compare", "foo", "bar/records.jsonl", "--json", cwd=tmp_path)
-    assert (done.returncode, done.stderr, json.loads(done.stdout)["schema"]) == (ExitCode.CLEAN, "", Comparison.schema)
-    synthetic(tmp_path / "elsewhere", ["other_task"])
+def test_exit_codes(tmp_path: Path) -> None:
+    for name in ("foo", "bar"):
+        synthetic(tmp_path / name, **ONE, episodes=3)
+    done = xpl("compare", "foo", "bar/records.jsonl", "--json", folder=tmp_path)
+    assert (done.code, done.stderr, json.loads(done.stdout)["schema"]) == (ExitCode.CLEAN, "", Comparison.schema)
+    synthetic(tmp_path / "elsewhere", ["other_task"], episodes=3)
     for second, code in (("nothing", ExitCode.NOT_FOUND), ("foo", ExitCode.USAGE), ("elsewhere", ExitCode.NOT_RUN)):
-        done = xpl("compare", "foo", second, cwd=tmp_path)
-        assert (done.returncode, done.stdout) == (code, "")
+        done = xpl("compare", "foo", second, folder=tmp_path)
+        assert (done.code, done.stdout) == (code, "")
         assert done.stderr.startswith("error: ")
 
 

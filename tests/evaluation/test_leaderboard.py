@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.peer import xpl
+from tests.support.commands import xpl
 from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.leaderboard import board, export, field, ranking
@@ -176,8 +176,8 @@ def test_a_field_without_a_common_episode_or_with_a_run_twice_is_none(tmp_path: 
 def test_the_command_ranks_and_writes_what_others_read(tmp_path: Path) -> None:
     for name in ("One", "Other"):
         _run(tmp_path, name, episodes=3)
-    done = xpl("leaderboard", "One", "Other", "--out", "b", "--robodojo", "d", "--robotwin", "t", cwd=tmp_path)
-    assert done.returncode == ExitCode.CLEAN, done.stderr
+    done = xpl("leaderboard", "One", "Other", "--out", "b", "--robodojo", "d", "--robotwin", "t", folder=tmp_path)
+    assert done.code == ExitCode.CLEAN, done.stderr
     assert done.stdout.startswith("2 runs in mujoco: 2 tasks in 2 settings\n")
     assert {path.name for path in (tmp_path / "b").iterdir()} == {
         f"leaderboard{ending}" for ending in (".html", ".md", ".csv", ".json")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support.peer import xpl
+from tests.support.commands import xpl
 from tests.support.recordings.runs import Faults, synthetic
 from tests.support.work import calls
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -48,8 +48,8 @@ def _data(page: str) -> Any:
 def test_a_report_is_a_page_and_the_same_for_machines_and_for_papers(tmp_path: Path) -> None:
     """The command writes five files beside the record and prints where the page is."""
     run = synthetic(tmp_path / "foo", episodes=6)
-    done = xpl("report", str(run), cwd=tmp_path)
-    assert done.returncode == ExitCode.CLEAN, done.stderr
+    done = xpl("report", str(run), folder=tmp_path)
+    assert done.code == ExitCode.CLEAN, done.stderr
     assert done.stdout.strip() == str(run / "report" / "index.html")
     assert {path.name for path in (run / "report").iterdir()} == FILES
     document = json.loads((run / "report/report.json").read_text())
@@ -64,11 +64,11 @@ def test_a_report_is_a_page_and_the_same_for_machines_and_for_papers(tmp_path: P
 
 
 def test_what_cannot_be_reported_is_said_in_a_sentence(tmp_path: Path) -> None:
-    nothing = xpl("report", ".", cwd=tmp_path)
-    assert nothing.returncode == ExitCode.NOT_FOUND
+    nothing = xpl("report", ".", folder=tmp_path)
+    assert nothing.code == ExitCode.NOT_FOUND
     assert "no recorded run" in nothing.stderr
-    several = xpl("report", "a", "b", "--out", "c", cwd=tmp_path)
-    assert several.returncode == ExitCode.USAGE
+    several = xpl("report", "a", "b", "--out", "c", folder=tmp_path)
+    assert several.code == ExitCode.USAGE
     assert "takes one run, got 2" in several.stderr
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.peer import xpl
+from tests.support.commands import xpl
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.evaluation.leaderboard import tables, tally, trees
 from xpl_cli.evaluation.leaderboard.tally import protocol
@@ -31,19 +31,20 @@ def _write(  # noqa: PLR0917 - a file of many
     return file
 
 
-@pytest.fixture
-def whole(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the results of two policies in all 42 tasks and three seeds, of one of which a task is missing."""
+    folder = tmp_path_factory.mktemp("whole")
     for name, level in (("Good", 40), ("Poor", 4)):
         for dimension, tasks in protocol().dimensions.items():
             for place, task in enumerate(tasks):
                 for seed in (0, 1, 2):
                     if dimension == "Generalization":
-                        _write(tmp_path, task, name, seed, level // 2 + seed, 25)
-                        _write(tmp_path, f"{task}_random", name, seed, level // 4, 30)
+                        _write(folder, task, name, seed, level // 2 + seed, 25)
+                        _write(folder, f"{task}_random", name, seed, level // 4, 30)
                     elif (name, task) != ("Poor", "insert_key"):
-                        _write(tmp_path, task, name, seed, min(50, level + seed + place % 2), 50)
-    return tmp_path
+                        _write(folder, task, name, seed, min(50, level + seed + place % 2), 50)
+    return folder
 
 
 def _ranked(root: Path, by: str = "success", **options: Any) -> tables.Results:
@@ -186,7 +187,7 @@ def test_folders_without_results_and_mixtures_are_refused(tmp_path: Path) -> Non
 
 
 def test_the_command_writes_tables(whole: Path) -> None:
-    written = xpl("leaderboard", ".", "--tables", "--out", "board", "--json", cwd=whole)
+    written = xpl("leaderboard", ".", "--tables", "--out", "board", "--json", folder=whole)
     assert json.loads(written.stdout)["schema"] == "xpl.results/1"
     assert (whole / "board" / "leaderboard.md").read_text().count("## Table") == 3
     assert (whole / "board" / "leaderboard.csv").read_text().startswith("rank,policy,kind,name,success")
@@ -194,8 +195,8 @@ def test_the_command_writes_tables(whole: Path) -> None:
 
 @pytest.mark.slow
 def test_the_command_prints_a_ranking_and_refuses_what_files_do_not_tell(whole: Path) -> None:
-    shown = xpl("leaderboard", ".", "--by", "memory", cwd=whole)
-    assert shown.returncode == 0, shown.stderr
+    shown = xpl("leaderboard", ".", "--by", "memory", folder=whole)
+    assert shown.code == 0, shown.stderr
     assert shown.stdout.startswith("2 policies, by Memory")
-    refused = xpl("leaderboard", ".", "--common", cwd=whole)
-    assert refused.returncode == ExitCode.USAGE
+    refused = xpl("leaderboard", ".", "--common", folder=whole)
+    assert refused.code == ExitCode.USAGE

@@ -15,6 +15,7 @@ import pytest
 
 from tests.support import forked
 from tests.support.places import ROOT
+from tests.support.recordings.bundles import recorded
 from tests.support.recordings.runs import renamed
 from xpl_cli.audit.engine.engine import audit
 from xpl_cli.audit.rules.gates import Gate
@@ -44,6 +45,12 @@ UNAUDITED = "the audit ran without the gates offline, mujoco"
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Return a run of two episodes of the expert that nobody played."""
+    return recorded(tmp_path_factory.mktemp("recorded") / "expert")
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Return a run of two episodes that the expert has solved."""
     wishes = Wishes("lift_cube", "clean", 2, 0, horizon=5)
     out = tmp_path_factory.mktemp("runs") / "expert"
@@ -120,10 +127,10 @@ def test_a_sound_bundle_lacks_only_what_was_left_out(packed: Path) -> None:
 
 
 @pytest.mark.slow
-def test_curves_come_along_where_they_are_wanted(run: Run, report: TargetReport, tmp_path: Path) -> None:
+def test_curves_come_along_where_they_are_wanted(played: Run, report: TargetReport, tmp_path: Path) -> None:
     """They are held against the records, whose digests they have to have."""
     path = tmp_path / "traced.zip"
-    prepare.pack(prepare.Request(package.load(EXPERT), (run.folder,), path, frozenset({"trace"})), [run], report)
+    prepare.pack(prepare.Request(package.load(EXPERT), (played.folder,), path, frozenset({"trace"})), [played], report)
     assert _problems(path) == {}
     forged = _forged(path, tmp_path / "forged.zip", lambda folder: next(folder.rglob("0.npz")).write_bytes(b""))
     assert "is not what episode 0 recorded" in _problems(forged)["curves and films"][0]
@@ -146,7 +153,7 @@ def test_changed_files_are_found(
 
 
 def _seeds_of_its_own(lines: list[Line]) -> None:
-    lines[0]["cells"][0]["seeds"] = [1, 2]
+    lines[0]["cells"][0].update(seeds=[1, 2], frozen=True)
     lines[0].update(renamed(lines[0]))
     for line, seed in zip(lines[-2:], (1, 2), strict=True):
         line["seed"] = seed
@@ -240,9 +247,9 @@ class TestReplay:
     """Episodes of a run played again."""
 
     @pytest.mark.slow
-    def test_states_repeat_bit_by_bit(self, run: Run) -> None:
+    def test_states_repeat_bit_by_bit(self, played: Run) -> None:
         """A deterministic policy in a simulation does the same thing on the same machine."""
-        pairs = Player(EXPERT).play(run, [0, 1])
+        pairs = Player(EXPERT).play(played, [0, 1])
         assert [pair.match for pair in pairs] == [replay.Match.SAME] * 2
         assert replay.judge(pairs, 2, deterministic=True).verdict is replay.Verdict.AGREES
         # What nobody played has other states, and is found in the first episode that is played.
@@ -252,16 +259,16 @@ class TestReplay:
         assert replay.judge(forged, 2, deterministic=True).verdict is replay.Verdict.DISAGREES
 
     @pytest.mark.slow
-    def test_an_adapter_that_is_isolated_plays_alike(self, run: Run) -> None:
+    def test_an_adapter_that_is_isolated_plays_alike(self, played: Run) -> None:
         """Neither its server nor its loop sees the one who judges, and states repeat bit by bit."""
         player = Player(EXPERT, runtime=Runtime(isolate=True))
         try:
-            lanes, servers = player._orders(run)
+            lanes, servers = player._orders(played)
         except UserError as error:
             pytest.skip(str(error))
         assert lanes.bounds.isolate
         assert servers.bounds.flags[0] == "--isolate"
-        assert [pair.match for pair in player.play(run, [0])] == [replay.Match.SAME]
+        assert [pair.match for pair in player.play(played, [0])] == [replay.Match.SAME]
 
     def test_only_the_adapter_of_the_run_is_played(self, run: Run) -> None:
         with pytest.raises(UserError, match="does not have the files of the run"):
@@ -338,10 +345,10 @@ class TestCheckpoints:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_from_evaluation_to_verification(run: Run, tmp_path: Path) -> None:
+def test_from_evaluation_to_verification(played: Run, tmp_path: Path) -> None:
     """The commands make a bundle with a whole audit, verify it, and refuse one that was made up."""
     path = tmp_path / "expert.xpl.zip"
-    code, made = _xpl("submit", "--check", str(EXPERT), str(run.folder), "--out", str(path))
+    code, made = _xpl("submit", "--check", str(EXPERT), str(played.folder), "--out", str(path))
     assert (code, made["problems"], made["path"]) == (0, [], str(path))
     code, told = _xpl("verify", str(path), "--sample", "2")
     assert validate(told, "verification") == []

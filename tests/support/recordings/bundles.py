@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.places import ROOT
-from tests.support.recordings.runs import renamed, synthetic
+from tests.support.recordings.runs import Faults, renamed, synthetic
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.packages import package
 from xpl_cli.submission import archive, bundle, claims, prepare
@@ -25,7 +25,7 @@ def made(folder: Path) -> dict[str, bytes]:
     Args:
         folder: an empty one to work in.
     """
-    run = _recorded(folder / "run")
+    run = recorded(folder / "run")
     files: dict[str, bytes] = {
         bundle.AUDIT: _audit(),
         bundle.CHECKPOINTS: bundle.document({"loaded": None, "name": None, "declared": []}),
@@ -54,9 +54,10 @@ def archived(path: Path, files: Mapping[str, bytes], told: Mapping[str, Any]) ->
     return path
 
 
-def _recorded(folder: Path) -> records.Run:
-    """Record a run of the adapter that nobody played."""
-    synthetic(folder, tasks=("lift_cube",), settings=("clean",), episodes=2, policy=ADAPTER.name)
+def recorded(folder: Path) -> records.Run:
+    """Record a run of the adapter, of two episodes that succeeded, which nobody played."""
+    faults = Faults(policy=0.0, retried=0.0)
+    synthetic(folder, ("lift_cube",), ("clean",), episodes=2, rate=1.0, policy=ADAPTER.name, faults=faults)
     file = folder / records.FILE
     plan, *others = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     adapter = package.load(ADAPTER)
