@@ -12,7 +12,7 @@ import collections
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
 from xpl import images
@@ -23,10 +23,11 @@ from xpl_cli.serving.session import RequestError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from xpl.contract import Payload
     from xpl_cli.serving.places import Place
     from xpl_cli.serving.workers.line import Job
 
-    Done = Callable[[asyncio.Future[dict[str, Any]]], None]
+    Done = Callable[[asyncio.Future[Payload]], None]
 
 MOST = spec.LIMITS["frame_bytes"]
 """Bytes that one message unpacks to, and that all messages in memory have unpacked to, at most."""
@@ -92,7 +93,7 @@ class Decoder:
             order.size = sized.result()
         else:
             self._forget(order)
-            failed: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
+            failed: asyncio.Future[Payload] = asyncio.get_running_loop().create_future()
             failed.set_exception(problem)
             order.done(failed)
         self._begin()
@@ -112,7 +113,7 @@ class Decoder:
                 decoding.add_done_callback(order.done)
 
 
-def unpacked_size(payload: dict[str, Any]) -> int:
+def unpacked_size(payload: Payload) -> int:
     """Return how many bytes the encoded images of a payload take once they are decoded.
 
     Raises:

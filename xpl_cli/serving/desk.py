@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
 from xpl.wire import codec, packed, telling
@@ -17,11 +17,12 @@ from xpl_cli.serving.workers.line import Job
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from xpl.contract import Payload
     from xpl_cli.serving.connection import Connection
     from xpl_cli.serving.observe import Observer
     from xpl_cli.serving.places import Place
     from xpl_cli.serving.session import Entry
-    from xpl_cli.serving.workers.pool import Worker
+    from xpl_cli.serving.workers.pool import Raised, Worker
 
 _BEFORE_AN_EPISODE = frozenset((spec.Method.RESET, *spec.HOOKS))
 _TIMED = frozenset((spec.Message.INFER, spec.Message.CALL))
@@ -128,7 +129,7 @@ class Desk:
             job.payload = pack(frame.payload)
         worker.submit(job)
 
-    def _decoded(self, worker: Worker, job: Job, done: asyncio.Future[dict[str, Any]]) -> None:
+    def _decoded(self, worker: Worker, job: Job, done: asyncio.Future[Payload]) -> None:
         """Go on with a request whose images were decoded, or refuse one whose images are damaged."""
         try:
             job.payload = pack(done.result())
@@ -161,19 +162,18 @@ class Desk:
         else:
             self._finish(job, data, "ok", finished)
 
-    def raised(self, job: Job, error: dict[str, Any]) -> None:
+    def raised(self, job: Job, error: Raised) -> None:
         """Send what the adapter raised: one sentence, and the traceback only to the log."""
-        text = error["message"]
         # What the machine lacks, or what stands in for the model: no fault of the adapter.
-        lacks = {"lacks": error["lacks"]} if error.get("lacks") else {}
-        if error.get("unserialisable"):
-            log(text)
-            refused = RequestError(spec.ErrorCode.INTERNAL, f"the result cannot be sent: {text}", **lacks)
-        elif error.get("refused"):
-            refused = RequestError(spec.ErrorCode.INVALID_FRAME, text)
+        lacks: Payload = {"lacks": error.lacks} if error.lacks else {}
+        if error.unserialisable:
+            log(error.message)
+            refused = RequestError(spec.ErrorCode.INTERNAL, f"the result cannot be sent: {error.message}", **lacks)
+        elif error.refused:
+            refused = RequestError(spec.ErrorCode.INVALID_FRAME, error.message)
         else:
-            log_lines(error["traceback"])
-            shown = error["traceback"] if self._debug else f"{error['type']}: {text}"
+            log_lines(error.traceback)
+            shown = error.traceback if self._debug else f"{error.kind}: {error.message}"
             refused = RequestError(failure_code(job.frame), shown, **lacks)
         self.refused(job, refused)
 
@@ -205,7 +205,7 @@ def _passes(job: Job, result: memoryview) -> bool:
     return job.packs and packed.lengths(result)[0] <= spec.LIMITS["packed_header"]
 
 
-def acknowledged(frame: codec.Frame, payload: dict[str, Any]) -> bytes:
+def acknowledged(frame: codec.Frame, payload: Payload) -> bytes:
     """Return the frame that answers a request."""
     return codec.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload))
 
@@ -224,7 +224,7 @@ def fault(error: Exception) -> RequestError:
 
 def _encoded(job: Job, result: memoryview, finished: float) -> bytes:
     frame = job.frame
-    payload: dict[str, Any] = {} if frame.message_type == spec.Message.INFER else {spec.Payload.OK: True}
+    payload: Payload = {} if frame.message_type == spec.Message.INFER else {spec.Payload.OK: True}
     if frame.message_type in _TIMED:
         payload[spec.Payload.LATENCY_MS] = 1000.0 * (finished - job.arrived)
     if _passes(job, result):

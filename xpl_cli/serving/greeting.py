@@ -13,8 +13,8 @@ from xpl_cli.serving.logbook import log
 from xpl_cli.serving.session import RequestError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
+    from xpl.contract import Announcement, Payload
+    from xpl.process.link import Head
     from xpl.wire import codec
     from xpl_cli.serving.connection import Connection
     from xpl_cli.serving.workers.pool import Worker
@@ -28,7 +28,7 @@ _ENTRIES = 256
 """Of all maps and lists in what a client announces of itself."""
 
 
-def capabilities(frame: codec.Frame) -> Mapping[str, Any]:
+def capabilities(frame: codec.Frame) -> Announcement:
     """Return what a client announced in hello: maps, lists, text and numbers, a few of them.
 
     Raises:
@@ -60,7 +60,7 @@ def _invalid(part: str, problem: str, *differences: dict[str, Any]) -> RequestEr
     return RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.MISMATCH, differences=list(differences))
 
 
-def greeting(policy: dict[str, Any], state: str, frame: codec.Frame, *, guarded: bool) -> dict[str, Any]:
+def greeting(policy: Announcement, state: str, frame: codec.Frame, *, guarded: bool) -> Payload:
     """Return the answer to hello, but for what depends on the client's place.
 
     Args:
@@ -80,12 +80,7 @@ def greeting(policy: dict[str, Any], state: str, frame: codec.Frame, *, guarded:
         raise _invalid(spec.Payload.ENVIRONMENT, f"cannot be understood: {error}", told) from None
     if offered.get(agreement.REAL_TIME) and not guarded:
         text = "the environment runs in real time, and this server asks for no token: start it with --token-file"
-        difference: dict[str, Any] = {
-            "field": agreement.REAL_TIME,
-            "policy": None,
-            "environment": True,
-            "message": text,
-        }
+        difference = {"field": agreement.REAL_TIME, "policy": None, "environment": True, "message": text}
         raise RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.MISMATCH, differences=[difference])
     found = agreement.differences(policy, offered)
     if found:
@@ -107,7 +102,7 @@ def greeting(policy: dict[str, Any], state: str, frame: codec.Frame, *, guarded:
     }
 
 
-def share_memory(connection: Connection, worker: Worker, asked: Any) -> dict[str, Any] | None:
+def share_memory(connection: Connection, worker: Worker, asked: Any) -> Payload | None:
     """Offer memory to a client on this host; when it has proved that it sees it, have the worker map it.
 
     Args:
@@ -127,7 +122,7 @@ def share_memory(connection: Connection, worker: Worker, asked: Any) -> dict[str
     return None
 
 
-def _offer(connection: Connection) -> dict[str, Any] | None:
+def _offer(connection: Connection) -> Payload | None:
     try:
         connection.segment = Segment()
     except SegmentError as error:
@@ -136,14 +131,14 @@ def _offer(connection: Connection) -> dict[str, Any] | None:
     return {"path": str(connection.segment.path), "size": connection.segment.size}
 
 
-def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any) -> dict[str, Any] | None:
+def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any) -> Payload | None:
     if proof != segment.token.hex():
         segment.close()
         return None
     number, shown = next(_segments), segment.answer().hex()
     connection.segment_number = number
 
-    def mapped(answer: dict[str, Any]) -> None:
+    def mapped(answer: Head) -> None:
         segment.close()  # unlinked: whoever dies from now on, the system clears up
         if worker.failed:
             return

@@ -13,15 +13,16 @@ import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Self
+from typing import IO, TYPE_CHECKING, Self
 
 from xpl.process import spawn
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.serving import nursery
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
+    from xpl.contract import Config
     from xpl_cli.serving.nursery import Hosted
 
 STOP_S = 10.0
@@ -93,13 +94,14 @@ class RunningServer:
     @property
     def last_error(self) -> str | None:
         """What it printed last about an error that ended it."""
-        return _last_error(self.log)
+        found = next((text for text in reversed(self.log) if text.startswith(_ERROR)), None)
+        return None if found is None else found.removeprefix(_ERROR)
 
 
 @contextlib.contextmanager
 def serving(  # noqa: PLR0913 - what `xpl serve` takes
     policy: Path,
-    overrides: Mapping[str, Any] | None = None,
+    overrides: Config | None = None,
     *,
     python: str | None = None,
     env: str | None = None,
@@ -140,10 +142,8 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
         reader = threading.Thread(target=_collect, args=(process.stderr, server.log, echo), daemon=True)
         reader.start()
         try:
-            ready = _wait_ready(process, process.stdout, load_timeout, reader, server.log)
+            _wait_ready(server, process, load_timeout, reader)
             starting.close()  # it has read its token
-            server.url = ready["url"]
-            server.also = dict(ready.get("also", {}))
             yield server
         finally:
             started = time.monotonic()
@@ -170,31 +170,20 @@ def _told(token: str | None) -> Iterator[tuple[str, ...]]:
         Path(name).unlink()
 
 
-def _wait_ready(
-    process: Hosted,
-    stdout: IO[bytes],
-    timeout: float,
-    reader: threading.Thread,
-    log: collections.deque[str],
-) -> dict[str, Any]:
-    """Return what the server says when it is ready."""
-    deadline = time.monotonic() + timeout
+def _wait_ready(server: RunningServer, process: Hosted, timeout: float, reader: threading.Thread) -> None:
+    """Wait until the server is ready, and note where it then says that it answers."""
     with selectors.DefaultSelector() as selector:
-        selector.register(stdout, selectors.EVENT_READ)
-        if not selector.select(max(0.0, deadline - time.monotonic())):
-            raise ServerStartError(f"the model was not ready within {timeout:g} s", list(log))
-    line = stdout.readline()
-    told: dict[str, Any] = json.loads(line) if line else {}
+        selector.register(process.stdout, selectors.EVENT_READ)
+        if not selector.select(timeout):
+            raise ServerStartError(f"the model was not ready within {timeout:g} s", list(server.log))
+    line = process.stdout.readline()
+    told = json.loads(line) if line else {}
     if "url" not in told:
         process.wait()
         reader.join()
-        raise ServerStartError(_last_error(log) or "it printed nothing", list(log), Lacks.read(told.get("lacks")))
-    return told
-
-
-def _last_error(log: Sequence[str]) -> str | None:
-    found = next((text for text in reversed(log) if text.startswith(_ERROR)), None)
-    return None if found is None else found.removeprefix(_ERROR)
+        reason = server.last_error or "it printed nothing"
+        raise ServerStartError(reason, list(server.log), Lacks.read(told.get("lacks")))
+    server.url, server.also = told["url"], dict(told.get("also", {}))
 
 
 def _collect(stream: IO[bytes], log: collections.deque[str], echo: bool) -> None:  # noqa: FBT001 - private

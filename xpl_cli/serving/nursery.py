@@ -29,12 +29,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any, Final, NoReturn
+from typing import IO, Final, NoReturn
 
 import xpl_cli
-from xpl.process.link import Channel, decode
+from xpl.process.link import Channel, Head, decode
 
 _PRELOADED: Final = (
     "xpl_cli.main",
@@ -168,7 +168,7 @@ class Nursery:
         self._channel.close()
         self._process.wait()
 
-    def _ask(self, order: Mapping[str, Any], descriptors: Sequence[int] = ()) -> dict[str, Any]:
+    def _ask(self, order: Head, descriptors: Sequence[int] = ()) -> Head:
         with self._lock:
             self._link.send(order)
             if descriptors:
@@ -241,7 +241,7 @@ def main(descriptor: int) -> None:
             tool.send(answer)
 
 
-def _become(channel: socket.socket, order: Mapping[str, Any], descriptors: Sequence[int]) -> NoReturn:
+def _become(channel: socket.socket, order: Head, descriptors: Sequence[int]) -> NoReturn:
     """Turn this process, which was just forked, into the command."""
     channel.close()
     os.setsid()
@@ -290,7 +290,7 @@ def _end(code: int) -> NoReturn:
     os._exit(code)
 
 
-def _received(channel: Channel) -> dict[str, Any]:
+def _received(channel: Channel) -> Head:
     """Return the next message.
 
     Raises:
@@ -299,7 +299,7 @@ def _received(channel: Channel) -> dict[str, Any]:
     message = channel.receive()
     if message is None:
         raise EOFError("the other end is gone")
-    head: dict[str, Any] = decode(message)[0]
+    head: Head = decode(message)[0]
     return head
 
 

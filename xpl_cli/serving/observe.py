@@ -10,10 +10,13 @@ from xpl import _spec as spec
 from xpl_cli.serving.logbook import log
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from xpl.wire import codec
     from xpl_cli.serving.workers.line import Job
+
+Health = dict[str, Any]
+"""What `/healthz` says: the state, places, connections and workers (docs/serving.md)."""
 
 _METHODS = frozenset((*spec.CONTRACT_METHODS, *spec.HOOKS, spec.Method.INFER))
 _OTHER = "other"
@@ -37,7 +40,7 @@ class Observer:
         self._trace = trace
         self.page: Callable[[], bytes] | None = None if self._metrics is None else self._metrics.page
 
-    def watch(self, health: Callable[[], dict[str, Any]]) -> None:
+    def watch(self, health: Callable[[], Health]) -> None:
         """Have the metrics show the server's state."""
         if self._metrics is not None:
             self._metrics.watch(health)
@@ -90,7 +93,7 @@ class Observer:
             }
             self._write(line)
 
-    def _write(self, line: dict[str, Any]) -> None:
+    def _write(self, line: Mapping[str, object]) -> None:
         """Write a line of the trace; a disk that is full ends the trace, and nothing else."""
         try:
             if self._trace is not None:
@@ -133,7 +136,7 @@ class _Metrics:
 
         return generate_latest(self._registry)
 
-    def watch(self, health: Callable[[], dict[str, Any]]) -> None:
+    def watch(self, health: Callable[[], Health]) -> None:
         def over(key: str, of: Callable[[list[float]], float]) -> float:
             return of([float(worker[key]) for worker in health()["workers"]] or [0.0])
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl import images
@@ -11,13 +10,16 @@ from xpl.observation import ObservationError
 from xpl.wire import packed
 from xpl_cli.serving.session import RequestError
 
+if TYPE_CHECKING:
+    from xpl.contract import Payload
 
-def has_images(payload: Mapping[str, Any]) -> bool:
+
+def has_images(payload: Payload) -> bool:
     """Tell whether an observation in a payload has encoded images: an adapter never decodes."""
     return any(images.has_encoded(payload.get(name)) for name in (spec.Payload.OBSERVATION, spec.Payload.OBS))
 
 
-def without_images(payload: dict[str, Any]) -> dict[str, Any]:
+def without_images(payload: Payload) -> Payload:
     """Return a payload with its encoded images decoded. Slow: runs in a thread.
 
     Raises:
@@ -29,7 +31,7 @@ def without_images(payload: dict[str, Any]) -> dict[str, Any]:
         raise RequestError(spec.ErrorCode.INVALID_FRAME, str(error)) from None
 
 
-def pack(payload: Mapping[str, Any]) -> bytes:
+def pack(payload: Payload) -> bytes:
     """Return a payload in the form that a worker reads.
 
     Raises:

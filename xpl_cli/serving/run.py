@@ -10,7 +10,7 @@ import os
 import shlex
 import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -37,6 +37,7 @@ from xpl_cli.serving.workers.pool import LoadError
 from xpl_cli.serving.workers.worker import WorkerProcess
 
 if TYPE_CHECKING:
+    from xpl.contract import Config
     from xpl_cli.isolation.sandbox import Isolation, MemoryLimit
     from xpl_cli.packages.package import Package
     from xpl_cli.serving.server import Entrance
@@ -99,7 +100,7 @@ class Options:
     also: Sequence[str] = ()
 
 
-def run_server(package: Package, overrides: Mapping[str, Any], options: Options) -> None:
+def run_server(package: Package, overrides: Config, options: Options) -> None:
     """Serve an adapter until SIGINT or SIGTERM.
 
     Prints one JSON line on stdout: `{"event": "ready", "url": ..., ...}` when the models are loaded, or
@@ -126,7 +127,7 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
         raise UserError(f"{package.name}: {reason}", code=ExitCode.NOT_RUN)
 
 
-def _settings(package: Package, config: Mapping[str, Any], options: Options) -> Settings:
+def _settings(package: Package, config: Config, options: Options) -> Settings:
     host = config[spec.Deploy.HOST] or LOOPBACK[0]
     if options.workers < 1:
         raise UserError(f"--workers must be at least 1, got {options.workers}")
@@ -321,7 +322,7 @@ def _failed(package: Package, reason: str, lacks: Mapping[str, str] | None) -> N
     _announce({"event": "failed", "policy": package.name, "reason": reason, "lacks": lacks}, "xpl doctor")
 
 
-def _announce(event: Mapping[str, Any], following: str) -> None:
+def _announce(event: Mapping[str, object], following: str) -> None:
     """Tell whoever started the server, and which command comes next; nothing else is ever written there."""
     console.data(json.dumps({**event, "schema": SCHEMA, "next": [following]}))
 
@@ -367,7 +368,7 @@ async def _load(run: _Run, front_end: FrontEnd) -> LoadError | None:
     return None
 
 
-async def _tell(front_end: FrontEnd, name: str, say: Any) -> None:
+async def _tell(front_end: FrontEnd, name: str, say: Callable[[str], None]) -> None:
     while True:
         await asyncio.sleep(1.0 if sys.stderr.isatty() else _PROGRESS_S)
         told = front_end.progress()

@@ -29,9 +29,10 @@ if TYPE_CHECKING:
 
     from picows import WSUpgradeRequest
 
+    from xpl.contract import Announcement, Payload
     from xpl_cli.serving.connection import Owner
     from xpl_cli.serving.entry.names import Names
-    from xpl_cli.serving.observe import Observer
+    from xpl_cli.serving.observe import Health, Observer
     from xpl_cli.serving.workers.worker import WorkerProcess
 
 
@@ -64,7 +65,7 @@ class Settings:
     handshake_timeout: float | None
     request_timeout: float | None
     grace: float
-    policy: dict[str, Any]
+    policy: Announcement
     names: Names
     token: str | None = None
     tls: ssl.SSLContext | None = None
@@ -176,7 +177,7 @@ class FrontEnd:
             if connection.is_open:
                 self._hello(connection, frame)
 
-    def health(self) -> dict[str, Any]:
+    def health(self) -> Health:
         """Return the state, and what a person or a supervisor wants to know of it."""
         workers = [
             {
@@ -195,12 +196,12 @@ class FrontEnd:
             **self._state(),
         }
 
-    def _state(self) -> dict[str, Any]:
+    def _state(self) -> Health:
         """Return what health, heartbeats and hello tell alike: the state, and how far loading is."""
         progress = {spec.Payload.PROGRESS: self.progress()} if self.state == spec.ServerState.LOADING else {}
         return {spec.Payload.STATE: self.state, **progress}
 
-    def progress(self) -> dict[str, Any]:
+    def progress(self) -> Health:
         """Return how far loading is: seconds, bytes of memory in use, and what was printed last."""
         processes = [worker.process for worker in self.workers.values()]
         return {
@@ -301,7 +302,7 @@ class FrontEnd:
             if answer is not None:
                 connection.answer(acknowledged(frame, answer))
 
-    def _greeting(self, connection: Connection, frame: codec.Frame) -> dict[str, Any] | None:
+    def _greeting(self, connection: Connection, frame: codec.Frame) -> Payload | None:
         """Return the answer to hello: while the models load without a place, or None for who waits for them."""
         asked = capabilities(frame)
         answer = greeting(self._settings.policy, self.state, frame, guarded=self._settings.token is not None)

@@ -12,6 +12,8 @@ from xpl.wire import codec, packed, telling
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from xpl.contract import Payload
+
 
 class RequestError(Exception):
     """A request that is answered by an error frame.
@@ -29,7 +31,7 @@ class RequestError(Exception):
         self.reason = reason
         self.details = details
 
-    def payload(self) -> dict[str, Any]:
+    def payload(self) -> Payload:
         """Return the payload of the error frame, which can always be sent."""
         details = {**({"reason": self.reason} if self.reason else {}), **self.details}
         return {

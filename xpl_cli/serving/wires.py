@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import uuid
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from picows import WSMsgType
 
@@ -21,20 +21,19 @@ from xpl_cli.serving.connection import Connection
 from xpl_cli.serving.server import Entrance
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from picows import WSTransport
 
     from xpl.client.codec import Codec, Message
+    from xpl.contract import Announcement, Config, Payload
     from xpl.manifest import Manifest
     from xpl_cli.serving.connection import Owner, Timing
 
 _TRY_AGAIN, _REFUSED = 1013, 1008  # WebSocket close codes: RFC 6455, and its registry
 
 
-def entrances(
-    also: Sequence[str], config: Mapping[str, Any], manifest: Manifest, policy: Mapping[str, Any]
-) -> dict[str, Entrance]:
+def entrances(also: Sequence[str], config: Config, manifest: Manifest, policy: Announcement) -> dict[str, Entrance]:
     """Return the entrances that `--also` asks for, by the names of their wires.
 
     Args:
@@ -57,7 +56,7 @@ def entrances(
     return found
 
 
-def _entrance(name: str, port: int, config: Mapping[str, Any], policy: Mapping[str, Any]) -> Entrance:
+def _entrance(name: str, port: int, config: Config, policy: Announcement) -> Entrance:
     wire = wires.find(name)
     if wire is None or wire.codec is None:
         others = [other for other in wires.names() if other != wires.XPL]
@@ -159,7 +158,7 @@ class CodecConnection(Connection):
             self._ask(spec.Message.INFER, str(number), {spec.Payload.OBSERVATION: request.observation}, len(data))
             self._step += 1
 
-    def _ask(self, kind: str, identity: str, payload: dict[str, Any], size: int = 0) -> None:
+    def _ask(self, kind: str, identity: str, payload: Payload, size: int = 0) -> None:
         self._owner.asked(self, frames.Frame(kind, self._evaluation, payload, identity, step=self._step), size)
 
     def _translated(self, frame: frames.Frame) -> Message:

@@ -7,7 +7,7 @@ import json
 import os
 from dataclasses import dataclass
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from picows import WSUpgradeResponse, WSUpgradeResponseWithListener
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from picows import WSUpgradeRequest
 
     from xpl_cli.serving.entry.names import Names
+    from xpl_cli.serving.observe import Health
 
 BEARER = "bearer"
 """How a token is announced (RFC 6750), in lower case."""
@@ -43,7 +44,7 @@ class Admission:
 
     token: str | None
     names: Names
-    health: Callable[[], dict[str, Any]]
+    health: Callable[[], Health]
     metrics: Callable[[], bytes] | None
     make_room: Callable[[], bool]
     scheme: str = BEARER

@@ -20,6 +20,9 @@ from xpl_cli.serving.logbook import Burst
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+Accepted = tuple[socket.socket, Any]
+"""A connection, and the address at its other end in the form of its family."""
+
 HALF_OPEN = 64
 """Connections that have not asked for a WebSocket yet, at most."""
 _BACKLOG = 1024
@@ -88,7 +91,7 @@ class Door:
         if spare >= 0:
             os.close(spare)
 
-    def let_in(self, accept: Callable[[], tuple[socket.socket, Any]]) -> tuple[socket.socket, Any]:
+    def let_in(self, accept: Callable[[], Accepted]) -> Accepted:
         """Accept a connection, and drop the oldest that asked for nothing if there are too many.
 
         Raises:
@@ -115,7 +118,7 @@ class Door:
         with contextlib.suppress(OSError):
             oldest.shutdown(socket.SHUT_RDWR)  # its owner reads the end of the stream, and closes it
 
-    def _turn_away(self, accept: Callable[[], tuple[socket.socket, Any]]) -> None:
+    def _turn_away(self, accept: Callable[[], Accepted]) -> None:
         """Take a connection off the queue and end it: one that stayed there would wake the server again and again."""
         self._turned_away.note()
         if self._half_open:
@@ -151,6 +154,6 @@ class _Listening(socket.socket):
         """Listen with a queue that a burst does not fill."""
         super().listen(_BACKLOG)
 
-    def accept(self) -> tuple[socket.socket, Any]:
+    def accept(self) -> Accepted:
         """Accept through the door."""
         return self._door.let_in(super().accept)

@@ -6,7 +6,8 @@ import asyncio
 import collections
 import sys
 import time
-from typing import TYPE_CHECKING, Any, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, Self
 
 from xpl import _spec as spec
 from xpl.wire.frame import PackingError
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
+    from xpl.contract import Config
     from xpl.manifest import Manifest
+    from xpl.process.link import Head
     from xpl.wire.arrays import Data
     from xpl_cli.serving.places import Place
     from xpl_cli.serving.workers.line import Job
@@ -30,13 +33,40 @@ _REPORT_S = 10.0
 """A request that takes longer is reported while it runs, and again whenever it has taken twice as long."""
 
 
+@dataclass(frozen=True)
+class Raised:
+    """What a worker says of an exception (`xpl.worker.main`).
+
+    Attributes:
+        kind: its type.
+        message: one sentence.
+        traceback: with it as the last line.
+        lacks: what the machine lacks, if that is why: `kind` and `name`.
+        refused: the request itself was wrong.
+        unserialisable: it is the result that cannot travel.
+    """
+
+    kind: str
+    message: str
+    traceback: str
+    lacks: Mapping[str, str] | None
+    refused: bool
+    unserialisable: bool
+
+    @classmethod
+    def read(cls, told: Head) -> Self:
+        """Read it from a worker's answer."""
+        flags = bool(told.get("refused")), bool(told.get("unserialisable"))
+        return cls(told["type"], told["message"], told["traceback"], told.get("lacks"), *flags)
+
+
 class Desk(Protocol):
     """What a worker tells about its jobs."""
 
     def answered(self, job: Job, result: memoryview) -> None:
         """Pass on the answer to a job, packed."""
 
-    def raised(self, job: Job, error: dict[str, Any]) -> None:
+    def raised(self, job: Job, error: Raised) -> None:
         """Say what the adapter raised, or why its result cannot travel."""
 
     def refused(self, job: Job, error: RequestError) -> None:
@@ -87,10 +117,10 @@ class Worker:
         self._desk = desk
         self._on_failure = on_failure
         self._loop = asyncio.get_running_loop()
-        self._errands: collections.deque[tuple[dict[str, Any], Callable[[dict[str, Any]], None]]] = collections.deque()
+        self._errands: collections.deque[tuple[Head, Callable[[Head], None]]] = collections.deque()
         self._running: list[Job] = []
         self._later: list[tuple[Place, Callable[[], None]]] = []
-        self._loading: dict[str, Any] = {}
+        self._loading: Head = {}
         self._busy = False
         self._started = 0.0
         self._watch: asyncio.TimerHandle | None = None
@@ -98,9 +128,7 @@ class Worker:
         self._wait: asyncio.TimerHandle | None = None
         process.died.add_done_callback(lambda died: self.fail(died.result()))
 
-    async def load(
-        self, policy_dir: Path, config: Mapping[str, Any], manifest: Manifest, *, shadow: bool = False
-    ) -> None:
+    async def load(self, policy_dir: Path, config: Config, manifest: Manifest, *, shadow: bool = False) -> None:
         """Load the adapter; with `shadow` not its model (`xpl.worker.shadow`).
 
         Raises:
@@ -114,10 +142,9 @@ class Worker:
         except (WorkerDiedError, PackingError) as error:
             raise LoadError(f"the model could not be loaded: {error}") from None
         if "error" in answer:
-            raised = answer["error"]
-            sys.stderr.write(raised["traceback"])
-            told = f"the model could not be loaded: {raised['type']}: {raised['message']}"
-            raise LoadError(told, raised.get("lacks"))
+            raised = Raised.read(answer["error"])
+            sys.stderr.write(raised.traceback)
+            raise LoadError(f"the model could not be loaded: {raised.kind}: {raised.message}", raised.lacks)
         self._busy = False
         self.line = Line(shared=bool(answer["ok"]["shared"]), most=manifest.serving.max_batch)
 
@@ -137,7 +164,7 @@ class Worker:
         self.line.add(job, time.monotonic())
         self.pump()
 
-    def errand(self, message: dict[str, Any], on_answer: Callable[[dict[str, Any]], None]) -> None:
+    def errand(self, message: Head, on_answer: Callable[[Head], None]) -> None:
         """Send a message that is no request, before the next batch."""
         self._errands.append((message, on_answer))
         self.pump()
@@ -188,7 +215,7 @@ class Worker:
             self._desk.refused(job, died)
         self._on_failure(self, reason)
 
-    def _send(self, head: dict[str, Any], buffers: Sequence[Data], on_answer: Answered) -> None:
+    def _send(self, head: Head, buffers: Sequence[Data], on_answer: Answered) -> None:
         self._busy, self._started = True, time.monotonic()
         if self._watch is None:
             self._look_again(self._started)
@@ -197,7 +224,7 @@ class Worker:
         except (WorkerDiedError, PackingError) as error:
             self._loop.call_soon(self.fail, str(error))
 
-    def _jobs_done(self, head: dict[str, Any], buffers: list[memoryview]) -> None:
+    def _jobs_done(self, head: Head, buffers: list[memoryview]) -> None:
         jobs, self._running = self._running, []
         self._busy = False
         self.line.finished(jobs, time.monotonic())
@@ -208,7 +235,7 @@ class Worker:
                 if result is not None:
                     self._desk.answered(job, result)
                 else:
-                    self._desk.raised(job, error)
+                    self._desk.raised(job, Raised.read(error))
             except Exception as problem:  # noqa: BLE001 - one job of a batch never costs another its answer
                 self._desk.failed(job, problem)
         later, self._later = self._later, []
@@ -216,13 +243,13 @@ class Worker:
             self.after(place, action)
         self.pump()
 
-    def _errand_done(self, answer: dict[str, Any]) -> None:
+    def _errand_done(self, answer: Head) -> None:
         self._busy = False
         _, on_answer = self._errands.popleft()
         on_answer(answer)
         self.pump()
 
-    def _renewed(self, answer: dict[str, Any]) -> None:
+    def _renewed(self, answer: Head) -> None:
         if "error" in answer:
             self.fail(f"the model could not be built a second time: {answer['error']['message']}")
 

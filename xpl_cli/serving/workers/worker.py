@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from xpl.wire.arrays import Data
     from xpl_cli.isolation.sandbox import Isolation
 
-    Answered = Callable[[dict[str, Any], list[memoryview]], None]
+    Answered = Callable[[link.Head, list[memoryview]], None]
 
 _BOOTSTRAP = SDK_START + "from xpl.worker.main import main; main(int(sys.argv[2]))"
 _LINE = 500
@@ -101,7 +101,7 @@ class WorkerProcess:
             )
         return cls(process, ours, label, wrapped=isolation is not None)
 
-    def send(self, head: dict[str, Any], buffers: Sequence[Data], on_answer: Answered) -> None:
+    def send(self, head: link.Head, buffers: Sequence[Data], on_answer: Answered) -> None:
         """Send a message; the answer arrives later, or never if the worker dies.
 
         Raises:
@@ -117,14 +117,14 @@ class WorkerProcess:
         self._unsent.extend(pieces)
         self._write()
 
-    async def ask(self, **message: Any) -> dict[str, Any]:
+    async def ask(self, **message: Any) -> link.Head:
         """Send a message and return the answer.
 
         Raises:
             PackingError: if the message cannot travel.
             WorkerDiedError: if the worker dies first.
         """
-        answer: asyncio.Future[dict[str, Any]] = self._loop.create_future()
+        answer: asyncio.Future[link.Head] = self._loop.create_future()
         self.send(message, (), lambda head, _: answer.set_result(head))
         either: list[asyncio.Future[Any]] = [answer, self.died]
         await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
