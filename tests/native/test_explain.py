@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from xpl_cli.native.explain import Explanation, Tried, explain, ranges
-from xpl_cli.native.patterns import Pattern
+from xpl_cli.native.explain import Explanation, Tried, explain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,7 +28,6 @@ def test_a_change_that_leaves_nothing_is_the_cause() -> None:
     found = _explained(_tried("worse", c=2.0), _tried("right", "camera", a=1e-7, b=0.0, c=2e-8))
     assert found.cause is not None
     assert (found.cause.words, found.cause.convention) == ("right", "camera")
-    assert found.text == "with `right` the difference falls from 0.9 to 1e-07"
     assert found.parts == ("ee_joint_state[0]", "arm_joint_state[0]", "arm_joint_state[1]")
     assert found.leads is found.cause
 
@@ -50,7 +48,6 @@ def test_changes_with_the_same_effect_are_ties() -> None:
     )
     assert found.cause is not None
     assert (found.cause.words, [tie.words for tie in found.ties]) == ("one", ["other"])
-    assert found.text.endswith("to 0 (as with `other`: the pairs do not tell them apart)")
 
 
 def test_parts_are_explained_by_themselves() -> None:
@@ -60,7 +57,6 @@ def test_parts_are_explained_by_themselves() -> None:
         ("arm", ("arm_joint_state[0]", "arm_joint_state[1]")),
         ("hand", ("ee_joint_state[0]",)),
     ]
-    assert "with `arm` the difference falls from 0.4 to 0 in arm_joint_state[0..1]" in found.text
 
 
 def test_small_parts_that_fall_explain_nothing() -> None:
@@ -73,7 +69,7 @@ def test_a_change_that_lowers_more_than_all_others_is_told() -> None:
     best = _tried("crop", "image_size", a=0.1, b=0.1, c=0.1)
     found = _explained(_tried("mirror", "image_orientation", c=0.7), best)
     assert found.lowers is not None
-    assert found.text == "with `crop` the difference falls from 0.9 to 0.1, which does not explain all of it"
+    assert found.lowers.words == "crop"
     rival = _tried("filter", "image_filter", a=0.12, b=0.1, c=0.1)
     assert _explained(best, rival).text == ""
 
@@ -81,14 +77,3 @@ def test_a_change_that_lowers_more_than_all_others_is_told() -> None:
 def test_nothing_is_told_where_nothing_explains() -> None:
     assert _explained(_tried("no", c=0.8), Tried("broken", "chunk", {"arm_joint_state[0]": 0.0})).text == ""
     assert _explained(_tried("fine", a=0.0), before=dict.fromkeys(BEFORE, 1e-5)) == Explanation(1e-5, ())
-
-
-def test_patterns_lead_where_no_change_does() -> None:
-    pattern = Pattern("every step is the same", "chunk")
-    found = Explanation(0.5, ("a[0]",), patterns=(pattern,))
-    assert (found.text, found.leads) == ("every step is the same", pattern)
-
-
-def test_numbers_are_told_in_ranges() -> None:
-    parts = ["left_arm_joint_state[2]", "right_ee_joint_state[0]", "left_arm_joint_state[0]", "left_arm_joint_state[1]"]
-    assert ranges(parts) == "left_arm_joint_state[0..2], right_ee_joint_state[0]"

@@ -6,27 +6,17 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.native.mutants.mutants import CORRECT, REWRITTEN, SOURCES, Adapter, Mutant, read
+from tests.native.mutants.mutants import CORRECT, REWRITTEN, SOURCES, Adapter, read
 from tests.native.mutants.trial import Recorded, judged, tried
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-_QUICK = {("ImageOnly", "picture mirrored only")}
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """Return native pairs that are recorded when they are first needed."""
     return Recorded(tmp_path_factory.mktemp("recorded"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("mutant", [one for one in read("known") if (one.adapter.name, one.name) in _QUICK], ids=str)
-def test_a_mistake_is_red_and_named(mutant: Mutant, recorded: Recorded) -> None:
-    trial = tried(mutant, recorded)
-    assert trial.is_caught, trial.message
-    assert trial.convention in mutant.conventions, trial.message
 
 
 def _correct() -> list[object]:

@@ -39,11 +39,8 @@ def test_a_state_that_is_not_carried_on() -> None:
     assert _seen(_off(np.s_[1, 1]), Kind(keeps_state=True)) == []
 
 
-def test_a_state_that_outlives_a_reset() -> None:
-    assert _seen(_off(np.s_[1:], np.s_[0, 1]), Kind(keeps_state=True)) == ["recurrent"]
-
-
 def test_what_is_remembered_outlives_a_reset() -> None:
+    assert _seen(_off(np.s_[1:], np.s_[0, 1]), Kind(keeps_state=True)) == ["recurrent"]
     assert _seen(_off(np.s_[1:, 0]), Kind(history=3)) == ["history"]
     assert _seen(_off(np.s_[1:, 0])) == []
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 from typing import Any
 
@@ -30,7 +29,7 @@ def shown(robot: str) -> list[dict[str, Any]]:
     return scene(robot).observations(PLACES)
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("robot", embodiment_names())
 def test_observations_are_those_of_the_standard(robot: str) -> None:
     for obs in shown(robot):
@@ -59,6 +58,7 @@ def test_poses_agree_with_joints(robot: str) -> None:
                 assert rotation.angle_between(given[3:], known[3:]) < 1e-5
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("robot", embodiment_names())
 def test_quaternions_have_both_signs_and_some_lie_near_a_half_turn(robot: str) -> None:
     """No sign is decided by rounding."""
@@ -83,15 +83,6 @@ def test_no_two_things_look_alike() -> None:
     assert {0.0, 1.0} & {value for pair in openings for value in pair}
 
 
-def test_instructions_are_not_as_models_like_them() -> None:
-    made = scene("piper_single")
-    told = [made.observation(env, place)["instruction"] for env, place in PLACES]
-    assert any(text != text.strip() for text in told)
-    assert any(text != text.lower() for text in told)
-    assert made.observation(2, 0)["instruction"] == made.observation(2, 7)["instruction"]
-    assert made.observation(2, 0)["instruction"] != made.observation(2, 100)["instruction"]
-
-
 def test_pictures_tell_colours_directions_and_sizes_apart() -> None:
     image = pictures.picture(0, 3, 48, 64).astype(np.int16)
     for other in (image[:, :, ::-1], image[:, ::-1], image[::-1], image[::-1, ::-1]):
@@ -100,11 +91,6 @@ def test_pictures_tell_colours_directions_and_sizes_apart() -> None:
     middle = image[4:-4, 4:-4].mean((0, 1))
     for edge in (image[:3], image[:, :3], image[-1:]):
         assert np.abs(edge.mean((0, 1)) - middle).max() > 10
-
-
-def test_pictures_are_the_same_on_every_machine() -> None:
-    digest = hashlib.sha256(b"".join(pictures.picture(camera, 7, 48, 64).tobytes() for camera in range(3))).hexdigest()
-    assert (script.VERSION, digest[:16]) == (1, "68716f1711759c25")
 
 
 @pytest.mark.parametrize(

@@ -34,13 +34,6 @@ def test_each_is_there_once_and_can_be_sent() -> None:
     assert [one.rank for one in found] == sorted(one.rank for one in found)
 
 
-def test_grippers_are_the_last_numbers_of_their_arms() -> None:
-    for robot, places in (("franka", [7, 15]), ("franka_single", [7])):
-        found = [one for one in _all(robot) if one.how["kind"] == "linear"]
-        assert all(one.how["places"] == places and one.how["width"] == places[-1] + 1 for one in found)
-        assert {one.convention for one in found} == {"gripper"}
-
-
 def test_what_is_not_read_is_not_changed() -> None:
     kinds = {one.how["kind"] for one in _all(pictures=False, text=False)}
     assert kinds == {"drawn", "linear", "normalized", "ordered", "rotation", "segmented"}

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.support.adapters.native import fields
 from xpl.embodiment import get_embodiment
 from xpl.wire import packed
-from xpl_cli.native.alternatives.signals import Signal, arms, deltas, pictures, poses, signals
+from xpl_cli.native.alternatives.signals import Signal, arms, deltas, poses, signals
 from xpl_cli.native.difference import differences, spreads
 from xpl_cli.native.script import Scene
 from xpl_cli.standard import spec
@@ -136,12 +136,6 @@ def test_only_what_is_read_is_shown_otherwise() -> None:
     shown = {one.convention for one in found if one.shown is not None}
     assert shown == {"joint_order", "angle_unit", "gripper"}
     assert not any(one.windowed for one in found)
-
-
-def test_changes_that_share_what_is_shown_share_a_play() -> None:
-    found = [one for one in _signals() if one.words == "unit: deg (state)"]
-    assert len(found) == 2
-    assert len({one.shown for one in found}) == 1
 
 
 # -- mistakes of hand, undone ------------------------------------------------------------------------------------------
@@ -281,13 +275,6 @@ def test_the_other_arms_state_is_exchanged_for_the_own(action_type: str) -> None
         (made,) = signal.commanded([given], episode, [1])
         span = spreads([answers])
         assert max(differences([answers], [made], span).values()) < 1e-6
-
-
-def test_a_dark_camera_is_dark() -> None:
-    episode = _episode()
-    (first, *_) = pictures.dark("cam_head")(episode)
-    assert not first["vision"]["cam_head"]["color"].any()
-    assert (first["vision"]["cam_left_wrist"]["color"] == episode[0]["vision"]["cam_left_wrist"]["color"]).all()
 
 
 @pytest.mark.sampled(1)
