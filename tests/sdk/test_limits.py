@@ -106,18 +106,19 @@ class _RuntimeOnly(ast.NodeTransformer):
 
 
 def _newer_python(source: Path, scratch: Path) -> str:
+    """Ask vermin what in the folder `source` needs more than Python 3.9; return its report, empty if nothing does."""
     for path in source.rglob("*.py"):
         tree = _RuntimeOnly().visit(ast.parse(path.read_text(encoding="utf-8")))
         copy = scratch / path.relative_to(source)
         copy.parent.mkdir(parents=True, exist_ok=True)
         copy.write_text(ast.unparse(ast.fix_missing_locations(tree)), encoding="utf-8")
-    # The unions need the copies, everything else the sources themselves.
-    return _vermin(source) + _vermin(scratch, "--feature", "union-types")
-
-
-def _vermin(folder: Path, *options: str) -> str:
-    command: list[str | Path] = [Path(sysconfig.get_path("scripts"), "vermin"), "--no-tips", "--violations"]
-    command += ["--target=3.9-", *options, folder]
+    command: list[str | Path] = [
+        Path(sysconfig.get_path("scripts"), "vermin"),
+        "--no-tips",
+        "--violations",
+        "--target=3.9-",
+    ]
+    command += ["--feature", "union-types", scratch]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0 or "Target versions not met" in done.stdout, done.stdout + done.stderr
     return done.stdout if done.returncode else ""

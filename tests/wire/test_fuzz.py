@@ -292,7 +292,7 @@ def test_the_decoders_withstand_a_fuzzer_that_sees_their_branches(tmp_path: Path
         pytest.skip("not run: atheris is not installed")
     for number, (target, data) in enumerate(decoder.seeds()):
         (tmp_path / f"seed-{number}").write_bytes(bytes([target]) + data)
-    limits = ["-max_total_time=20", "-timeout=5", "-rss_limit_mb=1024", "-max_len=4096", "-print_final_stats=1"]
+    limits = ["-max_total_time=10", "-timeout=5", "-rss_limit_mb=1024", "-max_len=4096", "-print_final_stats=1"]
     run = subprocess.run(
         [sys.executable, decoder.__file__, *limits, f"-artifact_prefix={tmp_path}/", tmp_path],
         capture_output=True,
