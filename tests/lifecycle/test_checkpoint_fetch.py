@@ -210,7 +210,8 @@ def test_what_is_fetched_is_what_its_name_means(given: Path, tmp_path: Path) -> 
     assert resolve({"ckpt_name": "demo"}, subject) == Path(answer["link"]) == subject / "checkpoints" / "demo"
     assert (subject / "checkpoints" / "demo" / "weights.bin").read_bytes() == WEIGHTS
     assert run("path", tmp_path).stdout.strip() == answer["path"]
-    assert run("verify", tmp_path).returncode == 0
+    whole = run("verify", tmp_path, "--json")
+    assert (whole.returncode, json.loads(whole.stdout)["next"]) == (0, [f"xpl audit {subject}"])
 
     (given / "weights.bin").write_bytes(WEIGHTS[:-1] + b"!")
     damaged = run("verify", tmp_path, "demo", "--json")

@@ -25,6 +25,7 @@ from xpl_cli.lifecycle.python_env.plan import plan_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from xpl.contract import Config
     from xpl.manifest import PythonEnvironment
     from xpl_cli.packages.package import Package
 
@@ -76,9 +77,7 @@ def condition(folder: Path, environment: PythonEnvironment) -> str:
     return "given" if plan is None else place.condition(plan)
 
 
-def run_script(
-    package: Package, name: str, overrides: Mapping[str, Any], gpu: str | None = None, *, aside: bool = False
-) -> float:
+def run_script(package: Package, name: str, overrides: Config, gpu: str | None = None, *, aside: bool = False) -> float:
     """Run an author's script with the configuration of the run in `XPL_CONFIG` (JSON); return how long it took, s.
 
     The configuration also names the conventional `run_name` of data and checkpoints. `XPL_MANIFEST` holds policy.yml:
@@ -128,6 +127,6 @@ def _sdk_alone() -> Iterator[str]:
         yield folder
 
 
-def gpu_setting(gpu: str | None) -> dict[str, Any]:
+def gpu_setting(gpu: str | None) -> dict[str, str]:
     """Return the override that tells a configuration which device was asked for."""
     return {} if gpu is None else {sdk.Deploy.GPU_ID: gpu}

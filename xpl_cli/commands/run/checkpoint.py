@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,13 +79,13 @@ def verify(
         path = _located(one, policy)
         if one.digest is None and not one.files:
             raise UserError(f"checkpoint {one.name!r} has no sha256 in policy.yml: nothing can be compared")
-        differing = fetching.differences(one, *fetching.read(one, path))
+        differing = [asdict(found) for found in fetching.differences(one, *fetching.read(one, path))]
         answers.append({"name": one.name, "path": str(path), "differences": differing})
     damaged = any(answer["differences"] for answer in answers)
     if as_json:
         broken = [shlex.join([policy, answer["name"]]) for answer in answers if answer["differences"]]
         again = [f"xpl checkpoint fetch {one} --force" for one in broken]
-        following = again or [shlex.join(["xpl", "status", policy])]
+        following = again or [shlex.join(["xpl", "audit", policy])]
         console.answer("xpl.checkpoint-verify/1", {"policy": adapter.name, "checkpoints": answers}, following)
     else:
         for answer in answers:

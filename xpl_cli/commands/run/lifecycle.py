@@ -92,4 +92,4 @@ def _run(policy: str, script: str, settings: list[str], gpu: str | None, *, as_j
     seconds = scripts.run_script(adapter, script, overrides, gpu, aside=as_json)
     if as_json:
         told = {"policy": adapter.name, "script": script, "seconds": round(seconds, 3)}
-        console.answer("xpl.script/1", told, [shlex.join(["xpl", "status", policy])])
+        console.answer("xpl.script/1", told, [shlex.join(["xpl", "audit", policy])])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl.manifest import CheckpointFile
@@ -42,6 +42,23 @@ class Fetched:
     files: tuple[CheckpointFile, ...]
 
 
+@dataclass(frozen=True)
+class Difference:
+    """What is not as policy.yml says.
+
+    Attributes:
+        path: of a file in the checkpoint; empty for all of it.
+        what: missing, size or sha256.
+        expected: by policy.yml.
+        got: what is there.
+    """
+
+    path: str
+    what: str
+    expected: str | int | None
+    got: str | int | None
+
+
 def fetch(specification: Specification, *, unverified: bool = False, again: bool = False) -> Fetched:
     """Bring a checkpoint unless it is here, and check it.
 
@@ -68,11 +85,10 @@ def fetch(specification: Specification, *, unverified: bool = False, again: bool
     if path is None:
         raise NotFoundError(f"checkpoint {specification.name!r}: there is no {specification.path}")
     digest, files = read(specification, path)
-    for item in differences(specification, digest, files):
-        where = path / item["path"] if item["path"] else path
+    for one in differences(specification, digest, files):
         raise UserError(
-            f"checkpoint {specification.name!r} is not the one that policy.yml means: {where}: {item['what']}: "
-            f"expected {item['expected']}, got {item['got']}",
+            f"checkpoint {specification.name!r} is not the one that policy.yml means: {path / one.path}: {one.what}: "
+            f"expected {one.expected}, got {one.got}",
             hint="the source has changed, or policy.yml is wrong; --force brings it again",
             code=ExitCode.FINDINGS,
         )
@@ -119,23 +135,23 @@ def read(specification: Specification, path: Path) -> tuple[str, tuple[Checkpoin
     return digest_of(files), files
 
 
-def differences(specification: Specification, digest: str, files: Sequence[CheckpointFile]) -> list[dict[str, Any]]:
+def differences(specification: Specification, digest: str, files: Sequence[CheckpointFile]) -> list[Difference]:
     """Return how a checkpoint that was read differs from policy.yml; nothing means that it is whole."""
     there = {file.path: file for file in files}
     found = []
     for file in specification.files:
         got = there.get(file.path)
         if got is None:
-            found.append(_difference(file.path, "missing", file.sha256, None))
+            found.append(Difference(file.path, "missing", file.sha256, None))
         elif file.size not in (None, got.size):
-            found.append(_difference(file.path, "size", file.size, got.size))
+            found.append(Difference(file.path, "size", file.size, got.size))
         elif file.sha256 not in (None, got.sha256):
-            found.append(_difference(file.path, "sha256", file.sha256, got.sha256))
+            found.append(Difference(file.path, "sha256", file.sha256, got.sha256))
     size = sum(file.size or 0 for file in files)
     if not found and specification.size not in (None, size):
-        found.append(_difference("", "size", specification.size, size))
+        found.append(Difference("", "size", specification.size, size))
     if not found and specification.digest not in (None, digest):
-        found.append(_difference("", "sha256", specification.digest, digest))
+        found.append(Difference("", "sha256", specification.digest, digest))
     return found
 
 
@@ -167,10 +183,6 @@ def link(policy_dir: Path, name: str, target: Path) -> Path:
     except OSError as error:
         raise UserError(f"{place} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
     return place
-
-
-def _difference(path: str, what: str, expected: object, got: object) -> dict[str, Any]:
-    return {"path": path, "what": what, "expected": expected, "got": got}
 
 
 def _brought(specification: Specification, *, again: bool) -> Path:
