@@ -380,7 +380,7 @@ def _as_folder(file: Path) -> None:
 def test_files_may_go_while_they_are_read(
     adapter: Path, monkeypatch: pytest.MonkeyPatch, damage: Callable[[Path], object]
 ) -> None:
-    monkeypatch.setattr("xpl_cli.audit.engine.providers.Source", _Vanishing)
+    monkeypatch.setattr("xpl_cli.audit.engine.engine.Source", _Vanishing)
     monkeypatch.setattr(_Vanishing, "damage", staticmethod(damage))
     static(adapter)
 

@@ -67,6 +67,7 @@ def rehearse(probe: Probe) -> Rehearsal:
     Raises:
         NotRun: if it cannot be loaded there, does not answer, or does not come through a reset that fails.
     """
+    probe.ready()
     asking = (sdk.Method.GET_ACTION, ())
     script: list[inprocess.Call] = []
     for obs in _pictures(probe):

@@ -1,15 +1,19 @@
 """Facts: what rules need to know, injected by parameter name and computed once per target.
 
-A provider is a function whose name is the fact's and whose parameters name the facts it needs. A provider that yields
-cleans up after the yield, when the gate that first needed it has ended.
+A provider is a function or a class whose parameters name the facts it needs, or the path of one, `module:name`. One
+that yields cleans up after the yield, when the gate that first needed it has ended.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator
+import pkgutil
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any, Self
+
+Provider = Callable[..., Any] | str
+"""What computes a fact, or where it is found."""
 
 
 class Facts:
@@ -17,10 +21,10 @@ class Facts:
 
     Args:
         given: facts that are known from the start, by name.
-        providers: functions that compute further ones, by name.
+        providers: what computes further ones, by name.
     """
 
-    def __init__(self, given: dict[str, Any], providers: dict[str, Callable[..., Any]]) -> None:
+    def __init__(self, given: Mapping[str, Any], providers: Mapping[str, Provider]) -> None:
         self._known = dict(given)
         self._failed: dict[str, Exception] = {}
         self._providers = providers
@@ -63,13 +67,14 @@ class Facts:
         """Call a function with the facts that its parameters name."""
         return function(**{name: self.get(name) for name in wanted(function)})
 
-    def _compute(self, provider: Callable[..., Any]) -> Any:
-        if not inspect.isgeneratorfunction(provider):
-            return self.call(provider)
+    def _compute(self, provider: Provider) -> Any:
+        compute: Callable[..., Any] = pkgutil.resolve_name(provider) if isinstance(provider, str) else provider
+        if not inspect.isgeneratorfunction(compute):
+            return self.call(compute)
 
         @contextmanager
         def managed() -> Iterator[Any]:
-            yield from self.call(provider)
+            yield from self.call(compute)
 
         return self._cleanup.enter_context(managed())
 
