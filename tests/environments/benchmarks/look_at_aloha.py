@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from typing import Any
 
 import looking
@@ -13,7 +11,7 @@ from xpl import get_embodiment
 from xpl.kinematics import Chain
 from xpl.poses import compose, invert
 
-ROBOT = sys.argv[1]
+ROBOT = "aloha"
 KNOWN = {"embodiment": ROBOT, "action_type": "joint"}
 CHAIN = Chain.from_embodiment(get_embodiment(ROBOT).data)
 ARMS = ("left", "right")
@@ -63,15 +61,13 @@ def _openings(env: Any) -> dict[str, list[float]]:
 
 
 def _still() -> dict[str, Any]:
-    """What is seen without pictures."""
     env = _make()
     axes = {
         sign + "xyz"[place]: (far * np.eye(3)[place]) for sign, far in (("+", 0.04), ("-", -0.04)) for place in range(3)
     }
     found: dict[str, Any] = {"axes": {arm: {way: _moved(env, arm, axis) for way, axis in axes.items()} for arm in ARMS}}
     found["openings"] = _openings(env)
-    found["state"] = {name: value.tolist() for name, value in env.get_obs()["state"].items()}
-    found["bases"] = {arm: base.tolist() for arm, base in _bases(env).items()}
+    found["state"], found["bases"] = looking.listed(env.get_obs()["state"]), looking.listed(_bases(env))
     rng, solved = np.random.default_rng(1), 0
     for seed in range(2):
         env.reset([seed])
@@ -138,4 +134,4 @@ def _color_of_the_box(obs: dict[str, Any], camera: str) -> list[float]:
 
 
 if __name__ == "__main__":
-    print(json.dumps({**_still(), "seen": _seen() if "pictures" in sys.argv else None}))  # noqa: T201
+    looking.show({"still": _still, "seen": _seen})

@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import json
 import os
-import sys
 from typing import Any
 
 import looking
 import numpy as np
 from looking import make
 
-from xpl import rotation
-
 os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # compiling takes longer than what is looked at
 TASK = "libero_spatial_0"
-KNOWN = {"embodiment": sys.argv[1], "task": TASK}
+KNOWN = {"embodiment": "panda_libero", "task": TASK}
 STEPS = 25
 
 
-def _still(env: Any) -> dict[str, Any]:
-    """What is seen without pictures: where the tool goes and turns, what the fingers do, what joints and poses say."""
-    found: dict[str, Any] = {"axes": looking.along_axes(env, 0.05, steps=STEPS)}
-    found["openings"] = looking.openings(env, steps=STEPS)
-    found["turns"] = [_turned(env, axis) for axis in np.eye(3)]
-    episode = env._places[0]._episode
-    found["range"] = episode._env.robots[0].controller.output_max.tolist()
-    return {**found, **_told(env)}
+def _moved() -> dict[str, Any]:
+    """Where the tool goes and turns, what the fingers do, what joints and poses say; and LIBERO plays it again."""
+    env = make("libero", **KNOWN)
+    found: dict[str, Any] = {"replayed": _replayed(env), "axes": looking.along_axes(env, 0.05, steps=STEPS)}
+    found["openings"], found["turns"] = looking.openings(env, steps=STEPS), looking.turns(env, steps=STEPS)
+    found["range"] = env._places[0]._episode._env.robots[0].controller.output_max.tolist()
+    found |= {**_told(env), "guessed": looking.guessed(env, episodes=3, max_steps=100)}
+    env.close()
+    return found
 
 
 def _told(env: Any) -> dict[str, Any]:
@@ -39,10 +34,8 @@ def _told(env: Any) -> dict[str, Any]:
     base = episode._env.sim.data
     body = episode._env.sim.model.body_name2id("robot0_base")
     found["base"] = [base.body_xpos[body].tolist(), base.body_xquat[body].tolist()]
-    found["state"] = {name: value.tolist() for name, value in obs["state"].items()}
-    found["theirs"] = {
-        name: np.asarray(obs["privileged"][name]).tolist() for name in ("robot0_eef_pos", "robot0_eef_quat")
-    }
+    found["state"] = looking.listed(obs["state"])
+    found["theirs"] = looking.listed({name: obs["privileged"][f"robot0_eef_{name}"] for name in ("pos", "quat")})
     return found
 
 
@@ -63,38 +56,18 @@ def _glimpsed(steps: int = 8) -> dict[str, Any]:
     return found
 
 
-def _turned(env: Any, axis: np.ndarray) -> list[float]:
-    """Return the rotation vector in the world by which the tool turned when it was told to turn by 0.3 rad."""
-    env.reset([0])
-    first = env.get_obs()
-    action = looking.command(first)
-    before = first["state"]["tcp_pose"][3:]
-    action["ee_pose"][3:] = rotation.multiply(rotation.from_axis_angle(0.3 * axis), action["ee_pose"][3:])
-    for _ in range(STEPS):
-        env.take_action(action)
-    after = env.get_obs()["state"]["tcp_pose"][3:]
-    return rotation.to_axis_angle(rotation.multiply(after, rotation.conjugate(before))).tolist()
-
-
-def _replayed(env: Any, seed: int = 3) -> dict[str, Any]:
+def _replayed(env: Any) -> dict[str, int]:
     """Play random actions here, and what LIBERO was told in its own wrapper; count steps whose state differs at all."""
-    from libero.libero.envs.env_wrapper import ControlEnv, OffScreenRenderEnv
+    from libero.libero.envs.env_wrapper import ControlEnv
 
-    bare = {"has_offscreen_renderer": False, "use_camera_obs": False}
-    wrapper, options = (OffScreenRenderEnv, {}) if "pictures" in sys.argv else (ControlEnv, bare)
-    rng = np.random.default_rng(0)
-    env.reset([seed])
+    commands, states = looking.played(env, lambda env: env._places[0]._episode._env.get_sim_state(), STEPS)
     episode = env._places[0]._episode
-    commands, states = [], [episode._env.get_sim_state()]
-    for _ in range(STEPS):
-        action = looking.command(env.get_obs(), rng.uniform(-0.05, 0.05, 3), opening=float(rng.uniform()))
-        env.take_action(action)
-        commands.append(looking.told(env))
-        states.append(episode._env.get_sim_state())
-    theirs = wrapper(bddl_file_name=episode._env.env.bddl_file_name, **options)
+    theirs = ControlEnv(
+        bddl_file_name=episode._env.env.bddl_file_name, has_offscreen_renderer=False, use_camera_obs=False
+    )
     theirs.seed(0)
     theirs.reset()
-    theirs.set_init_state(episode._states[seed])
+    theirs.set_init_state(episode._states[3])
     for _ in range(10):
         theirs.step([0, 0, 0, 0, 0, 0, -1])
     again = [theirs.get_sim_state()]
@@ -102,18 +75,7 @@ def _replayed(env: Any, seed: int = 3) -> dict[str, Any]:
         theirs.step(command)
         again.append(theirs.get_sim_state())
     theirs.close()
-    return {"steps": len(states), "different": sum(bool((a != b).any()) for a, b in zip(states, again, strict=True))}
-
-
-def _guessed(env: Any) -> int:
-    """Return how many of three episodes of random actions succeed."""
-    rng, solved = np.random.default_rng(1), 0
-    for seed in range(3):
-        env.reset([seed], {"max_steps": 100})
-        while not env.is_episode_end():
-            env.take_action(looking.command(env.get_obs(), rng.uniform(-0.05, 0.05, 3), float(rng.uniform())))
-        solved += env.results()[0]["success"]
-    return solved
+    return {"steps": len(states), "different": looking.different(states, again)}
 
 
 def _seen() -> dict[str, Any]:
@@ -146,21 +108,10 @@ def _shown(env: Any, head: dict[str, Any]) -> dict[str, Any]:
 
 def _deltas() -> list[list[float]]:
     env = make("libero", **KNOWN, setting="delta")
-    found = [each.tolist() for each in looking.changes(env, (0.025, -0.025, 0.0125), opening=0.25)]
+    found = looking.changes(env, (0.025, -0.025, 0.0125))
     env.close()
     return found
 
 
 if __name__ == "__main__":
-    with contextlib.redirect_stdout(io.StringIO()):
-        if "glimpse" in sys.argv:
-            answer = _glimpsed()
-        else:
-            env = make("libero", **KNOWN)
-            answer = {"replayed": _replayed(env)}
-            if "moved" in sys.argv:
-                answer.update(_still(env), deltas=_deltas(), guessed=_guessed(env))
-            env.close()
-            if "pictures" in sys.argv:
-                answer["seen"] = _seen()
-    print(json.dumps(answer))  # noqa: T201
+    looking.show({"glimpse": _glimpsed, "moved": _moved, "deltas": _deltas, "seen": _seen})

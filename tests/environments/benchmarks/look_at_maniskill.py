@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import json
 import os
-import sys
-from collections.abc import Mapping
 from typing import Any
 
 import looking
@@ -16,7 +11,7 @@ from looking import make
 
 from xpl import rotation
 
-PANDA, STICK, SO100, PAIR = sys.argv[1:5]
+PANDA, STICK, SO100, PAIR = "panda_maniskill", "panda_stick", "so100", "panda_maniskill_dual"
 STEPS = 30
 SIZE = 128
 
@@ -25,38 +20,22 @@ def _episode(env: Any) -> Any:
     return env._places[0]._episode
 
 
-def _listed(state: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: np.asarray(value).tolist() for name, value in state.items()}
-
-
 def _kinematics(env: Any) -> dict[str, Any]:
     """What joints and poses say, and where ManiSkill's own tool and base are, of the first arm."""
     (agent, *_) = [arm.agent for arm in _episode(env)._arms]
     own = {name: getattr(agent, name).pose.raw_pose[0].tolist() for name in ("robot", "tcp") if hasattr(agent, name)}
-    return {"state": _listed(env.get_obs()["state"]), **own}
+    return {"state": looking.listed(env.get_obs()["state"]), **own}
 
 
 def _by_poses() -> dict[str, Any]:
     """A Panda that is told poses: where its tool goes and turns, what its fingers do."""
     env = make("maniskill", task="PickCube", embodiment=PANDA)
     found = {"axes": looking.along_axes(env, 0.05, steps=STEPS), "openings": looking.openings(env, steps=STEPS)}
-    found["turns"] = [_turned(env, axis) for axis in np.eye(3)]
+    found["turns"] = looking.turns(env, steps=STEPS)
     found["kinematics"] = _kinematics(env)
     found["again"] = _played_twice(env)
     env.close()
     return found
-
-
-def _turned(env: Any, axis: np.ndarray, angle: float = 0.3, steps: int = STEPS) -> list[float]:
-    """Return the rotation vector in the world by which the tool turned, told to turn at once."""
-    env.reset([0])
-    action = looking.command(env.get_obs())
-    before = env.get_obs()["state"]["tcp_pose"][3:]
-    action["ee_pose"][3:] = rotation.multiply(rotation.from_axis_angle(angle * axis), action["ee_pose"][3:])
-    for _ in range(steps):
-        env.take_action(action)
-    after = env.get_obs()["state"]["tcp_pose"][3:]
-    return rotation.to_axis_angle(rotation.multiply(after, rotation.conjugate(before))).tolist()
 
 
 def _played_twice(env: Any) -> int:
@@ -73,9 +52,7 @@ def _played_twice(env: Any) -> int:
 def _by_changes() -> dict[str, Any]:
     """A Panda that is told changes of poses, which a policy adds up: what ManiSkill is told, where its tool goes."""
     env = make("maniskill", task="PickCube", embodiment=PANDA, setting="delta")
-    found: dict[str, Any] = {
-        "told": [each.tolist() for each in looking.changes(env, (0.05, -0.05, 0.025), opening=0.25, steps=3)]
-    }
+    found: dict[str, Any] = {"told": looking.changes(env, (0.05, -0.05, 0.025), steps=3)}
     found["moved"] = [_added_up(env, np.append(0.01 * axis, np.zeros(3)))["moved"] for axis in np.eye(3)]
     turns = [_added_up(env, np.append(np.zeros(3), 0.02 * axis)) for axis in np.eye(3)]
     found["turned"], found["turns_told"] = [turn["turned"] for turn in turns], [turn["told"] for turn in turns]
@@ -274,6 +251,4 @@ PARTS = {
 
 
 if __name__ == "__main__":
-    with contextlib.redirect_stdout(io.StringIO()):
-        told = {name: PARTS[name]() for name in sys.argv[5:]}
-    print(json.dumps(told))  # noqa: T201
+    looking.show(PARTS)

@@ -2,39 +2,35 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from typing import Any
 
 import looking
 import numpy as np
 from looking import make
 
-KNOWN = {"embodiment": sys.argv[1]}
+ROBOT = "sawyer"
 
 
-def _still(**config: Any) -> dict[str, Any]:
-    """What is seen without pictures."""
-    env = make("metaworld", task="reach", **KNOWN, **config)
+def _moved() -> dict[str, Any]:
+    env = make("metaworld", task="reach", embodiment=ROBOT)
     found: dict[str, Any] = {"axes": looking.along_axes(env, 0.05), "openings": looking.openings(env)}
-    found["state"] = {name: value.tolist() for name, value in env.get_obs()["state"].items()}
-    hand = env._places[0]._episode._env.data.body("hand")
-    found["hand"] = [hand.xpos.tolist(), hand.xquat.tolist()]
+    found["state"] = looking.listed(env.get_obs()["state"])
+    found["hand"] = env._places[0]._episode._env.data.body("hand").xpos.tolist()
     env.close()
     return found
 
 
 def _deltas() -> list[list[float]]:
     """What Meta-World is told where a policy adds up its own changes of half an action."""
-    env = make("metaworld", task="reach", setting="delta", **KNOWN)
-    found = [each.tolist() for each in looking.changes(env, (0.005, -0.005, 0.0025), opening=0.25)]
+    env = make("metaworld", task="reach", setting="delta", embodiment=ROBOT)
+    found = looking.changes(env, (0.005, -0.005, 0.0025))
     env.close()
     return found
 
 
 def _touched() -> dict[str, int]:
     """How often fingers press on an object that a scripted policy grasps, here and by Meta-World's own code."""
-    env = make("metaworld", task="pick-place", **KNOWN)
+    env = make("metaworld", task="pick-place", embodiment=ROBOT)
     env.reset([0])
     theirs = env._places[0]._episode._env
     puck, found = theirs._get_id_main_object(), {"steps": 0, "pressed": 0, "different": 0}
@@ -50,32 +46,24 @@ def _touched() -> dict[str, int]:
 
 def _seen() -> dict[str, Any]:
     """Where the red puck is in the picture, and whether the picture is Meta-World's own."""
-    env = make("metaworld", task="pick-place", **KNOWN, cameras=[240, 240])
+    env = make("metaworld", task="pick-place", embodiment=ROBOT, cameras=[240, 240])
     env.reset([0])
     obs = env.get_obs()
     puck = obs["privileged"]["observation"][4:7]
-    head = obs["vision"]["cam_head"]
-    place = looking.projected(head, puck)
+    head, wrist = obs["vision"]["cam_head"], obs["vision"]["cam_wrist"]
     simulator = env._places[0]._episode._env
-    tall = looking.projected(head, puck + np.array([0, 0, 0.1]))
-    from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
+    from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer  # after ours has drawn: both load OpenGL
 
     theirs = MujocoRenderer(simulator.model, simulator.data, width=240, height=240, camera_name="corner2")
     own = theirs.render("rgb_array")[::-1, ::-1].astype(int)
-    wrist = obs["vision"]["cam_wrist"]
     found = {
-        "place": place,
-        "above": tall,
-        "color": looking.colored(head["color"], place),
+        "rows": [looking.projected(head, np.add(puck, [0, 0, lift]))[1] for lift in (0.0, 0.1)],
+        "colors": [looking.colored(view["color"], looking.projected(view, puck)) for view in (head, wrist)],
         "apart": float(np.abs(head["color"].astype(int) - own).mean()),
-        "wrist_place": looking.projected(wrist, puck),
-        "wrist_color": looking.colored(wrist["color"], looking.projected(wrist, puck)),
     }
     env.close()
     return found
 
 
 if __name__ == "__main__":
-    answer = {**_still(), "deltas": _deltas(), "touched": _touched()}
-    answer["seen"] = _seen() if "pictures" in sys.argv else None
-    print(json.dumps(answer))  # noqa: T201
+    looking.show({"moved": _moved, "deltas": _deltas, "touched": _touched, "seen": _seen})

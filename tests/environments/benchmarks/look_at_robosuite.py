@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import json
-import sys
 from typing import Any
 
 import looking
 import numpy as np
 from looking import make
 
-from xpl import rotation
+from xpl.environment import read_manifest
 
-ONE, TWO = sys.argv[1:3]
+ONE, TWO = "panda_robosuite", "panda_robosuite_dual"
 STEPS, FAR = 15, 0.03
 KNOWN = {"task": "Lift", "embodiment": ONE}
 
@@ -23,21 +19,9 @@ def _played(setting: str) -> dict[str, Any]:
     """Where the tool goes and turns for commands in one setting."""
     env = make("robosuite", **KNOWN, setting=setting)
     found: dict[str, Any] = {"axes": looking.along_axes(env, FAR, steps=STEPS)}
-    found["turns"] = [_turned(env, axis) for axis in np.eye(3)]
+    found["turns"] = looking.turns(env, steps=3 * STEPS)  # a turn takes longer to settle than a move
     env.close()
     return found
-
-
-def _turned(env: Any, axis: np.ndarray) -> list[float]:
-    """Return the rotation vector in the world by which the tool turned when it was told to turn by 0.3 rad."""
-    env.reset([0])
-    first = env.get_obs()
-    action, before = looking.command(first), first["state"]["tcp_pose"][3:]
-    action["ee_pose"][3:] = rotation.multiply(rotation.from_axis_angle(0.3 * axis), action["ee_pose"][3:])
-    for _ in range(3 * STEPS):  # a turn takes longer to settle than a move
-        env.take_action(action)
-    after = env.get_obs()["state"]["tcp_pose"][3:]
-    return rotation.to_axis_angle(rotation.multiply(after, rotation.conjugate(before))).tolist()
 
 
 def _still() -> dict[str, Any]:
@@ -48,31 +32,25 @@ def _still() -> dict[str, Any]:
     sim = episode._env.sim
     body = sim.model.body_name2id("robot0_base")
     found["base"] = [sim.data.body_xpos[body].tolist(), sim.data.body_xquat[body].tolist()]
-    found["state"] = {name: value.tolist() for name, value in obs["state"].items()}
+    found["state"] = looking.listed(obs["state"])
     found["theirs"] = obs["privileged"]["robot0_eef_quat"].tolist()
     found["range"] = episode._env.robots[0].part_controllers["right"].output_max.tolist()
-    found["replayed"] = _replayed(env)
-    rng, solved = np.random.default_rng(1), 0
-    for seed in range(2):
-        env.reset([seed], {"max_steps": 40})
-        while not env.is_episode_end():
-            env.take_action(looking.command(env.get_obs(), rng.uniform(-0.05, 0.05, 3), float(rng.uniform())))
-        solved += env.results()[0]["success"]
+    found |= {"replayed": _replayed(env), "guessed": looking.guessed(env, episodes=2, max_steps=40)}
     env.close()
-    return {**found, "guessed": solved}
+    return found
+
+
+def _state(env: Any) -> np.ndarray:
+    """Return positions, speeds and time."""
+    state: np.ndarray = env._places[0]._episode._env.sim.get_state().flatten()
+    return state
 
 
 def _replayed(env: Any) -> dict[str, int]:
     """Play random actions here, and what robosuite was told in an environment of its own; count states that differ."""
     import robosuite
 
-    env.reset([3])
-    episode, rng = env._places[0]._episode, np.random.default_rng(0)
-    commands, states = [], [episode._env.sim.get_state().flatten()]
-    for _ in range(STEPS):
-        env.take_action(looking.command(env.get_obs(), rng.uniform(-0.05, 0.05, 3), opening=float(rng.uniform())))
-        commands.append(looking.told(env))
-        states.append(episode._env.sim.get_state().flatten())
+    commands, states = looking.played(env, _state, STEPS)
     theirs = robosuite.make("Lift", robots="Panda", has_offscreen_renderer=False, use_camera_obs=False, seed=0)
     theirs.rng.bit_generator.state = np.random.default_rng(3).bit_generator.state
     theirs.reset()
@@ -80,7 +58,7 @@ def _replayed(env: Any) -> dict[str, int]:
     for command in commands:
         theirs.step(command)
         again.append(theirs.sim.get_state().flatten())
-    return {"steps": len(states), "different": sum(bool((a != b).any()) for a, b in zip(states, again, strict=True))}
+    return {"steps": len(states), "different": looking.different(states, again)}
 
 
 def _two() -> dict[str, Any]:
@@ -105,7 +83,7 @@ def _two() -> dict[str, Any]:
 
 def _deltas() -> list[list[float]]:
     env = make("robosuite", **KNOWN, setting="delta")
-    found = [each.tolist() for each in looking.changes(env, (0.025, -0.025, 0.0125), opening=0.25)]
+    found = looking.changes(env, (0.025, -0.025, 0.0125))
     env.close()
     return found
 
@@ -126,15 +104,15 @@ def _seen() -> dict[str, Any]:
     return found
 
 
-def _every(tasks: list[str]) -> dict[str, Any]:
-    """Begin an episode of tasks twice, with another between, and play two steps."""
+def _every() -> dict[str, Any]:
+    """Begin an episode of each task twice, with another between, and play two steps."""
     found = {}
-    for task in tasks:
+    for task in read_manifest(looking.ROOT / "envs" / "robosuite").tasks:
         env = make("robosuite", task=task, embodiment=TWO if task.startswith("TwoArm") else ONE)
         states = []
         for seed in (5, 6, 5):
             env.reset([seed])
-            states.append(env._places[0]._episode._env.sim.get_state().flatten())
+            states.append(_state(env))
         first = env.get_obs()["state"]
         keys = [key for key in first if key.endswith(("ee_pose", "ee_joint_state")) and "delta" not in key]
         for _ in range(2):
@@ -145,14 +123,15 @@ def _every(tasks: list[str]) -> dict[str, Any]:
     return found
 
 
+PARTS = {
+    "clean": lambda: _played("clean"),
+    "absolute": lambda: _played("absolute"),
+    "still": _still,
+    "two": _two,
+    "deltas": _deltas,
+    "every": _every,
+    "seen": _seen,
+}
+
 if __name__ == "__main__":
-    what = sys.argv[3]
-    with contextlib.redirect_stdout(io.StringIO()):
-        if what == "moved":
-            answer = {"clean": _played("clean"), "absolute": _played("absolute"), **_still()}
-            answer.update(two=_two(), deltas=_deltas())
-        elif what == "every":
-            answer = _every(sys.argv[4:])
-        else:
-            answer = _seen()
-    print(json.dumps(answer))  # noqa: T201
+    looking.show(PARTS)

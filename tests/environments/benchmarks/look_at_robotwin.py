@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import json
-import sys
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -42,10 +37,6 @@ def _hold(obs: Mapping[str, Any], part: str = "arm_joint_state") -> dict[str, An
     return {name: obs["state"][name].copy() for name in names}
 
 
-def _listed(state: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: np.asarray(value).tolist() for name, value in state.items()}
-
-
 def _measured(task: Any) -> list[float]:
     """Return the angles that RoboTwin measures, left arm first."""
     return [float(angle) for side in SIDES for angle in getattr(task.robot, f"get_{side}_arm_real_jointState")()[:-1]]
@@ -61,13 +52,9 @@ def _fingers(task: Any) -> list[float]:
 def _joints() -> dict[str, Any]:
     """What is observed of a scene, and what commands of angles and grippers do to the arms."""
     env, found = _env(cameras=True), {}
-    began = time.perf_counter()
     env.reset([SEED])
-    found["setup_s"] = [time.perf_counter() - began]
     task, first = _task(env), env.get_obs()
     found["observed"] = {name: list(np.asarray(view["color"]).shape) for name, view in first["vision"].items()}
-    found["instruction"], found["state"] = first["instruction"], _listed(first["state"])
-    found["tcp"] = [getattr(task.robot, f"get_{side}_tcp_pose")() for side in SIDES]
     found["seen"] = _seen(first, task)
     theirs = env.simulated().observation
     found["same"] = bool((theirs["observation"]["head_camera"]["rgb"] == first["vision"][HEAD]["color"]).all())
@@ -129,7 +116,7 @@ def _kinematics(env: Any) -> dict[str, Any]:
     return {
         "measured": _measured(_task(env)),
         "bases": [robot.base(side).tolist() for side in SIDES],
-        "poses": _listed(state),
+        "poses": looking.listed(state),
     }
 
 
@@ -198,12 +185,10 @@ def _tasks() -> dict[str, Any]:
     for task in read_manifest(FOLDER).data["stand_ins"][SETTING]["tasks"]:
         env, begun = _env(task), []
         for seed in (SEED, SEED + 1, SEED):
-            began = time.perf_counter()
             env.reset([seed])
-            took = time.perf_counter() - began
             obs = env.get_obs()
             things = [np.round(entity.get_pose().p, 6).tolist() for entity in _task(env).scene.get_all_actors()]
-            begun.append({"things": things, "instruction": obs["instruction"], "setup_s": took})
+            begun.append({"things": things, "instruction": obs["instruction"]})
             if seed == SEED:
                 env.take_action(_hold(obs))
         found[task] = begun
@@ -263,35 +248,5 @@ def _loop() -> dict[str, Any]:
     return {"episodes": played.episodes, "skipped": played.skipped, "rate": played.rate, "names": client.names}
 
 
-def _pace(steps: int = 40) -> dict[str, float]:
-    """Seconds of the processor: of a set-up, and of steps that turn a joint by 0.02 rad, without and with pictures."""
-    env, found = _env(), {}
-    for name, count in (("setup", 0), ("without", steps), ("with", steps // 4)):
-        began = time.process_time()
-        if not count:
-            env.reset([SEED])
-            action = _hold(env.get_obs())
-        for _ in range(count):
-            action["left_arm_joint_state"][0] += np.float32(0.02)
-            env.take_action(action)
-            if name == "with":
-                env._places[0]._episode.vision()
-        found[name] = (time.process_time() - began) / max(count, 1)
-    env.close()
-    return found
-
-
-PARTS = {
-    "joints": _joints,
-    "poses": _poses,
-    "won": _won,
-    "tasks": _tasks,
-    "loop": _loop,
-    "pace": _pace,
-}
-
-
 if __name__ == "__main__":
-    with contextlib.redirect_stdout(io.StringIO()):
-        told = {name: PARTS[name]() for name in sys.argv[1:]}
-    print(json.dumps(told))  # noqa: T201
+    looking.show({"joints": _joints, "poses": _poses, "won": _won, "tasks": _tasks, "loop": _loop})

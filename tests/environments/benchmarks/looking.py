@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +15,8 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(ROOT))
 
-from xpl.process.modules import load_module  # noqa: E402 - this Python has no xpl but the checkout's
+from xpl import rotation  # noqa: E402 - this Python has no xpl but the checkout's
+from xpl.process.modules import load_module  # noqa: E402 - likewise
 
 STEPS = 40
 
@@ -51,6 +55,32 @@ def along_axes(env: Any, far: float, **more: Any) -> dict[str, list[float]]:
 _WAYS = [(sign, axis) for axis in "xyz" for sign in "+-"]
 
 
+def turns(env: Any, steps: int = STEPS) -> list[list[float]]:
+    """Return, for each axis of the world, the rotation vector by which the tool turned when told to turn by 0.3 rad."""
+    found = []
+    for axis in np.eye(3):
+        env.reset([0])
+        first = env.get_obs()
+        action, before = command(first), first["state"]["tcp_pose"][3:]
+        action["ee_pose"][3:] = rotation.multiply(rotation.from_axis_angle(0.3 * axis), action["ee_pose"][3:])
+        for _ in range(steps):
+            env.take_action(action)
+        after = env.get_obs()["state"]["tcp_pose"][3:]
+        found.append(rotation.to_axis_angle(rotation.multiply(after, rotation.conjugate(before))).tolist())
+    return found
+
+
+def guessed(env: Any, episodes: int, max_steps: int) -> int:
+    """Return how many episodes of random poses succeed."""
+    rng, solved = np.random.default_rng(1), 0
+    for seed in range(episodes):
+        env.reset([seed], {"max_steps": max_steps})
+        while not env.is_episode_end():
+            env.take_action(command(env.get_obs(), rng.uniform(-0.05, 0.05, 3), float(rng.uniform())))
+        solved += env.results()[0]["success"]
+    return solved
+
+
 def openings(env: Any, steps: int = STEPS) -> list[float]:
     """Return the opening of the gripper after it was closed, and after it was opened again."""
     env.reset([0])
@@ -82,11 +112,40 @@ def told(env: Any) -> np.ndarray:
     return np.asarray(env.simulated().command, dtype=np.float64)
 
 
-def changes(env: Any, moved: Any, opening: float = 1.0, steps: int = 5) -> Iterator[np.ndarray]:
-    """Add a change to the command in each step, from the first observation on, and yield what the simulator is told."""
+def played(env: Any, state: Callable[[Any], np.ndarray], steps: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Play random poses in episode 3; return what the simulator was told, and its states before and after each."""
+    env.reset([3])
+    rng, commands, states = np.random.default_rng(0), [], [state(env)]
+    for _ in range(steps):
+        env.take_action(command(env.get_obs(), rng.uniform(-0.05, 0.05, 3), opening=float(rng.uniform())))
+        commands.append(told(env))
+        states.append(state(env))
+    return commands, states
+
+
+def different(states: list[np.ndarray], again: list[np.ndarray]) -> int:
+    """Return how many of two lists of states differ at all."""
+    return sum(bool((one != other).any()) for one, other in zip(states, again, strict=True))
+
+
+def changes(env: Any, moved: Any, steps: int = 5) -> list[list[float]]:
+    """Add a change to the command in each step, from the first observation on; return what the simulator is told."""
     env.reset([0])
-    action = command(env.get_obs(), opening=opening)
+    action, found = command(env.get_obs(), opening=0.25), []
     for _ in range(steps):
         action["ee_pose"] = action["ee_pose"] + np.append(np.asarray(moved), np.zeros(4)).astype(np.float32)
         env.take_action(action)
-        yield told(env)
+        found.append(told(env).tolist())
+    return found
+
+
+def listed(state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arrays as JSON has them."""
+    return {name: np.asarray(value).tolist() for name, value in state.items()}
+
+
+def show(parts: Mapping[str, Callable[[], Any]]) -> None:
+    """Print what the parts say that the command line names, as JSON; simulators print, too."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        found = {name: parts[name]() for name in sys.argv[1:]}
+    print(json.dumps(found))  # noqa: T201

@@ -1,4 +1,4 @@
-"""Environment packages over a benchmark's own code: their Pythons, and programs that run there."""
+"""Environment packages over a benchmark's own code: their Pythons, what runs there, and what is asked of all."""
 
 from __future__ import annotations
 
@@ -7,31 +7,87 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+from tests.client.interop import build
+from tests.support.peer import xpl
+from xpl import rotation
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.packages import environments
 
 FOLDER = Path(__file__).resolve().parent
 LIMIT_S = 1700.0
 patient = pytest.mark.timeout(LIMIT_S + 60)
 """The mark of modules whose first test looks at everything: a minute of an idle core, half an hour of a busy one."""
+NO_VULKAN = "not run: there is no Vulkan device; envs/maniskill/mesa.sh gets a driver"
 
 
-def needed(name: str, python: Path | None) -> pytest.MarkDecorator:
-    """Return the mark of tests that play a benchmark: not run where it is not installed."""
-    reason = f"not run: {name} is not installed from envs/{name}/{name}.lock.txt; `./dev peers` does so"
-    return pytest.mark.skipif(python is None, reason=reason)
+class Benchmark:
+    """An environment package, whose simulator is played in a Python of its own.
+
+    Args:
+        name: the package.
+
+    Attributes:
+        env: its folder.
+        manifest: what env.yml says.
+        robots: its embodiments.
+        python: the interpreter that has its simulator; None where it is not installed.
+        needed: the mark of tests that play it.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.env = build.ROOT / "envs" / name
+        self.manifest = environments.manifest(self.env).data
+        self.robots = self.manifest["embodiments"]
+        self.python = build.interpreter(name, locks=self.env)
+        reason = f"not run: {name} is not installed from envs/{name}/{name}.lock.txt; `./dev peers` does so"
+        self.needed = pytest.mark.skipif(self.python is None, reason=reason)
+
+    def look(self, *parts: str) -> Any:
+        """Return what parts of `look_at_NAME.py` print, run in the benchmark's Python."""
+        command = [str(self.python), str(FOLDER / f"look_at_{self.name}.py"), *parts]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LIMIT_S)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout.splitlines()[-1])
+
+    def play(self, policy: str, *options: str) -> dict[str, Any]:
+        """Return the report of an evaluation over the wire."""
+        assert self.python is not None
+        place = ("--env", str(self.env), "--eval-env", f"venv:{self.python.parents[1]}")
+        done = xpl("eval", str(build.ROOT / "policy" / policy), *place, *options, "--json", cwd=build.ROOT)
+        assert done.returncode == ExitCode.CLEAN, done.stderr
+        report: dict[str, Any] = json.loads(done.stdout)
+        return report
+
+    def solve(self, *options: str) -> None:
+        """Check that the benchmark's own expert solves both episodes of an evaluation over the wire."""
+        report = self.play("benchmark_expert", "--episodes", "2", *options)
+        assert report["success_rate"] == 1.0, report
+
+    def audit(self, folder: Path, **settings: str) -> None:
+        """Check that every rule for environments holds, without pictures, which a machine may not draw."""
+        chosen = [f"--set={name}={value}" for name, value in {"cameras": "false", **settings}.items()]
+        done = xpl("audit", str(self.env), "--python", str(self.python), *chosen, "--no-cache", "--json", cwd=folder)
+        assert done.returncode == ExitCode.CLEAN, json.loads(done.stdout)
 
 
-def folder(python: Path | None) -> Path:
-    """Return the environment of an interpreter."""
-    assert python is not None
-    return python.parents[1]
+def move_along_axes(seen: dict[str, list[float]], far: float, within: float) -> bool:
+    """Tell whether the tool went along each axis of the world, both ways, as far as it was told, m."""
+    ways = {"+": far, "-": -far}
+    wanted = {sign + "xyz"[place]: way * np.eye(3)[place] for sign, way in ways.items() for place in range(3)}
+    assert seen.keys() == wanted.keys()
+    return all(np.abs(np.array(moved) - wanted[way]).max() < within for way, moved in seen.items())
 
 
-def look(name: str, python: Path | None, *arguments: str) -> dict[str, Any]:
-    """Return what `look_at_NAME.py` prints, a JSON object, run in a benchmark's own Python."""
-    assert python is not None
-    command = [str(python), str(FOLDER / f"look_at_{name}.py"), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LIMIT_S)
-    assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
+def same_pose(one: Any, other: Any, metres: float = 1e-3, radians: float = 1e-3) -> bool:
+    """Tell whether two poses (7,) are the same, within so much."""
+    one, other = np.asarray(one), np.asarray(other)
+    return bool(np.abs(one[:3] - other[:3]).max() < metres and rotation.angle_between(one[3:], other[3:]) < radians)
+
+
+def is_colored(color: list[float], channel: int) -> bool:
+    """Tell whether one channel of a color (R, G, B) outshines the others."""
+    return color[channel] > 3 * max(*color[:channel], *color[channel + 1 :], 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 from pathlib import Path
@@ -13,21 +12,17 @@ import pytest
 
 from tests.client.interop import build
 from tests.environments.benchmarks import peers
-from tests.support.peer import xpl
-from xpl import get_embodiment, rotation
+from xpl import get_embodiment
 from xpl.environment import Environment
 from xpl.kinematics import Chain
 from xpl.manifest import EnvManifest
 from xpl.poses import compose
 from xpl.process.modules import load_module
 from xpl.rendering import VULKAN_COMPLAINTS, RendererMissingError, choose_vulkan
-from xpl_cli.basics.errors import ExitCode
-from xpl_cli.packages import environments
 
-ENV = build.ROOT / "envs" / "maniskill"
-MANIFEST = environments.manifest(ENV).data
-PANDA, STICK, SO100, PAIR = MANIFEST["embodiments"]
-PYTHON = build.interpreter("maniskill", locks=ENV)
+MANISKILL = peers.Benchmark("maniskill")
+MANIFEST = MANISKILL.manifest
+PANDA, STICK, SO100, PAIR = MANISKILL.robots
 _ASKED = """
 import sys
 sys.path.insert(0, {root!r})
@@ -38,41 +33,23 @@ sapien.render.RenderMaterial()
 """
 
 
-def _why_not() -> str | None:
-    """Return why nothing of ManiSkill can be played here, or None if it can."""
-    if PYTHON is None:
-        return "maniskill is not installed from envs/maniskill/maniskill.lock.txt; `./dev peers` does so"
-    program = _ASKED.format(root=str(build.ROOT))
-    command = [str(PYTHON), "-c", program]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=peers.LIMIT_S)
-    if done.returncode and any(complaint in done.stderr for complaint in VULKAN_COMPLAINTS):
-        return "there is no Vulkan device; envs/maniskill/mesa.sh gets a driver"
-    assert done.returncode == 0, done.stderr
-    return None
-
-
 @pytest.fixture(scope="module")
 def played() -> None:
-    """Stop tests of the simulator where it is not there."""
-    reason = _why_not()
-    if reason is not None:
-        pytest.skip(f"not run: {reason}")
-
-
-def _look(*parts: str) -> dict[str, Any]:
-    return peers.look("maniskill", PYTHON, PANDA, STICK, SO100, PAIR, *parts)
-
-
-@pytest.fixture(scope="module")
-def poses(played: None) -> dict[str, Any]:
-    """Return what was seen of a Panda that is told poses, and changes of them."""
-    return _look("poses", "changes")
+    """Stop tests of the simulator where it is not there, or has no Vulkan device."""
+    if MANISKILL.python is None:
+        pytest.skip(MANISKILL.needed.kwargs["reason"])
+    command = [str(MANISKILL.python), "-c", _ASKED.format(root=str(build.ROOT))]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=peers.LIMIT_S)
+    if done.returncode and any(complaint in done.stderr for complaint in VULKAN_COMPLAINTS):
+        pytest.skip(peers.NO_VULKAN)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.fixture(scope="module")
-def angles(played: None) -> dict[str, Any]:
-    """Return what was seen of each robot that is told angles, and what is refused."""
-    return _look("angles", "angle_changes", "stick", "so100", "jaw", "solved", "pair", "refused")
+def looked(played: None) -> Any:
+    """Return what was seen of each robot, and what is refused."""
+    told = ("angles", "angle_changes", "stick", "so100", "jaw", "solved", "pair", "refused", "tasks")
+    return MANISKILL.look("poses", "changes", *told)
 
 
 def _offered(task: str) -> list[str]:
@@ -107,7 +84,7 @@ def test_a_driver_is_taken_from_the_named_folder_and_never_instead_of_vulkans_ow
 
 def test_without_maniskill_one_sentence_says_how_to_install_it() -> None:
     """This Python has none."""
-    client = load_module(ENV / "client.py")
+    client = load_module(MANISKILL.env / "client.py")
     with pytest.raises(RuntimeError, match="xpl install maniskill"):
         client.make({"task": "PickCube", "embodiment": PANDA})
 
@@ -121,132 +98,112 @@ def test_a_task_is_refused_for_another_robot_with_the_reason(robot: str, task: s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", ["+x", "-x", "+y", "-y", "+z", "-z"])
-def test_a_command_along_an_axis_moves_the_tool_along_it(poses: dict[str, Any], way: str) -> None:
-    """By the 5 cm that were asked for."""
-    wanted = (0.05 if way[0] == "+" else -0.05) * np.eye(3)["xyz".index(way[1])]
-    assert np.abs(np.array(poses["poses"]["axes"][way]) - wanted).max() < 0.001
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("axis", range(3))
-def test_a_command_turns_the_tool_about_an_axis_of_the_world(poses: dict[str, Any], axis: int) -> None:
-    """By the 0.3 rad that were asked for."""
-    assert np.abs(np.array(poses["poses"]["turns"][axis]) - 0.3 * np.eye(3)[axis]).max() < 0.005
-
-
-@pytest.mark.slow
-def test_closing_closes_and_opening_opens(poses: dict[str, Any]) -> None:
-    """The standard's gripper is 1 when the fingers are open, as ManiSkill's is +1."""
-    closed, opened = poses["poses"]["openings"]
+def test_commands_move_and_turn_the_tool_and_the_fingers(looked: Any) -> None:
+    """By 5 cm along, and 0.3 rad about, axes of the world; the gripper is 1 when it is open, as ManiSkill's is +1."""
+    assert peers.move_along_axes(looked["poses"]["axes"], 0.05, within=0.001)
+    assert np.abs(np.array(looked["poses"]["turns"]) - 0.3 * np.eye(3)).max() < 0.005
+    closed, opened = looked["poses"]["openings"]
     assert (closed < 0.02, opened > 0.98) == (True, True)
 
 
 @pytest.mark.slow
-def test_changes_that_a_policy_adds_up_arrive_as_it_said_them(poses: dict[str, Any]) -> None:
+def test_changes_that_a_policy_adds_up_arrive_as_it_said_them(looked: Any) -> None:
     """5 cm are half of what an action of 1 moves, by the controller's own range, 0.02 rad a fifth, turned round."""
-    seen = poses["changes"]
+    seen = looked["changes"]
     assert (seen["range"], seen["fingers"]) == ([0.1, -0.1], [-0.01, 0.04])
     assert np.abs(np.array(seen["told"]) - [0.5, -0.5, 0.25, 0, 0, 0, -0.5]).max() < 1e-4
     assert np.abs(np.array(seen["turns_told"])[:, 3:6] + 0.2 * np.eye(3)).max() < 1e-4
 
 
 @pytest.mark.slow
-def test_changes_move_and_turn_the_tool_the_way_they_say(poses: dict[str, Any]) -> None:
+def test_changes_move_and_turn_the_tool_the_way_they_say(looked: Any) -> None:
     """ManiSkill counts them from where the arm is, which lags behind, so that less comes of them."""
-    for found in (np.array(poses["changes"][name]) for name in ("moved", "turned")):
+    for found in (np.array(looked["changes"][name]) for name in ("moved", "turned")):
         assert np.diag(found).min() > 0.03
         assert np.abs(found - np.diag(np.diag(found))).max() < 0.002
 
 
 @pytest.mark.slow
-def test_an_episode_played_again_is_the_same(poses: dict[str, Any]) -> None:
+def test_an_episode_played_again_is_the_same(looked: Any) -> None:
     """With other episodes between, in one scene."""
-    assert poses["poses"]["again"] == 0
+    assert looked["poses"]["again"] == 0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("part", "robot"), [("angles", PANDA), ("stick", STICK), ("so100", SO100)])
-def test_angles_are_met_and_joints_and_poses_agree_by_kinematics(angles: dict[str, Any], part: str, robot: str) -> None:
+def test_angles_are_met_and_joints_and_poses_agree_by_kinematics(looked: Any, part: str, robot: str) -> None:
     """The standard's robots stand in ManiSkill, wherever their base is; quaternions are [w, x, y, z] in both."""
-    seen = angles[part]
+    seen = looked[part]
     assert np.abs(np.array(seen["moved"]) - seen["wanted"]).max() < 0.005
     state, base = seen["kinematics"]["state"], np.array(seen["kinematics"]["robot"])
     chain = Chain.from_embodiment(get_embodiment(robot).data)
     flange = compose(base, chain.flange(state["arm_joint_state"]))
-    assert np.abs(flange[:3] - state["ee_pose"][:3]).max() < 1e-3
-    assert rotation.angle_between(flange[3:], state["ee_pose"][3:]) < 1e-3
+    assert peers.same_pose(flange, state["ee_pose"])
     if robot != SO100:  # whose point between the jaws moves with them
-        tcp = chain.tcp_from_flange(flange)
-        assert np.abs(tcp - seen["kinematics"]["tcp"])[:3].max() < 1e-3
-        assert rotation.angle_between(tcp[3:], seen["kinematics"]["tcp"][3:]) < 1e-3
+        assert peers.same_pose(chain.tcp_from_flange(flange), seen["kinematics"]["tcp"])
 
 
 @pytest.mark.slow
-def test_changes_of_angles_arrive_as_they_were_said(angles: dict[str, Any]) -> None:
+def test_changes_of_angles_arrive_as_they_were_said(looked: Any) -> None:
     """0.025 rad are a quarter of what an action of 1 moves."""
-    seen = angles["angle_changes"]
+    seen = looked["angle_changes"]
     assert np.abs(np.array(seen["told"][:7]) - np.array(seen["wanted"]) * 2.5).max() < 1e-4
     assert (np.array(seen["moved"]) * np.array(seen["wanted"]) > 0).all()
 
 
 @pytest.mark.slow
-def test_the_jaw_of_an_so100_closes_and_opens(angles: dict[str, Any]) -> None:
+def test_the_jaw_of_an_so100_closes_and_opens(looked: Any) -> None:
     """Its tips touch at 0."""
-    closed, opened = angles["jaw"]
+    closed, opened = looked["jaw"]
     assert (closed < 0.01, opened > 0.1) == (True, True)
 
 
 @pytest.mark.slow
-def test_an_so100_goes_to_poses_that_it_can_reach(angles: dict[str, Any]) -> None:
+def test_an_so100_goes_to_poses_that_it_can_reach(looked: Any) -> None:
     """ManiSkill commands it by angles alone: they are found here."""
-    assert np.abs(np.array(angles["solved"]["up"]) - [0, 0, 0.02]).max() < 0.003
-    assert np.abs(np.array(angles["solved"]["ahead"]) - [0.02, 0, 0]).max() < 0.003
+    assert np.abs(np.array(looked["solved"]["up"]) - [0, 0, 0.02]).max() < 0.003
+    assert np.abs(np.array(looked["solved"]["ahead"]) - [0.02, 0, 0]).max() < 0.003
 
 
 @pytest.mark.slow
-def test_each_of_two_arms_moves_by_its_own_command(angles: dict[str, Any]) -> None:
+def test_each_of_two_arms_moves_by_its_own_command(looked: Any) -> None:
     """And stands where its description says."""
     for side, other in (("left", "right"), ("right", "left")):
-        assert np.abs(np.array(angles["pair"][side][side]) - [0.05, 0, 0]).max() < 0.002
-        assert np.abs(np.array(angles["pair"][side][other])).max() < 0.002
+        assert np.abs(np.array(looked["pair"][side][side]) - [0.05, 0, 0]).max() < 0.002
+        assert np.abs(np.array(looked["pair"][side][other])).max() < 0.002
         mount = get_embodiment(PAIR).data["mounts"][side]
-        base = np.array(angles["pair"]["bases"][f"{side}_"])
-        assert np.abs(base[:3] - mount["xyz"]).max() < 1e-3
-        assert rotation.angle_between(base[3:], mount["quaternion"]) < 1e-3
+        assert peers.same_pose(looked["pair"]["bases"][f"{side}_"], [*mount["xyz"], *mount["quaternion"]])
 
 
 @pytest.mark.slow
-def test_what_cannot_be_played_says_so_in_one_sentence(angles: dict[str, Any]) -> None:
+def test_what_cannot_be_played_says_so_in_one_sentence(looked: Any) -> None:
     """Assets that ManiSkill would ask at the terminal for, and a control mode that it lacks."""
-    assert angles["refused"]["assets"].startswith("NotInstalledError: PickSingleYCB needs assets")
-    assert angles["refused"]["changes"].startswith("ValueError: ManiSkill commands so100 by angles alone")
+    assert looked["refused"]["assets"].startswith("NotInstalledError: PickSingleYCB needs assets")
+    assert looked["refused"]["changes"].startswith("ValueError: ManiSkill commands so100 by angles alone")
 
 
 @pytest.mark.slow
 def test_without_a_vulkan_driver_one_sentence_says_where_to_get_one(played: None) -> None:
     """Also where nobody wants pictures; audits call it not run."""
-    said = _look("driver")["driver"]
+    said = MANISKILL.look("driver")["driver"]
     assert said.startswith("RendererMissingError: ManiSkill needs a Vulkan device even without cameras")
     assert "mesa.sh" in said
 
 
 @pytest.mark.slow
-def test_every_task_that_is_offered_without_a_download_plays(played: None) -> None:
+def test_every_task_that_is_offered_without_a_download_plays(looked: Any) -> None:
     """One step each."""
-    found = _look("tasks")["tasks"]
+    found = looked["tasks"]
     assert (len(found), {task: error for task, error in found.items() if error}) == (19, {})
 
 
 @pytest.mark.slow
 def test_pictures_are_upright_and_maniskills_own(played: None) -> None:
     """A red and a green cube are where their projection says, in both cameras; a goal is drawn in `goal` alone."""
-    seen = _look("seen")["seen"]
-    red, green, blue = seen["cam_head"]["A"]
-    assert red > 3 * max(green, blue, 1)
-    for camera in ("cam_head", "cam_wrist"):
-        red, green, blue = seen[camera]["B"]
-        assert green > 3 * max(red, blue, 1)
+    seen = MANISKILL.look("seen")["seen"]
+    assert peers.is_colored(seen["cam_head"]["A"], 0)
+    assert peers.is_colored(seen["cam_head"]["B"], 1)
+    assert peers.is_colored(seen["cam_wrist"]["B"], 1)
     on, above = seen["above"]
     assert above < on - 4
     assert seen["apart"] == 0.0
@@ -254,26 +211,13 @@ def test_pictures_are_upright_and_maniskills_own(played: None) -> None:
     assert (hidden < 50, shown > 100) == (True, True)
 
 
-def _solved(task: str, *options: str) -> dict[str, Any]:
-    place = ("--env", str(ENV), "--eval-env", f"venv:{peers.folder(PYTHON)}", "--task", task)
-    policy = str(build.ROOT / "policy" / "benchmark_expert")
-    done = xpl("eval", policy, *place, "--setting", "planner", *options, "--json", cwd=build.ROOT)
-    assert done.returncode == ExitCode.CLEAN, done.stderr
-    report: dict[str, Any] = json.loads(done.stdout)
-    return report
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("control", ["joint", "ee"])
 def test_a_planner_solves_its_task_over_the_wire(played: None, control: str) -> None:
     """Served, asked, its answer converted to what ManiSkill takes, by angles and by poses."""
-    report = _solved("PickCube", "--set", f"action_type={control}", "--episodes", "2")
-    assert report["success_rate"] == 1.0, report
+    MANISKILL.solve("--task", "PickCube", "--setting", "planner", "--set", f"action_type={control}")
 
 
 @pytest.mark.slow
 def test_the_environment_passes_its_audit(played: None, tmp_path: Path) -> None:
-    """Every rule for environments, with one task and without pictures."""
-    options = ("--python", str(PYTHON), "--set", "task=PickCube", "--set", "cameras=false", "--no-cache", "--json")
-    done = xpl("audit", str(ENV), *options, cwd=tmp_path)
-    assert done.returncode == ExitCode.CLEAN, json.loads(done.stdout)
+    MANISKILL.audit(tmp_path, task="PickCube")
