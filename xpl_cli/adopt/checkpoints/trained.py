@@ -26,7 +26,7 @@ class View:
         optional: whether the model goes without it where the robot has no such camera.
     """
 
-    input: Tree
+    input: Told
     names: Sequence[str]
     evidence: Evidence
     size: tuple[int, int] | None = None
@@ -49,7 +49,7 @@ class Vector:
     """
 
     numbers: Numbers
-    input: Tree = None
+    input: Told | None = None
     normalize: Tree = None
     pad: Tree = None
     parts: Tree = None
@@ -91,15 +91,15 @@ class Trained:
     about: str
     family: Told
     action: Vector
-    reference: Tree
+    reference: Told | Open
     chunk: Told | Open
-    sampling: Tree
+    sampling: Told | Open
     views: Sequence[View] = ()
     states: Sequence[Vector] = ()
     instruction: dict[str, Tree] | None = None
     history: dict[str, Tree] | None = None
     extra: dict[str, Tree] = field(default_factory=dict)
-    recurrent: Tree = None
+    recurrent: Told | None = None
     ensembling: Told | None = None
     rate: Told | None = None
     robot: Told | None = None

@@ -131,7 +131,7 @@ def _inside() -> Told:
     return likely(None, Evidence(f"{CODE}/policy", None, "predict_action normalises by the policy's own normalizer"))
 
 
-def _reference(absolute: object) -> Tree:
+def _reference(absolute: object) -> Told | Open:
     where = Evidence(_CONFIG, None, f"task/abs_action: {absolute}")
     if absolute is True:
         return certain("absolute", where)

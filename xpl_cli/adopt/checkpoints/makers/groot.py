@@ -178,7 +178,7 @@ class _Held:
         return Numbers(width, told, names.of_groups(counted), where, within)
 
 
-def _reference(config: Document, path: tuple[str, ...]) -> Tree:
+def _reference(config: Document, path: tuple[str, ...]) -> Told | Open:
     configs = config.get(list, *path, default=[])
     kinds = {str(entry.get("rep")) for entry in configs if isinstance(entry, dict)}
     where = config.seen(*path, what=f"rep: {', '.join(sorted(kinds)) or 'nothing'}")

@@ -170,12 +170,12 @@ class _Reader:
             optional=name != _IMAGES[0],
         )
 
-    def _reference(self) -> Tree:
+    def _reference(self) -> Told | Open:
         if self.source is None:
             return Open("delta_state where the data config has DeltaActions, else as recorded")
         return self.source.reference()
 
-    def _sampling(self, kind: str) -> Tree:
+    def _sampling(self, kind: str) -> Told | Open:
         where = Evidence(f"{CODE}/models/pi0.py:231", None, "sample_actions draws noise")
         found = dict(_FAMILIES).get(kind)
         return likely(found, where) if found else Open("seeded for pi0 and pi05, none for pi0-FAST")
@@ -227,7 +227,7 @@ class _Source:
                     if isinstance(key, ast.Constant) and isinstance(value, ast.Constant) and key.value in meant:
                         yield meant[key.value], (str(value.value), self._at(value))
 
-    def reference(self) -> Tree:
+    def reference(self) -> Told | Open:
         """Return what actions are counted from, by the factory of the data config."""
         where = Evidence(CONFIGS, self.line, f"{self.name}: {self.factory}")
         flags = {

@@ -148,7 +148,7 @@ def _state(stats: Document, path: tuple[str, ...]) -> Vector:
     return Vector(_numbers(stats, path), likely("state", where), _rule(stats, path, oft=True, is_action=False))
 
 
-def _reference(action: Numbers) -> Tree:
+def _reference(action: Numbers) -> Told | Open:
     if action.width != len(_POSE):
         return Open(
             "what actions are counted from: absolute joints in ALOHA data, deltas in others", (action.evidence,)
@@ -165,7 +165,7 @@ def _chunk(chosen: str, heads: list[str]) -> Told | Open:
     return likely(_CHUNKS[platform], where) if platform else Open("NUM_ACTIONS_CHUNK of prismatic/vla/constants.py")
 
 
-def _sampling(heads: list[str]) -> Tree:
+def _sampling(heads: list[str]) -> Told | Open:
     if any(name.startswith("noisy") for name in heads):
         return likely("seeded", Evidence(heads[0], None, "diffusion draws noise (torch.randn)"))
     return assumed("none", "do_sample is False in predict_action")

@@ -132,7 +132,7 @@ def _history(config: Document, algorithm: str) -> dict[str, Tree] | None:
     return {"length": certain(length, config.seen(*path))} if length > 1 else None
 
 
-def _sampling(config: Document, algorithm: str) -> Tree:
+def _sampling(config: Document, algorithm: str) -> Told | Open:
     drawn = [name for name in _STOCHASTIC if config.at("algo", name, "enabled") is True]
     if drawn or "diffusion" in algorithm:
         where = config.seen("algo", drawn[0], "enabled") if drawn else config.seen("algo_name")

@@ -96,7 +96,7 @@ def _view(config: Document) -> View:
     return View(likely("image", views), ["of the data config"], views, shown, steps, rest)
 
 
-def _vector(stats: Document, chosen: str, kind: str, name: Tree) -> Vector:
+def _vector(stats: Document, chosen: str, kind: str, name: Told | None) -> Vector:
     path = (chosen, kind)
     within = Range.read(stats, path, "min", "max")
     if within is None:
@@ -108,7 +108,7 @@ def _vector(stats: Document, chosen: str, kind: str, name: Tree) -> Vector:
     return Vector(numbers, name, rule)
 
 
-def _reference(config: Document) -> Tree:
+def _reference(config: Document) -> Told | Open:
     told = config.get(str, *_DATA, "action_type", default="")
     where = config.seen(*_DATA, "action_type")
     if told.startswith("delta"):

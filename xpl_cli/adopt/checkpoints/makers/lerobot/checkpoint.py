@@ -238,7 +238,7 @@ class _Reader:
             "the checkpoint holds neither processors nor statistics in its weights", (self.config.seen("type"),)
         )
 
-    def _reference(self, shape: list[int]) -> Tree:
+    def _reference(self, shape: list[int]) -> Told | Open:
         steps = self.steps.get(list, "steps", default=[])
         for index, step in enumerate(steps):
             if isinstance(step, dict) and step.get("registry_name") == "relative_actions_processor":
@@ -253,7 +253,7 @@ class _Reader:
             return certain("delta_state", self.config.seen("use_delta_joint_actions_aloha"))
         return self._by_ranges(shape)
 
-    def _by_ranges(self, shape: list[int]) -> Tree:
+    def _by_ranges(self, shape: list[int]) -> Told | Open:
         """Return what actions are counted from, by how far they and the states of the data reach."""
         states, actions = (
             held.range(name) if held else None for held, name in ((self.before, _STATE), (self.after, _ACTION))
@@ -284,7 +284,7 @@ class _Reader:
         decay: float | None = self.config.get(float, "temporal_ensemble_coeff", default=None)
         return None if decay is None else certain(decay, self.config.seen("temporal_ensemble_coeff"))
 
-    def _sampling(self) -> Tree:
+    def _sampling(self) -> Told | Open:
         if self.known is None:
             return Open(
                 f"none, seeded or free: LeRobot's type {self.type!r} is not known here", (self.config.seen("type"),)
