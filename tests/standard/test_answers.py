@@ -223,7 +223,6 @@ def test_a_server_says_one_line_that_the_list_describes(tmp_path: Path, model: s
     [
         ["doctor"],
         ["sdk", "build", "--out", "dist"],
-        ["eval", EXPERT, *PLAYED],
         ["eval", EXPERT, *PLAYED, "--out", "runs/expert", "--film", "0"],
         ["env", "check", "mujoco", *LIFT, "--episodes", "1", "--workers", "1"],
         ["env", "render", "mujoco", "a.png", *LIFT],
