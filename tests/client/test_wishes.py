@@ -265,25 +265,22 @@ def test_nothing_is_left_after_a_kill(subject: Path, serve: Callable[..., Runnin
     assert not path.exists()
 
 
-def test_an_offer_that_outlived_its_server_is_swept_by_the_next_one(
-    subject: Path, shared: RunningServer, serve: Callable[..., RunningServer]
+LEAVING = """
+import os, signal
+from xpl.wire.segment import Segment
+print(Segment().path, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_server_has_left_is_swept_by_the_next_one(
+    subject: Path, serve: Callable[..., RunningServer]
 ) -> None:
-    """One that was killed before the client had answered; those of servers that live are left alone."""
-    doomed = serve(subject)
-    peers = [Peer(server.url) for server in (doomed, shared)]
-    asking = {"capabilities": {"shared_memory": {"wanted": True}}}
-    offers = []
-    for peer in peers:
-        wait_until(lambda peer=peer: peer.ask("hello").message_type == "hello_ack", "the server is free")
-        told = peer.ask("hello", asking).payload["capabilities"]["shared_memory"]
-        offers.append(Path(told["path"]))
-    os.kill(doomed.pid, signal.SIGKILL)
-    wait_until(lambda: not owned(offers[0], doomed.pid), "it is dead")
+    left = subprocess.run([sys.executable, "-c", LEAVING], capture_output=True, text=True, check=False)
+    path = Path(left.stdout.strip())
+    assert path.parent == segment.folder()
     serve(subject)
-    assert [path.exists() for path in offers] == [False, True]
-    for peer in peers:
-        peer.close()
-    wait_until(lambda: not offers[1].exists(), "the other one is gone, too")
+    assert not path.exists()
 
 
 # -- JPEG --------------------------------------------------------------------------------------------------------------

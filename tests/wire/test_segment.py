@@ -356,33 +356,6 @@ def test_a_segment_that_cannot_be_made_says_where(folder: Path, monkeypatch: pyt
     monkeypatch.setattr(segment, "folder", lambda: folder)
 
 
-# -- answers -----------------------------------------------------------------------------------------------------------
-
-
-def test_an_answer_frees_what_the_worker_never_took(sides: Sides) -> None:
-    """A request that was refused before it was read; what was taken is freed by the worker alone."""
-    taken = passed_on(sides, np.arange(100))
-    assert sides.client.place(np.arange(100)) is not None
-    request = sides.client.written()
-    assert len(request) == 2
-    assert sides.client.written() == []
-    assert sides.states() == {S["free"], S["sent"], S["taken"]}
-    sides.client.answered(request)
-    assert sides.states() == {S["free"], S["taken"]}
-    assert taken.tolist() == list(range(100))
-
-
-def test_a_late_answer_frees_nothing_of_a_later_request(sides: Sides) -> None:
-    """Updates are sent ahead: the worker may be done with a block, and the next array in it, before we know."""
-    passed_on(sides, np.zeros(100))
-    first = sides.client.written()
-    placed = sides.client.place(np.ones(100))
-    sides.client.answered(first)
-    assert placed is not None
-    assert sides.client.place(np.zeros(100)) is not None
-    assert sides.worker.find(*placed, np.dtype(float), [100]).all()
-
-
 # -- what killed servers leave -----------------------------------------------------------------------------------------
 
 MAKER = """
