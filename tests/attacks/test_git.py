@@ -41,27 +41,43 @@ def package(folder: Path, model: str = MODEL) -> Path:
     return folder
 
 
-@pytest.fixture
-def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A repository with Foo and Bar on main, and a branch of it; the user stands at its top."""
-    root = tmp_path / "repository"
-    for name in ("Foo", "Bar"):
-        package(root / "policy" / name)
+def initial(root: Path) -> None:
+    """Make a folder a repository whose first commit, on main, holds what is there."""
     git(root, "init", "--quiet", "--initial-branch=main")
     git(root, "add", ".")
     git(root, "commit", "--quiet", "-m", "start")
+
+
+def branched(folder: Path) -> Path:
+    """Return a repository with Foo and Bar on main, and a branch of it."""
+    root = folder / "repository"
+    for name in ("Foo", "Bar"):
+        package(root / "policy" / name)
+    initial(root)
     git(root, "switch", "--quiet", "-c", "work")
+    return root
+
+
+def marking(folder: Path) -> Path:
+    """Return a program that says, by a file beside it, that it was run."""
+    program = folder / "marker.sh"
+    program.write_text(f"#!/bin/sh\ntouch '{folder}/ran'\ncat\n")
+    program.chmod(0o755)
+    return program
+
+
+@pytest.fixture
+def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A repository of that kind; the user stands at its top."""
+    root = branched(tmp_path)
     monkeypatch.chdir(root)
     return root
 
 
 @pytest.fixture
 def marker(tmp_path: Path) -> Path:
-    """A program that says, by a file beside it, that it was run."""
-    program = tmp_path / "marker.sh"
-    program.write_text(f"#!/bin/sh\ntouch '{tmp_path}/ran'\ncat\n")
-    program.chmod(0o755)
-    return program
+    """A program of that kind."""
+    return marking(tmp_path)
 
 
 def ran(marker: Path) -> bool:
@@ -98,24 +114,26 @@ def test_the_attack_is_one(repository: Path, marker: Path) -> None:
     assert ran(marker)
 
 
+@pytest.fixture(scope="module")
+def embedded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A repository whose branch brings such a package, and the program that it would run."""
+    folder = tmp_path_factory.mktemp("embedded")
+    root, marker = branched(folder), marking(folder)
+    embed(root / "policy/Foo", marker)
+    git(root, "add", ".")
+    git(root, "commit", "--quiet", "-m", "evil")
+    (root / "policy/Foo/model.py").write_text("import os\n")
+    return root, marker
+
+
 @pytest.mark.parametrize("place", [".", "policy", "policy/Foo", "policy/Foo/objects"])
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("audit", "{foo}", "--changed-since", "main", *STATIC),
-        ("review", "--base", "main", *STATIC),
-    ],
-)
+@pytest.mark.parametrize("command", [("audit", "{foo}", "--changed-since", "main"), ("review", "--base", "main")])
 def test_an_embedded_repository_runs_nothing_and_hides_nothing(
-    repository: Path, marker: Path, place: str, command: tuple[str, ...]
+    embedded: tuple[Path, Path], place: str, command: tuple[str, ...]
 ) -> None:
     """Wherever the user stands: one sentence that names it, exit code 2."""
-    embed(repository / "policy/Foo", marker)
-    git(repository, "add", ".")
-    git(repository, "commit", "--quiet", "-m", "evil")
-    (repository / "policy/Foo/model.py").write_text("import os\n")
-    foo = str(repository / "policy/Foo")
-    done = xpl(*(word.format(foo=foo) for word in command), cwd=repository / place)
+    root, marker = embedded
+    done = xpl(*(word.format(foo=root / "policy/Foo") for word in command), *STATIC, cwd=root / place)
     assert not ran(marker)
     assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
     assert "policy/Foo lies in a repository of its own" in done.stderr
@@ -155,9 +173,7 @@ def test_a_package_with_a_repository_of_its_own_is_no_part_of_this_one(
 ) -> None:
     """By a folder `.git` or a file that leads to one; from inside it is the user's, and still nothing runs."""
     evil = package(repository / "policy/Evil")
-    git(evil, "init", "--quiet", "--initial-branch=main")
-    git(evil, "add", ".")
-    git(evil, "commit", "--quiet", "-m", "start")
+    initial(evil)
     git(evil, "config", "core.fsmonitor", str(marker))
     if pointer:
         shutil.move(evil / ".git", tmp_path / "elsewhere")
@@ -175,9 +191,7 @@ def test_a_package_with_a_repository_of_its_own_is_no_part_of_this_one(
 def test_a_package_that_becomes_a_submodule_is_told(repository: Path, tmp_path: Path) -> None:
     """Its files are in no commit of the branch, so that nobody would look at them."""
     other = package(tmp_path / "other")
-    git(other, "init", "--quiet", "--initial-branch=main")
-    git(other, "add", ".")
-    git(other, "commit", "--quiet", "-m", "start")
+    initial(other)
     git(repository, "-c", "protocol.file.allow=always", "submodule", "--quiet", "add", str(other), "policy/Sub")
     git(repository, "commit", "--quiet", "-m", "submodule")
     with pytest.raises(UserError, match="policy/Sub lies in a repository of its own"):

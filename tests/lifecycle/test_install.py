@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import re
@@ -253,8 +254,9 @@ def conda(shelf: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_conda_gets_its_lock(conda: Path, tmp_path: Path) -> None:
     """A description is solved, an explicit list is taken as it is; the environment lies in the package's folder."""
-    folder = subject(tmp_path, "dependencies: [numpy]\n", manager="conda", lock="environment.yml")
-    place.install(planned(tmp_path, manager="conda", lock="environment.yml"))
+    plan = _conda_plan(tmp_path, "dependencies: [numpy]\n")
+    folder = plan.base
+    place.install(plan)
     assert conda.read_text().startswith(f"env create --quiet --prefix {folder}/.conda-")
     assert interpreter.resolve(folder, package.load(folder).manifest.environment).startswith(f"{folder}/.conda-")
     conda.unlink()
@@ -265,11 +267,7 @@ def test_conda_gets_its_lock(conda: Path, tmp_path: Path) -> None:
 
 def test_a_change_is_noticed_and_replaces(conda: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """`--check` and serving say so; then the link moves, and the old environment goes."""
-
-    def declare(lock: str) -> Plan:
-        subject(tmp_path, lock, manager="conda", lock="environment.yml")
-        return planned(tmp_path, manager="conda", lock="environment.yml")
-
+    declare = functools.partial(_conda_plan, tmp_path)
     assert place.condition(declare("numpy")) == "missing"
     first = place.install(declare("numpy"))
     assert (first.state, place.condition(declare("numpy"))) == ("made", "current")
