@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from tests.support.commands import xpl
 from tests.support.outside.openpi import OpenpiPeer, pack, unpack
-from tests.support.peer import DEADLINE_S, Peer, wait_until, xpl
+from tests.support.peer import DEADLINE_S, Peer, wait_until
 from xpl import Client
 from xpl.manifest import Manifest
 from xpl_cli.basics.errors import UserError
@@ -164,8 +165,8 @@ def test_a_token_is_asked_for_here_too(subject: Path, tmp_path: Path) -> None:
 
 
 def test_what_openpi_cannot_be_told_is_refused_before_the_model_loads(subject: Path, tmp_path: Path) -> None:
-    done = xpl("serve", str(subject), "--port", "0", *ALSO, cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
+    done = xpl("serve", subject, "--port", "0", *ALSO, folder=tmp_path)
+    assert (done.code, done.stdout) == (2, "")
     assert "`openpi` in deploy.yml has to say what its names mean, for example {style: droid}" in done.stderr
 
 
