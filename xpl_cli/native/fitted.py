@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from xpl_cli.native.difference import Answers, Thread, columns
 from xpl_cli.native.explain import Tried
 
 if TYPE_CHECKING:
+    from xpl.contract import State
     from xpl_cli.native.difference import Differences
 
 _FALLS = 20.0
@@ -89,7 +90,7 @@ def fitted(
     return Tried(_summary(lines), _convention(lines), remaining) if lines else None
 
 
-def _starts(given: Answers, states: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
+def _starts(given: Answers, states: Sequence[State]) -> dict[str, np.ndarray]:
     rows: dict[str, list[np.ndarray]] = {}
     for steps, state in zip(given, states, strict=True):
         for step in steps:

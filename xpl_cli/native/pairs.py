@@ -29,6 +29,7 @@ from xpl_cli.standard.validate import validate
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from xpl.contract import Entry
     from xpl.embodiment import Embodiment
 
 _SCHEMA: Final = "pairs"
@@ -255,7 +256,7 @@ def _written(session: Session) -> dict[str, Any]:
     }
 
 
-def _read(entry: Mapping[str, Any]) -> Session:
+def _read(entry: Entry) -> Session:
     """Return a session that fits its schema.
 
     Raises:
@@ -304,7 +305,7 @@ def _packed(values: np.ndarray) -> dict[str, Any]:
     return {"shape": list(data.shape), "float32": base64.b64encode(data.tobytes()).decode()}
 
 
-def _unpacked(entry: Mapping[str, Any], call: int) -> np.ndarray:
+def _unpacked(entry: Entry, call: int) -> np.ndarray:
     shape: Sequence[int] = entry["shape"]
     try:
         data = base64.b64decode(entry["float32"], validate=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl.checkpoint import CheckpointError, resolve
@@ -16,6 +16,7 @@ from xpl_cli.native import names
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from xpl.contract import Config
     from xpl_cli.packages.package import Package
 
 _BLOCK: Final = 1 << 20
@@ -23,7 +24,7 @@ _BLOCKS: Final = 64
 _MOST_FILES: Final = 10_000
 
 
-def weights(package: Package, config: Mapping[str, Any]) -> dict[str, str] | None:
+def weights(package: Package, config: Config) -> dict[str, str] | None:
     """Return name and digest of the checkpoint that a configuration names; None if it names none that is there.
 
     The digest is of the names, sizes and contents of its files. Of a file of more than 64 MiB it takes 64 blocks of

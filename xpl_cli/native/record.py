@@ -20,6 +20,7 @@ from xpl_cli.native.pairs import Answer, Pairs, Session
 from xpl_cli.packages.conventions import applying
 
 if TYPE_CHECKING:
+    from xpl.contract import Config
     from xpl.manifest import Manifest
     from xpl_cli.native.script import Call
     from xpl_cli.packages.package import Package
@@ -45,7 +46,7 @@ class Options:
         progress: told what is done.
     """
 
-    overrides: Mapping[str, Any] = field(default_factory=dict)
+    overrides: Config = field(default_factory=dict)
     python: str | None = None
     env: str | None = None
     patience: float = 300.0
@@ -119,7 +120,7 @@ def record(package: Package, options: Options) -> Recorded:
     return Recorded(answered, pairs.write(package.path, answered), read.taken_for_granted(applies), count, shares)
 
 
-def sessions(package: Package, overrides: Mapping[str, Any]) -> Iterator[Session]:
+def sessions(package: Package, overrides: Config) -> Iterator[Session]:
     """Yield what is to be asked, without answers: the configured robot and action type first, then all declared ones.
 
     Raises:

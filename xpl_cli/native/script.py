@@ -28,6 +28,7 @@ from xpl.manifest import CameraNeeds
 from xpl_cli.native import pictures
 
 if TYPE_CHECKING:
+    from xpl.contract import ObservationDict
     from xpl.embodiment import Arm, Embodiment
     from xpl.manifest import Manifest
 
@@ -189,7 +190,7 @@ class Scene:
     embodiment: Embodiment
     cameras: Mapping[str, tuple[int, int]]
 
-    def observation(self, env: int, place: int) -> dict[str, Any]:
+    def observation(self, env: int, place: int) -> ObservationDict:
         """Return the standard observation of a recipe."""
         moment = 1009 * env + place
         vision = {
@@ -213,7 +214,7 @@ class Scene:
             state.update(self._arm(arm, side, moment))
         return state
 
-    def observations(self, shown: Sequence[tuple[int, int]]) -> list[dict[str, Any]]:
+    def observations(self, shown: Sequence[tuple[int, int]]) -> list[ObservationDict]:
         """Return the observations of a batch."""
         return [self.observation(env, place) for env, place in shown]
 

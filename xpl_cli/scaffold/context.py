@@ -18,6 +18,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from xpl.contract import Entry
     from xpl_cli.scaffold.answers import Answers
 
 _GRIPPER = "parallel_gripper"
@@ -67,7 +68,7 @@ def _native(answers: Answers) -> dict[str, list[Any]]:
     return {"images": block.images(answers), "parts": block.parts(answers)}
 
 
-def _conventions(answers: Answers, inputs: Mapping[str, Any], native: Mapping[str, Any] | None) -> dict[str, str]:
+def _conventions(answers: Answers, inputs: Mapping[str, Any], native: Entry | None) -> dict[str, str]:
     """Return the conventions that native.py has to name, with what each is about."""
     manifest: dict[str, Any] = {
         "inputs": inputs,
@@ -111,7 +112,7 @@ def _arguments(names: list[str], settings: Mapping[str, Any]) -> list[dict[str, 
     return result
 
 
-def _takes_text(entry: Mapping[str, Any]) -> bool:
+def _takes_text(entry: Entry) -> bool:
     """Tell whether a setting is text, so that an argument such as `007` or `null` must not be read as YAML."""
     types = entry.get("type", "string")  # what is not typed here refers to a definition or lists its words
     return "string" in ([types] if isinstance(types, str) else types)

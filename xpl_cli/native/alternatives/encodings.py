@@ -7,7 +7,7 @@ cannot be shown to it. `xpl.worker.encoded.play` carries these changes out.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from xpl_cli.native.alternatives.block.timing import TEMPLATES
 from xpl_cli.native.alternatives.forms import MEANS, RANGES
 
 if TYPE_CHECKING:
+    from xpl.contract import Entry
     from xpl.embodiment import Embodiment
 
 _FILTERS: tuple[tuple[str, bool], ...] = (
@@ -67,7 +68,7 @@ class Encoding:
     rank: int
     words: str
     convention: str
-    how: Mapping[str, Any] = field(hash=False)
+    how: Entry = field(hash=False)
     geometry: str = ""
 
 
@@ -162,7 +163,7 @@ def _sizes() -> Iterator[Encoding]:
             yield Encoding(rank + later, told, "image_size", {"kind": "resized", "steps": made}, geometry)
 
 
-def _told(box: Mapping[str, Any]) -> str:
+def _told(box: Entry) -> str:
     return "".join(f", {key}: {value}" for key, value in box.items())
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl import Embodiment
+    from xpl.contract import Entry
 
 _JUDGED = ("joints", "position", "rotation")
 _ABSOLUTE = "absolute"
@@ -39,13 +40,13 @@ class Columns:
 
     where: str
     kind: str
-    entry: Mapping[str, Any]
+    entry: Entry
     rows: np.ndarray
     leads: bool = False
     unknown: frozenset[str] = frozenset()
 
 
-def collect(native: Mapping[str, Any], folders: Sequence[Path], embodiment: Embodiment) -> list[Columns]:
+def collect(native: Entry, folders: Sequence[Path], embodiment: Embodiment) -> list[Columns]:
     """Return the joints, positions and rotations of a block's samples; of each as many rows, of the same moments.
 
     Args:
@@ -73,7 +74,7 @@ def collect(native: Mapping[str, Any], folders: Sequence[Path], embodiment: Embo
 
 
 def _columns(
-    native: Mapping[str, Any], entry: Mapping[str, Any], where: str, folders: Sequence[Path], embodiment: Embodiment
+    native: Entry, entry: Entry, where: str, folders: Sequence[Path], embodiment: Embodiment
 ) -> Iterator[Columns]:
     vector, leads = _vector(native, entry, where)
     if _is_open(vector["parts"]) or len(vector["parts"]) > _MOST_PARTS:
@@ -96,7 +97,7 @@ def _columns(
 
 
 def _closed(
-    parts: Sequence[Mapping[str, Any]], width: int, embodiment: Embodiment
+    parts: Sequence[Entry], width: int, embodiment: Embodiment
 ) -> list[tuple[str, dict[str, Any], frozenset[str]]]:
     """Return kind, words and open words of each part; what is open has a plain value, or none.
 
@@ -124,7 +125,7 @@ def _is_open(value: Any) -> bool:
     return isinstance(value, Mapping) and "unknown" in value
 
 
-def _vector(native: Mapping[str, Any], entry: Mapping[str, Any], where: str) -> tuple[Mapping[str, Any], bool]:
+def _vector(native: Entry, entry: Entry, where: str) -> tuple[Entry, bool]:
     """Return the vector whose rows these are, and whether they are commands."""
     if "parts" in entry:
         return {"parts": entry["parts"]}, False
@@ -136,7 +137,7 @@ def _vector(native: Mapping[str, Any], entry: Mapping[str, Any], where: str) -> 
     return known[entry["of"]], False
 
 
-def _rows(entry: Mapping[str, Any], where: str, folders: Sequence[Path]) -> np.ndarray:
+def _rows(entry: Entry, where: str, folders: Sequence[Path]) -> np.ndarray:
     """Return the rows of an entry, (N, width) float64."""
     path = tables.find(entry["file"], folders)
     if path is None:

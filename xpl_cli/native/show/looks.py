@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from xpl.convert import NativeError
 from xpl.convert.images import ImageInput
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from xpl.contract import Entry
 
 _GEOMETRY = frozenset(("resize", "letterbox", "crop"))
 _CLEARER = 0.7
@@ -20,7 +20,7 @@ _LEAST = 2.0
 """Mean difference, of 255, below which pictures are alike."""
 
 
-def exchanged(seen: np.ndarray, camera: np.ndarray, entry: Mapping[str, Any]) -> list[str]:
+def exchanged(seen: np.ndarray, camera: np.ndarray, entry: Entry) -> list[str]:
     """Return what lies between a camera's picture and what a model gets of it; [] if nothing does.
 
     Args:
@@ -31,7 +31,7 @@ def exchanged(seen: np.ndarray, camera: np.ndarray, entry: Mapping[str, Any]) ->
     return nearest(seen, camera, entry)[0]
 
 
-def nearest(seen: np.ndarray, camera: np.ndarray, entry: Mapping[str, Any] | None = None) -> tuple[list[str], float]:
+def nearest(seen: np.ndarray, camera: np.ndarray, entry: Entry | None = None) -> tuple[list[str], float]:
     """Return what lies between a camera's picture and another, as `exchanged`, and what is left then, 0 to 255."""
     found = {words: difference(seen, made, entry or {}) for words, made in _made(camera).items()}
     words = min(found, key=lambda name: found[name])
@@ -39,7 +39,7 @@ def nearest(seen: np.ndarray, camera: np.ndarray, entry: Mapping[str, Any] | Non
     return ([], plain) if found[words] > _CLEARER * plain or plain < _LEAST else (list(words), found[words])
 
 
-def difference(seen: np.ndarray, camera: np.ndarray, entry: Mapping[str, Any]) -> float:
+def difference(seen: np.ndarray, camera: np.ndarray, entry: Entry) -> float:
     """Return the mean difference, 0 to 255, between a picture and what scaling and cutting makes of a camera's."""
     steps = [step for step in entry.get("steps", ()) if next(iter(step)) in _GEOMETRY]
     plain = {"input": "", "cameras": [""], "steps": steps, "channels": "rgb", "layout": "hwc", "dtype": "uint8"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypedDict
 
 import numpy as np
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from xpl import Embodiment
+    from xpl.contract import Action, Entry, State
     from xpl.convert import Interface
     from xpl.convert.parts import Part
     from xpl.convert.vectors import Vector
@@ -35,6 +36,14 @@ _STANDARD: Final = {
 """Which numbers of the standard's pose a part of the model's is made of."""
 
 
+class Partner(TypedDict):
+    """A number of the standard: `values` of an action at its first and last step."""
+
+    name: str
+    values: list[float]
+    unit: str
+
+
 @dataclass(frozen=True)
 class Number:
     """One number of a model's vector.
@@ -46,8 +55,8 @@ class Number:
         unit: the model's.
         says: what the block says of the part, in short.
         values: as the model gets or gives it, and before normalisation; of an action at its first and last step.
-        standard: the standard's numbers in the same place: name, value (of an action at the first and last step),
-            unit. Numbers of a rotation have no partner of their own: the first has all four, the others none.
+        standard: the standard's numbers in the same place. Numbers of a rotation have no partner of their own: the
+            first has all four, the others none.
     """
 
     index: int
@@ -56,16 +65,14 @@ class Number:
     unit: str
     says: str
     values: Mapping[str, Sequence[float]]
-    standard: Sequence[Mapping[str, Any]]
+    standard: Sequence[Partner]
 
     def document(self) -> dict[str, Any]:
         """Return it as JSON."""
         return asdict(self)
 
 
-def of_state(
-    entry: Mapping[str, Any], vector: Vector, given: np.ndarray, state: Mapping[str, Any], robot: Embodiment
-) -> list[Number]:
+def of_state(entry: Entry, vector: Vector, given: np.ndarray, state: State, robot: Embodiment) -> list[Number]:
     """Return the numbers of a state vector.
 
     Args:
@@ -80,16 +87,16 @@ def of_state(
     found = []
     for index, (name, unit, item, says, partners) in enumerate(_columns(entry, vector, robot)):
         values = {"model": [float(given[index])], "before": [float(before[index])]}
-        standard = [{"name": told, "values": [_value(state, key, at)], "unit": its} for told, key, at, its in partners]
+        standard = [Partner(name=told, values=[_value(state, key, at)], unit=its) for told, key, at, its in partners]
         found.append(Number(index, item.label, name, unit, says, values, standard))
     return [*found, *_padding(vector, given[None])]
 
 
 def of_action(
-    entry: Mapping[str, Any],
+    entry: Entry,
     interface: Interface,
     answer: np.ndarray,
-    steps: Sequence[Mapping[str, Any]],
+    steps: Sequence[Action],
     robot: Embodiment,
 ) -> list[Number]:
     """Return the numbers of an action, at the first and the last step that is executed.
@@ -109,7 +116,7 @@ def of_action(
         told = item.reference or entry["reference"]
         values = {"model": rows[:, index].tolist(), "before": before[:, index].tolist()}
         standard = [
-            {"name": its_name, "values": [_value(steps[0], key, at), _value(steps[-1], key, at)], "unit": its}
+            Partner(name=its_name, values=[_value(steps[0], key, at), _value(steps[-1], key, at)], unit=its)
             for its_name, key, at, its in partners
         ]
         said = told if item.kind != "fill" else ""
@@ -118,7 +125,7 @@ def of_action(
 
 
 def _columns(
-    entry: Mapping[str, Any], vector: Vector, robot: Embodiment
+    entry: Entry, vector: Vector, robot: Embodiment
 ) -> Iterator[tuple[str, str, Part, str, list[tuple[str, str, int, str]]]]:
     """Yield for each number its name, unit and part, what is said of it, and its partners in the standard."""
     for told, item in zip(entry["parts"], vector.parts, strict=True):
@@ -131,7 +138,7 @@ def _columns(
             yield names[place], unit, item, says if place == 0 else "", partners
 
 
-def _names(kind: str, how: Mapping[str, Any], item: Part, robot: Embodiment) -> Sequence[str]:
+def _names(kind: str, how: Entry, item: Part, robot: Embodiment) -> Sequence[str]:
     if kind == "position":
         return _AXES
     if kind == "rotation":
@@ -150,7 +157,7 @@ def _names(kind: str, how: Mapping[str, Any], item: Part, robot: Embodiment) -> 
     return ["nothing"] * item.width
 
 
-def _unit(kind: str, how: Mapping[str, Any]) -> str:
+def _unit(kind: str, how: Entry) -> str:
     if kind == "position":
         return str(how.get("unit", "m"))
     if kind in ("joints", "hand"):
@@ -160,7 +167,7 @@ def _unit(kind: str, how: Mapping[str, Any]) -> str:
     return ""
 
 
-def _says(kind: str, how: Mapping[str, Any]) -> str:
+def _says(kind: str, how: Entry) -> str:
     """Return what the block says of a part beside its names and units."""
     if kind == "gripper":
         return f"closed {how['closed']}, open {how['open']}"
@@ -179,9 +186,7 @@ def _says(kind: str, how: Mapping[str, Any]) -> str:
     return " ".join(word for word in words if word)
 
 
-def _partners(
-    kind: str, how: Mapping[str, Any], item: Part, place: int, robot: Embodiment
-) -> Iterator[tuple[str, str, int, str]]:
+def _partners(kind: str, how: Entry, item: Part, place: int, robot: Embodiment) -> Iterator[tuple[str, str, int, str]]:
     """Yield name, key, index and unit of the standard's numbers that belong to one of the model's."""
     if kind == "fill":
         return
@@ -208,5 +213,5 @@ def _padding(vector: Vector, rows: np.ndarray) -> Iterator[Number]:
         yield Number(vector.width, "padding", f"{rest} numbers", "", "means nothing", values, [])
 
 
-def _value(fields: Mapping[str, Any], key: str, index: int) -> float:
+def _value(fields: State, key: str, index: int) -> float:
     return float(np.asarray(fields[key], np.float64)[index])

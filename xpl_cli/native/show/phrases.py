@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
+    from xpl.contract import Entry
     from xpl_cli.native.show.numbers import Number
     from xpl_cli.native.show.views import View
 
@@ -34,7 +35,7 @@ def row(number: Number) -> tuple[str, ...]:
     return str(number.index), part, number.name, number.unit, figures(number.values["model"]), before, standard
 
 
-def partner(entry: Mapping[str, Any]) -> str:
+def partner(entry: Entry) -> str:
     """Return a number of the standard."""
     return f"{entry['name']} = {figures(entry['values'])} {entry['unit']}".rstrip()
 

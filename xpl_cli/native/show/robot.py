@@ -15,9 +15,10 @@ from xpl.kinematics import Chain, KinematicsError
 from xpl_cli.native.show.drawing import Dot, Figure, Line, Shape, Word
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from xpl import Embodiment
+    from xpl.contract import Action, Entry, State
     from xpl.convert.vectors import Vector
 
 _WIDTH, _HEIGHT, _MARGIN, _TITLE = 420.0, 380.0, 34.0, 22.0
@@ -58,7 +59,7 @@ class Read:
     """
 
     input: str
-    entry: Mapping[str, Any]
+    entry: Entry
     vector: Vector
     numbers: np.ndarray
 
@@ -84,9 +85,9 @@ class Drawn:
 
 def figures(
     robot: Embodiment,
-    state: Mapping[str, Any],
+    state: State,
     vectors: Sequence[Read],
-    steps: Sequence[Mapping[str, Any]],
+    steps: Sequence[Action],
 ) -> list[Figure]:
     """Return the robot from three sides.
 
@@ -130,9 +131,7 @@ def _mount(robot: Embodiment, side: str) -> np.ndarray:
         return _STILL
 
 
-def _stick(
-    robot: Embodiment, chain: Chain, base: np.ndarray, fields: Mapping[str, Any], prefix: str
-) -> list[np.ndarray]:
+def _stick(robot: Embodiment, chain: Chain, base: np.ndarray, fields: State, prefix: str) -> list[np.ndarray]:
     """Return the links and the fingers of an arm whose joints are known, as lines in the world."""
     key = prefix + sdk.State.ARM_JOINT_STATE
     if key not in fields:
@@ -152,7 +151,7 @@ def _stick(
     return lines
 
 
-def _path(chain: Chain | None, base: np.ndarray, steps: Sequence[Mapping[str, Any]], prefix: str) -> list[np.ndarray]:
+def _path(chain: Chain | None, base: np.ndarray, steps: Sequence[Action], prefix: str) -> list[np.ndarray]:
     """Return the way of the flange that an arm's commands ask for."""
     joint, pose = prefix + sdk.State.ARM_JOINT_STATE, prefix + sdk.State.EE_POSE
     if steps and pose in steps[0]:
@@ -164,7 +163,7 @@ def _path(chain: Chain | None, base: np.ndarray, steps: Sequence[Mapping[str, An
     return []
 
 
-def _marks(robot: Embodiment, read: Read, state: Mapping[str, Any]) -> Iterator[Mark]:
+def _marks(robot: Embodiment, read: Read, state: State) -> Iterator[Mark]:
     """Yield the poses that a vector's numbers say, where its block says that they are."""
     vector = read.vector
     pieces = {item.label: values for item, values in vector.cut(read.numbers)}

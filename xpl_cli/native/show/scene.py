@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl import images
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from xpl import Embodiment
+    from xpl.contract import Observation, ObservationDict
     from xpl.manifest import Manifest
 
 _SIZE: Final = (480, 640)
@@ -39,7 +40,7 @@ class Scene:
         origin: where they are from, in words.
     """
 
-    observations: Sequence[Mapping[str, Any]]
+    observations: Sequence[Observation]
     origin: str
 
 
@@ -145,7 +146,7 @@ def _photos(photos: Mapping[str, Path]) -> Iterator[tuple[str, np.ndarray]]:
             raise UserError(f"{path} is no picture: {error}", code=ExitCode.NOT_FOUND) from None
 
 
-def with_pictures(observation: Mapping[str, Any], pictures: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def with_pictures(observation: Observation, pictures: Mapping[str, np.ndarray]) -> ObservationDict:
     """Return an observation with other pictures of some cameras."""
     vision = dict(observation[sdk.Obs.VISION])
     for camera, picture in pictures.items():

@@ -19,6 +19,7 @@ from xpl_cli.native.show.scene import Scene
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from xpl.contract import Entry, State
     from xpl.convert import Interface
     from xpl_cli.native.show.drawing import Figure
     from xpl_cli.native.show.numbers import Number
@@ -195,7 +196,7 @@ def of_pairs(what: Subject) -> tuple[Scene, Steps, str] | None:
     return None
 
 
-def _needed(what: Subject) -> tuple[Mapping[str, Any], Interface]:
+def _needed(what: Subject) -> tuple[Entry, Interface]:
     if what.native is None or what.interface is None:
         raise UserError(
             f"{what.package.path} has no native block: nothing says what its model reads, so that nothing can be shown",
@@ -264,13 +265,13 @@ def _inputs(interface: Interface, scene: Scene) -> dict[str, Any]:
         raise UserError(f"{scene.origin}: {error}", code=ExitCode.NOT_RUN) from None
 
 
-def _newest(native: Mapping[str, Any], interface: Interface, value: Any) -> np.ndarray:
+def _newest(native: Entry, interface: Interface, value: Any) -> np.ndarray:
     array = np.asarray(value)
     with_history = (native.get("history") or {}).get("of", ["images", "state"])
     return array[-1] if interface.history > 1 and "state" in with_history else array
 
 
-def _made_up(what: Subject, state: Mapping[str, Any]) -> Steps:
+def _made_up(what: Subject, state: State) -> Steps:
     """Return a command: the first step holds still, the last is a little further, with grippers half way to closed."""
     count = what.interface.action.steps if what.interface and what.interface.action.steps else _STEPS
     steps = []
@@ -310,7 +311,7 @@ def _difference(given: Any, expected: Any) -> str:
     return f"numbers differ by up to {apart:.3g}: others" if apart > _SMALL * max(span, 1.0) else ""
 
 
-def _vector_words(entry: Mapping[str, Any]) -> str:
+def _vector_words(entry: Entry) -> str:
     rule = entry.get("normalize") or {}
     told = [f"normalised by {rule['rule']}" if "rule" in rule else "not normalised"]
     told += [f"numbers of {rule['file']}"] if "file" in rule else []
@@ -319,7 +320,7 @@ def _vector_words(entry: Mapping[str, Any]) -> str:
     return ", ".join(told)
 
 
-def _action_words(native: Mapping[str, Any], steps: int) -> str:
+def _action_words(native: Entry, steps: int) -> str:
     entry = native["action"]
     return (
         f"{entry['reference']}, {_vector_words(entry)}; {steps} steps, from step {entry.get('first', 0)} of the model's"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl import checkpoint, get_embodiment
@@ -13,10 +13,10 @@ from xpl.embodiment import UnknownEmbodimentError
 from xpl_cli.basics.errors import ExitCode, UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from xpl import Embodiment
+    from xpl.contract import Config, Entry
     from xpl.convert import Interface
     from xpl_cli.packages.package import Package
 
@@ -35,8 +35,8 @@ class Subject:
     """
 
     package: Package
-    config: Mapping[str, Any]
-    native: Mapping[str, Any] | None
+    config: Config
+    native: Entry | None
     interface: Interface | None
     robot: Embodiment
     notes: tuple[str, ...]
@@ -58,7 +58,7 @@ class Subject:
         return max(declared, self.interface.span if self.interface else 1)
 
 
-def subject(package: Package, overrides: Mapping[str, Any]) -> Subject:
+def subject(package: Package, overrides: Config) -> Subject:
     """Return an adapter with its block compiled.
 
     Raises:
@@ -82,7 +82,7 @@ def subject(package: Package, overrides: Mapping[str, Any]) -> Subject:
         raise UserError(f"{package.path}: {error}", code=ExitCode.NOT_RUN) from None
 
 
-def _holes(path: Path, config: Mapping[str, Any], native: Mapping[str, Any]) -> list[str]:
+def _holes(path: Path, config: Config, native: Entry) -> list[str]:
     """Return what is open in a block, or not there, and was filled in."""
     found = [f"open: {gap.where} ({gap.reason}); a plain value stands there" for gap in gaps(native)]
     lacking = absent(native, checkpoint.folders(config, path))

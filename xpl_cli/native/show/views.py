@@ -15,6 +15,8 @@ from xpl_cli.native.show import looks
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from xpl.contract import Entry, Observation
+
 _SIDES: Final = ("left", "right")
 _PLACES: Final = {"wrist": ("wrist", "hand", "gripper"), "head": ("head", "top", "front", "high", "main", "agentview")}
 """Words by which names of inputs and cameras say where a camera is."""
@@ -79,9 +81,7 @@ class View:
         }
 
 
-def views(
-    native: Mapping[str, Any], inputs: Mapping[str, np.ndarray], observations: Sequence[Mapping[str, Any]]
-) -> list[View]:
+def views(native: Entry, inputs: Mapping[str, np.ndarray], observations: Sequence[Observation]) -> list[View]:
     """Return what a model sees, input by input, newest first.
 
     Args:
@@ -104,7 +104,7 @@ def views(
     return found
 
 
-def _of(entry: Mapping[str, Any], value: np.ndarray, observation: Mapping[str, Any], when: int) -> Iterator[View]:
+def _of(entry: Entry, value: np.ndarray, observation: Observation, when: int) -> Iterator[View]:
     item = ImageInput(entry)
     taken = {camera: get_image(observation, camera) for camera in item.cameras}
     for place, (camera, values, seen) in enumerate(
@@ -126,16 +126,14 @@ def _of(entry: Mapping[str, Any], value: np.ndarray, observation: Mapping[str, A
         )
 
 
-def _exchanged(
-    entry: Mapping[str, Any], seen: np.ndarray, taken: Mapping[str, np.ndarray], camera: str
-) -> Iterator[str]:
+def _exchanged(entry: Entry, seen: np.ndarray, taken: Mapping[str, np.ndarray], camera: str) -> Iterator[str]:
     yield from looks.exchanged(seen, taken[camera], entry)
     nearest = min(taken, key=lambda name: looks.difference(seen, taken[name], entry))
     if looks.difference(seen, taken[nearest], entry) < 0.5 * looks.difference(seen, taken[camera], entry):
         yield f"shows {nearest}"
 
 
-def _misnamed(entry: Mapping[str, Any], camera: str) -> Iterator[str]:
+def _misnamed(entry: Entry, camera: str) -> Iterator[str]:
     """Yield what the input's own name says otherwise than the camera's."""
     if len(entry["cameras"]) > 1:
         return
@@ -148,7 +146,7 @@ def _misnamed(entry: Mapping[str, Any], camera: str) -> Iterator[str]:
         yield f"the input is called {entry['input']}, and shows {camera}"
 
 
-def _words(entry: Mapping[str, Any]) -> Iterator[str]:
+def _words(entry: Entry) -> Iterator[str]:
     """Yield what the block says of an input, in its order."""
     for step in entry.get("steps", ()):
         ((kind, how),) = step.items()

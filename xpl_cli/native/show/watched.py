@@ -18,6 +18,7 @@ from xpl_cli.native.show.views import View
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from xpl.contract import Config, Observation
     from xpl_cli.packages.package import Package
 
 _ERRAND: Final = "xpl.worker.inputs"
@@ -54,7 +55,7 @@ class Found:
     failed: str = ""
 
 
-def ask(package: Package, config: Mapping[str, Any], observations: Sequence[Mapping[str, Any]], place: Place) -> Found:
+def ask(package: Package, config: Config, observations: Sequence[Observation], place: Place) -> Found:
     """Show an adapter an episode, ask at its last observation, and return what `predict` got and said.
 
     Raises:
@@ -101,7 +102,7 @@ def told(inputs: Any) -> list[str]:
     ]
 
 
-def pictures(inputs: Any, observation: Mapping[str, Any]) -> list[View]:
+def pictures(inputs: Any, observation: Observation) -> list[View]:
     """Return what among inputs looks like a picture, beside the camera's that it is most like."""
     taken = {
         name: np.asarray(entry[sdk.Camera.COLOR])

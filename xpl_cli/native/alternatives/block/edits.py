@@ -7,9 +7,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from xpl.contract import Entry
+
 Place = tuple[str | int, ...]
 """Keys and positions that lead to a value of the block."""
-Block = Mapping[str, Any]
+Block = Entry
 """A native block as it is written, or an entry of it."""
 
 

@@ -117,7 +117,7 @@ def _other_cameras(index: int, entry: Block, known: Sequence[str]) -> Iterator[C
 
 
 def _turns(sites: Sequence[Site]) -> Iterator[Candidate]:
-    steps: list[tuple[int, dict[str, Any]]] = [(0, {"rotate": 180}), (0, {"mirror": "left_right"})]
+    steps: list[tuple[int, Step]] = [(0, {"rotate": 180}), (0, {"mirror": "left_right"})]
     steps += [(1, {"mirror": "up_down"}), (2, {"rotate": 90}), (2, {"rotate": 270})]
     for rank, step in steps:
         ((kind, how),) = step.items()
@@ -185,7 +185,9 @@ def _resampling(sites: Sequence[Site]) -> Iterator[Candidate]:
         yield from everywhere(sites, 2, f"as: {kind}", "image_filter", _stepped(_inside("", "as", kind, "uint8")))
 
 
-Steps = list[dict[str, Any]]
+Step = dict[str, Any]
+"""One step of `images[].steps`: its kind and how."""
+Steps = list[Step]
 StepsChange = Callable[[Steps], Steps | None]
 """Returns what becomes of the steps of an image, or None where the change has no meaning."""
 
@@ -214,11 +216,11 @@ def _size(steps: Steps) -> tuple[int, int] | None:
     return shape
 
 
-def _appended(step: dict[str, Any]) -> StepsChange:
+def _appended(step: Step) -> StepsChange:
     return lambda steps: None if any(step.keys() == one.keys() for one in steps) else [*steps, step]
 
 
-def _prepended(step: dict[str, Any]) -> StepsChange:
+def _prepended(step: Step) -> StepsChange:
     return lambda steps: None if not steps or any(step.keys() == one.keys() for one in steps) else [step, *steps]
 
 
@@ -230,7 +232,7 @@ def _said(kind: str, how: Any) -> StepsChange:
     return lambda steps: [{kind: how} if kind in step else step for step in steps]
 
 
-def _replaced(kind: str, by: dict[str, Any]) -> StepsChange:
+def _replaced(kind: str, by: Step) -> StepsChange:
     return lambda steps: [by if kind in step else step for step in steps]
 
 

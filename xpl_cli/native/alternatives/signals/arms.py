@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl import _spec as spec
-from xpl_cli.native.alternatives.signals.fields import Change, Function, Numbers, exchanged, on, scopes
+from xpl_cli.native.alternatives.signals.fields import Change, Function, exchanged, on, scopes
 
 if TYPE_CHECKING:
+    from xpl.convert.parts import Numbers
     from xpl.embodiment import Embodiment
 
 _ZEROS = (90, -90, 180, -180)

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-Fields = Mapping[str, Any]
+from xpl.contract import State
+from xpl.convert.parts import Numbers
+
+Fields = State
 """The map `state` of an observation, or an action step."""
-Turn = Callable[[Fields], dict[str, Any]]
-Numbers = np.ndarray[Any, np.dtype[Any]]
+Turn = Callable[[Fields], dict[str, Numbers]]
 Function = Callable[[Numbers], Numbers]
 
 
@@ -47,7 +49,7 @@ def on(keys: Iterable[str], function: Function) -> Turn:
     """Return the change of these fields, where they are there, by a function of (..., width) float64."""
     chosen = frozenset(keys)
 
-    def turn(fields: Fields) -> dict[str, Any]:
+    def turn(fields: Fields) -> dict[str, Numbers]:
         return {key: _like(value, function) if key in chosen else value for key, value in fields.items()}
 
     return turn
@@ -62,14 +64,14 @@ def _like(value: Any, function: Function) -> Numbers:
 def exchanged(pairs: Mapping[str, str]) -> Turn:
     """Return the change that gives fields each other's values."""
 
-    def turn(fields: Fields) -> dict[str, Any]:
+    def turn(fields: Fields) -> dict[str, Numbers]:
         other = {**pairs, **{value: key for key, value in pairs.items()}}
         return {key: fields.get(other.get(key, key), value) for key, value in fields.items()}
 
     return turn
 
 
-def same(fields: Fields) -> dict[str, Any]:
+def same(fields: Fields) -> dict[str, Numbers]:
     """Change nothing."""
     return dict(fields)
 

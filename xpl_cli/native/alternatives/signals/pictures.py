@@ -5,16 +5,20 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from xpl import _spec as spec
+from xpl.convert.parts import Numbers
 from xpl.convert.resample import resize
 from xpl_cli.native.alternatives.signals.signal import Obs, Shown, Signal
 
+if TYPE_CHECKING:
+    from xpl.contract import Entry, ObservationDict
+
 _FRACTIONS = (1, 0.9, 0.95, 0.875, 0.8, 0.85)
-Picture = np.ndarray[Any, np.dtype[Any]]
+Picture = Numbers
 _Change = Callable[[Picture], Picture]
 
 
@@ -64,13 +68,13 @@ def dark(camera: str) -> Shown:
     return _seen(np.zeros_like, [camera])
 
 
-def _mapped(obs: Obs, change: Callable[[str, Mapping[str, Any]], Any]) -> dict[str, Any]:
+def _mapped(obs: Obs, change: Callable[[str, Entry], Entry]) -> ObservationDict:
     vision = obs.get(spec.Obs.VISION) or {}
     return {**obs, spec.Obs.VISION: {camera: change(camera, entry) for camera, entry in vision.items()}}
 
 
 def _seen(change: _Change, cameras: Sequence[str]) -> Shown:
-    def entry(camera: str, was: Mapping[str, Any]) -> Any:
+    def entry(camera: str, was: Entry) -> Entry:
         if camera not in cameras or spec.Camera.COLOR not in was:
             return was
         return {**was, spec.Camera.COLOR: np.ascontiguousarray(change(was[spec.Camera.COLOR]))}
@@ -81,7 +85,7 @@ def _seen(change: _Change, cameras: Sequence[str]) -> Shown:
 def _placed(places: Mapping[str, str]) -> Shown:
     """Return the change that shows each camera another one's picture."""
 
-    def exchanged(obs: Obs) -> dict[str, Any]:
+    def exchanged(obs: Obs) -> ObservationDict:
         vision = obs.get(spec.Obs.VISION) or {}
         return _mapped(obs, lambda camera, was: vision.get(places.get(camera, camera), was))
 

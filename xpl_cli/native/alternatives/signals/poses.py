@@ -14,9 +14,10 @@ from xpl import _spec as spec
 from xpl import poses as pose_math
 from xpl import rotation
 from xpl.convert import NativeError, frames, rotations
-from xpl_cli.native.alternatives.signals.fields import Change, Fields, Function, Numbers, Turn, on, scopes
+from xpl_cli.native.alternatives.signals.fields import Change, Fields, Function, Turn, on, scopes
 
 if TYPE_CHECKING:
+    from xpl.convert.parts import Numbers
     from xpl.embodiment import Embodiment
 
 _PLACE, _TURN = slice(0, spec.POSITION_DIM), slice(spec.POSITION_DIM, spec.POSE_DIM)
@@ -263,7 +264,7 @@ def _mounted(
         for key in _KEYS:
             turns[prefix + key] = only(partial(moved, outer))
 
-    def turn(fields: Fields) -> dict[str, object]:
+    def turn(fields: Fields) -> dict[str, Numbers]:
         result = dict(fields)
         for key in turns.keys() & fields.keys():
             result.update(on([key], turns[key])({key: fields[key]}))

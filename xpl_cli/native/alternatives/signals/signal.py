@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-Obs = Mapping[str, Any]
+from xpl.contract import Observation, ObservationDict
+
+Obs = Observation
 Given = Mapping[str, np.ndarray]
 """An action step, or what was observed of the robot: numbers by key."""
 Steps = list[dict[str, np.ndarray]]
 Step = Given | None
 """An action step; None where a change cannot tell what it would be."""
-Episode = list[dict[str, Any]]
+Episode = list[ObservationDict]
 """Observations that are shown, oldest first."""
 Shown = Callable[[Sequence[Obs]], Episode]
 """Returns what is shown instead of the observations of an episode, oldest first."""

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
 from xpl_cli.native.alternatives.signals.signal import Episode, Obs, Shown, Signal
+
+if TYPE_CHECKING:
+    from xpl.contract import ObservationDict
 
 _CHANGES: tuple[tuple[int, str, Callable[[str], str]], ...] = (
     (0, "case: lower", str.lower),
@@ -45,7 +48,7 @@ def _said(change: Callable[[str], str]) -> Shown:
     return shown
 
 
-def _with(obs: Obs, change: Callable[[str], str]) -> dict[str, Any]:
+def _with(obs: Obs, change: Callable[[str], str]) -> ObservationDict:
     result = dict(obs)
     if isinstance(result.get(spec.Obs.INSTRUCTION), str):
         result[spec.Obs.INSTRUCTION] = change(result[spec.Obs.INSTRUCTION])
