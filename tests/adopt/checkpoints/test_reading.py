@@ -41,18 +41,10 @@ def test_a_folder_of_nobody_s_is_told_whose_there_are(tmp_path: Path) -> None:
         registry.read([tmp_path / "nothing"])
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("{", "is not JSON"),
-        ("[" * 100_000, "is not JSON"),
-        ('{"type": "act"', "is not JSON"),
-        ("\x00\x01", "is not JSON"),
-    ],
-)
-def test_what_is_no_json_is_one_error(tmp_path: Path, text: str, told: str) -> None:
+@pytest.mark.parametrize("text", ["{", "[" * 100_000, '{"type": "act"', "\x00\x01"])
+def test_what_is_no_json_is_one_error(tmp_path: Path, text: str) -> None:
     trained.put(tmp_path, "config.json", text)
-    refused(tmp_path, told)
+    refused(tmp_path, "is not JSON")
 
 
 def test_what_is_too_large_is_not_read(tmp_path: Path) -> None:
