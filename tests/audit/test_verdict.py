@@ -24,10 +24,6 @@ from xpl_cli.standard import spec
 
 NO_CODE = Circumstances(without_pairs="no native.py")
 PROOF = {"pairs": 24, "assumed": 2}
-OPEN = (
-    "OPEN 2 places to fill in (a.py:3 and 1 more), 1 native value unknown (gripper), without the model, x only: "
-    "nothing wrong in what ran"
-)
 
 
 def _result(code: str, outcome: Outcome = Outcome.PASS, **more: Any) -> Result:
@@ -48,125 +44,95 @@ def _said(gates: list[Ended], around: Circumstances = NO_CODE, kind: str = POLIC
 
 # -- what is said ------------------------------------------------------------------------------------------------------
 
+UNPROVEN = "conversions unproven (no native.py)"
+FINE = "nothing wrong in what ran"
+PAIRS = Circumstances()
+FOUND = (Finding("x"),)
+WAIVED = (Waived(Finding("x"), "why"),)
+PARITY = _result("XPL260", proof=PROOF)
+FIT = _result("XPL270", proof={"episodes": 12})
+ONE_PAIR = _result("XPL260", proof={"pairs": 1, "assumed": 1})
+NONE_ASSUMED = _result("XPL260", proof={"pairs": 3, "assumed": 0})
+NONE_NAMED = _result("XPL260", proof={"pairs": 3, "conventions": 0, "assumed": 0, "tolerance": 1e-4})
+WAITING = [_result(f"XPL20{number}", Outcome.NOT_RUN) for number in range(2, 7)]
+
 
 @pytest.mark.parametrize(
-    ("gates", "around", "said"),
+    ("results", "around", "said"),
     [
-        (_gates(), NO_CODE, "GREEN contract; conversions unproven (no native.py)"),
+        ([], NO_CODE, f"GREEN contract; {UNPROVEN}"),
+        ([PARITY], PAIRS, "GREEN contract, parity (24 pairs, 2 conventions assumed)"),
+        ([ONE_PAIR, _result("XPL261")], PAIRS, "GREEN contract, parity (1 pair, 1 convention assumed)"),
+        ([NONE_ASSUMED], PAIRS, "GREEN contract, parity (3 pairs, no convention assumed)"),
+        ([NONE_NAMED], PAIRS, "GREEN contract, parity (3 pairs, no convention named)"),
         (
-            _gates(_result("XPL260", proof=PROOF)),
-            Circumstances(),
-            "GREEN contract, parity (24 pairs, 2 conventions assumed)",
-        ),
-        (
-            _gates(_result("XPL260", proof={"pairs": 1, "assumed": 1}), _result("XPL261")),
-            Circumstances(),
-            "GREEN contract, parity (1 pair, 1 convention assumed)",
-        ),
-        (
-            _gates(_result("XPL260", proof={"pairs": 3, "assumed": 0})),
-            Circumstances(),
-            "GREEN contract, parity (3 pairs, no convention assumed)",
-        ),
-        (
-            _gates(_result("XPL260", proof={"pairs": 3, "conventions": 0, "assumed": 0, "tolerance": 1e-4})),
-            Circumstances(),
-            "GREEN contract, parity (3 pairs, no convention named)",
-        ),
-        (
-            _gates(),
+            [],
             replace(NO_CODE, settings=("seed", "ckpt_name")),
-            "GREEN contract, with --set seed, ckpt_name; conversions unproven (no native.py)",
+            f"GREEN contract, with --set seed, ckpt_name; {UNPROVEN}",
         ),
         (
-            _gates(_result("XPL203", waived=(Waived(Finding("x"), "why"),) * 2)),
+            [_result("XPL203", waived=WAIVED * 2)],
             NO_CODE,
-            "GREEN contract; 2 findings waived (XPL203); conversions unproven (no native.py)",
+            f"GREEN contract; 2 findings waived (XPL203); {UNPROVEN}",
         ),
         (
-            _gates(_result("XPL260", waived=(Waived(Finding("x"), "why"),))),
-            Circumstances(),
+            [_result("XPL260", waived=WAIVED)],
+            PAIRS,
             "GREEN contract; 1 finding waived (XPL260); conversions unproven (findings of XPL260 are waived)",
         ),
         (
-            _gates(_result("XPL260", proof=PROOF), _result("XPL261", waived=(Waived(Finding("x"), "why"),))),
-            Circumstances(),
+            [PARITY, _result("XPL261", waived=WAIVED)],
+            PAIRS,
             "GREEN contract; 1 finding waived (XPL261); conversions unproven (findings of XPL261 are waived)",
         ),
         (
-            _gates(_result("XPL260", Outcome.NOT_APPLICABLE, reason="nothing to compare")),
-            Circumstances(),
+            [_result("XPL260", Outcome.NOT_APPLICABLE, reason="nothing to compare")],
+            PAIRS,
             "GREEN contract; conversions unproven (nothing to compare)",
         ),
-        (_gates(), Circumstances(), "GREEN contract; conversions unproven (XPL260 proved nothing)"),
+        ([], PAIRS, "GREEN contract; conversions unproven (XPL260 proved nothing)"),
+        ([FIT, _result("XPL271")], NO_CODE, f"GREEN contract, demonstrations (12 episodes); {UNPROVEN}"),
         (
-            _gates(_result("XPL270", proof={"episodes": 12}), _result("XPL271")),
+            [_result("XPL270", Outcome.FAIL, findings=FOUND)],
             NO_CODE,
-            "GREEN contract, demonstrations (12 episodes); conversions unproven (no native.py)",
+            f"RED 1 rule failed (XPL270); {UNPROVEN}; conventions of training unproven (XPL270 found 1 difference)",
         ),
         (
-            _gates(_result("XPL270", Outcome.FAIL, findings=(Finding("x"),))),
+            [FIT, _result("XPL271", Outcome.WARN, findings=FOUND)],
             NO_CODE,
-            (
-                "RED 1 rule failed (XPL270); conversions unproven (no native.py); "
-                "conventions of training unproven (XPL270 found 1 difference)"
-            ),
+            f"GREEN contract; {UNPROVEN}; conventions of training unproven (XPL271 found 1 difference)",
         ),
+        ([_result("XPL203", Outcome.FAIL, findings=FOUND)], NO_CODE, f"RED 1 rule failed (XPL203); {UNPROVEN}"),
         (
-            _gates(_result("XPL270", proof={"episodes": 5}), _result("XPL271", Outcome.WARN, findings=(Finding("x"),))),
-            NO_CODE,
-            (
-                "GREEN contract; conversions unproven (no native.py); "
-                "conventions of training unproven (XPL271 found 1 difference)"
-            ),
-        ),
-        (
-            _gates(_result("XPL203", Outcome.FAIL, findings=(Finding("x"),))),
-            NO_CODE,
-            "RED 1 rule failed (XPL203); conversions unproven (no native.py)",
-        ),
-        (
-            _gates(_result("XPL203", Outcome.FAIL), _result("XPL260", proof=PROOF)),
-            Circumstances(),
+            [_result("XPL203", Outcome.FAIL), PARITY],
+            PAIRS,
             "RED 1 rule failed (XPL203); parity (24 pairs, 2 conventions assumed)",
         ),
+        ([_result("XPL203", Outcome.ERROR)], NO_CODE, f"RED 1 rule crashed (XPL203); {UNPROVEN}"),
+        (WAITING, NO_CODE, f"INCOMPLETE 5 rules could not run (XPL202, XPL203, XPL204 and 2 more); {UNPROVEN}"),
+        ([], replace(NO_CODE, narrowed="only XPL2"), f"PARTIAL only XPL2: {FINE}"),
         (
-            _gates(_result("XPL203", Outcome.ERROR)),
-            NO_CODE,
-            "RED 1 rule crashed (XPL203); conversions unproven (no native.py)",
-        ),
-        (
-            _gates(*(_result(f"XPL20{number}", Outcome.NOT_RUN) for number in range(2, 7))),
-            NO_CODE,
-            "INCOMPLETE 5 rules could not run (XPL202, XPL203, XPL204 and 2 more); conversions unproven (no native.py)",
-        ),
-        (
-            _gates(shadow=True),
-            NO_CODE,
-            "SHADOW without the model: nothing wrong in what ran; conversions unproven (no native.py)",
-        ),
-        (
-            _gates(_result("XPL260", proof=PROOF), shadow=True),
-            Circumstances(),
-            "SHADOW without the model: nothing wrong in what ran; conversions unproven (without the model)",
-        ),
-        (_gates(), replace(NO_CODE, narrowed="only XPL2"), "PARTIAL only XPL2: nothing wrong in what ran"),
-        (
-            _gates(_result("XPL260", proof=PROOF)),
+            [PARITY],
             Circumstances(narrowed="offline only"),
-            "PARTIAL offline only: nothing wrong in what ran; parity (24 pairs, 2 conventions assumed)",
+            f"PARTIAL offline only: {FINE}; parity (24 pairs, 2 conventions assumed)",
         ),
-        (_gates()[:1], NO_CODE, "PARTIAL static only: nothing wrong in what ran"),
-        (
-            _gates(shadow=True),
-            replace(NO_CODE, places=("a.py:3", "b.md:1"), unknown=("gripper",), narrowed="x only"),
-            OPEN,
-        ),
-        ([], NO_CODE, "INCOMPLETE nothing was checked"),
     ],
 )
-def test_a_verdict_says_what_is_proven_and_what_is_not(gates: list[Ended], around: Circumstances, said: str) -> None:
-    assert _said(gates, around) == said
+def test_a_verdict_says_what_is_proven_and_what_is_not(results: list[Result], around: Circumstances, said: str) -> None:
+    assert _said(_gates(*results), around) == said
+
+
+def test_a_shadow_and_what_was_not_looked_at_prove_nothing() -> None:
+    assert _said(_gates(shadow=True)) == f"SHADOW without the model: {FINE}; {UNPROVEN}"
+    shadow = _said(_gates(PARITY, shadow=True), PAIRS)
+    assert shadow == f"SHADOW without the model: {FINE}; conversions unproven (without the model)"
+    assert _said(_gates()[:1]) == f"PARTIAL static only: {FINE}"
+    left_open = replace(NO_CODE, places=("a.py:3", "b.md:1"), unknown=("gripper",), narrowed="x only")
+    assert _said(_gates(shadow=True), left_open) == (
+        "OPEN 2 places to fill in (a.py:3 and 1 more), 1 native value unknown (gripper), without the model, x only: "
+        f"{FINE}"
+    )
+    assert _said([]) == "INCOMPLETE nothing was checked"
 
 
 def test_a_gate_without_anything_to_prove_is_named() -> None:
