@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.support.outside.stand_in import standing_in
-from tests.support.peer import Peer, xpl
+from tests.support.peer import xpl
 from xpl import Client
 from xpl.client import AsyncClient, ClientError, EnvironmentMismatchError, PolicyServerError
 from xpl_cli.basics.errors import ExitCode
@@ -88,17 +87,6 @@ def test_an_environment_that_fits_is_served(shared: RunningServer, environment: 
         assert client.policy["embodiment"] == "franka_single"
         assert client.policy["inputs"] == MANIFEST["inputs"]["required"]
         assert client.policy["control_frequency"] == 20
-
-
-@pytest.mark.parametrize(
-    "environment", [3, "franka", ["franka"], {"embodiment": 3}, {"inputs": "vision"}, {"inputs": [3]}]
-)
-def test_what_is_no_environment_does_not_break_the_server(shared: RunningServer, environment: Any) -> None:
-    """It is answered, with an acknowledgement or a refusal that says where."""
-    with contextlib.closing(Peer(shared.url)) as peer:
-        answer = peer.ask("hello", {"environment": environment})
-        assert answer.message_type == "hello_ack" or answer.payload["details"]["reason"] == "mismatch"
-        peer.send("close")
 
 
 @pytest.mark.parametrize(
