@@ -9,9 +9,8 @@ import sys
 import tempfile
 import time
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import xpl
 from xpl import _spec as sdk
@@ -23,7 +22,7 @@ from xpl_cli.lifecycle.python_env import place
 from xpl_cli.lifecycle.python_env.plan import plan_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from xpl.contract import Config
     from xpl.manifest import PythonEnvironment
@@ -38,22 +37,7 @@ MANIFEST_VARIABLE = "XPL_MANIFEST"
 PATH_VARIABLE = "PYTHONPATH"
 
 
-@dataclass(frozen=True)
-class Installation:
-    """The interpreter of a package.
-
-    Attributes:
-        python: its path.
-        state: "made", "replaced", "unchanged"; "given" if the manifest declares one that exists already.
-        record: what was installed and what from; empty for one that was given.
-    """
-
-    python: str
-    state: str
-    record: Mapping[str, Any]
-
-
-def install(folder: Path, environment: PythonEnvironment, *, again: bool = False) -> Installation:
+def install(folder: Path, environment: PythonEnvironment, *, again: bool = False) -> place.Installed:
     """Make the environment that a manifest declares unless it is there, and return its interpreter.
 
     Args:
@@ -66,9 +50,8 @@ def install(folder: Path, environment: PythonEnvironment, *, again: bool = False
     """
     plan = plan_of(folder, environment)
     if plan is None:
-        return Installation(interpreter.resolve(folder, environment), "given", {})
-    made = place.install(plan, again=again)
-    return Installation(str(made.python), made.state, made.record)
+        return place.Installed(Path(interpreter.resolve(folder, environment)), "given", {})
+    return place.install(plan, again=again)
 
 
 def condition(folder: Path, environment: PythonEnvironment) -> str:

@@ -48,13 +48,13 @@ def install(
         return
     done = scripts.install(folder, environment, again=force)
     if as_json:
-        told = {"package": folder.name, "state": done.state, "python": done.python}
+        told = {"package": folder.name, "state": done.state, "python": str(done.python)}
         following = [shlex.join(["xpl", "audit", name])]
         console.answer(_INSTALL, {**told, "environment": dict(done.record) or None}, following)
         return
     if done.state == "given":
         console.note(f"{folder.name} runs in an interpreter that exists already: nothing to install")
-    console.data(done.python)
+    console.data(str(done.python))
 
 
 def _declaring(name: str) -> tuple[Path, PythonEnvironment]:

@@ -40,15 +40,18 @@ class Installed:
 
     Attributes:
         python: its interpreter.
-        folder: where it lies.
-        state: "made", "replaced", or "unchanged".
-        record: what it was made from, and what is in it.
+        state: "made", "replaced", "unchanged" or "given".
+        record: what it was made from, and what is in it; empty for one that was given.
     """
 
     python: Path
-    folder: Path
     state: str
     record: dict[str, Any]
+
+    @property
+    def folder(self) -> Path:
+        """Where it lies."""
+        return self.python.parents[1]
 
 
 def condition(plan: Plan) -> Condition:
@@ -118,7 +121,7 @@ def install(plan: Plan, *, again: bool = False) -> Installed:
 
 def _installed(plan: Plan, state: str) -> Installed:
     folder = plan.link.resolve()
-    return Installed(folder / "bin" / "python", folder, state, read_record(folder) or {})
+    return Installed(folder / "bin" / "python", state, read_record(folder) or {})
 
 
 @contextlib.contextmanager
