@@ -165,11 +165,12 @@ class _JointState:
         return self._angles
 
 
-def test_arx_arms_are_driven_over_their_sdk() -> None:
+def test_arx_arms_are_driven_over_their_sdk(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first command is the pose that is measured; an opening is a share of the gripper's width."""
     sdk = SimpleNamespace(Arx5JointController=_Controller, JointState=_JointState)
+    monkeypatch.setitem(sys.modules, "arx5_interface", sdk)
     robot = get_embodiment("arx_x5")
-    driver = ArxDriver(robot, ("can0", "can1"), sdk=sdk)
+    driver = ArxDriver(robot, ("can0", "can1"))
     driver.connect()
     np.testing.assert_allclose(driver.read().state["left_ee_joint_state"], 0.5)
     targets = {key: np.full(dim, 0.25) for key, dim in robot.dims("joint").items()}
@@ -181,9 +182,9 @@ def test_arx_arms_are_driven_over_their_sdk() -> None:
     assert arm.commands[1].gripper_pos == pytest.approx(0.022)
     driver.close()
     with pytest.raises(DriverError, match="no X5 answers on can9"):
-        ArxDriver(get_embodiment("arx_x5_single"), ("can9",), sdk=sdk).connect()
+        ArxDriver(get_embodiment("arx_x5_single"), ("can9",)).connect()
     with pytest.raises(DriverError, match="has 2 arms"):
-        ArxDriver(robot, ("can0",), sdk=sdk)
+        ArxDriver(robot, ("can0",))
 
 
 # -- care -------------------------------------------------------------------------------------------------------------
@@ -260,13 +261,13 @@ def test_the_hand_on_the_switch_stops_it(
 
 
 def test_a_dead_man_that_is_let_go_is_a_pause(tmp_path: Path) -> None:
-    switch, now = tmp_path / "watch", [0.0]
-    held = watch.Watch(str(switch), dead_man=True, now=lambda: now[0])
+    switch = tmp_path / "watch"
+    held = watch.Watch(str(switch), dead_man=True)
     assert held.word() == watch.PAUSE
     watch.write(switch, watch.GO)
-    now[0] = switch.stat().st_mtime + 0.1
+    os.utime(switch, (time.time() + 60, time.time() + 60))  # fresh, however busy the machine is
     assert held.word() == watch.GO
-    now[0] += watch.FRESH_S
+    os.utime(switch, (time.time() - watch.FRESH_S, time.time() - watch.FRESH_S))
     assert held.word() == watch.PAUSE
     with pytest.raises(ValueError, match="a dead-man needs a switch"):
         watch.Watch(dead_man=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from xpl.arms.driver import Driver, DriverError, Reading
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from xpl.arms.driver import Numbers
     from xpl.embodiment import Embodiment
 
 
@@ -25,24 +26,21 @@ class ArxDriver(Driver):
         embodiment: `arx_x5` or `arx_x5_single`.
         interfaces: of each arm, such as ("can0", "can1").
         model: as the SDK names it, "X5" or "L5".
-        sdk: the module `arx5_interface`; imported by default.
     """
 
-    def __init__(self, embodiment: Embodiment, interfaces: Sequence[str], model: str = "X5", sdk: Any = None) -> None:
+    def __init__(self, embodiment: Embodiment, interfaces: Sequence[str], model: str = "X5") -> None:
         if len(interfaces) != len(embodiment.arms):
             raise DriverError(f"{embodiment.name} has {len(embodiment.arms)} arms, got the interfaces {interfaces}")
-        self._embodiment, self._interfaces, self._model, self._sdk = embodiment, tuple(interfaces), model, sdk
+        self._embodiment, self._interfaces, self._model = embodiment, tuple(interfaces), model
+        self._sdk: Any = None
         self._arms: list[Any] = []
 
     def connect(self) -> None:
         """Open the interfaces; the controllers keep the arms where they are."""
-        if self._sdk is None:
-            try:
-                self._sdk = importlib.import_module("arx5_interface")
-            except ImportError as error:
-                raise DriverError(
-                    f"arx5_interface cannot be imported: build real-stanford/arx5-sdk ({error})"
-                ) from None
+        try:
+            self._sdk = importlib.import_module("arx5_interface")
+        except ImportError as error:
+            raise DriverError(f"arx5_interface cannot be imported: build real-stanford/arx5-sdk ({error})") from None
         try:
             self._arms.extend(self._sdk.Arx5JointController(self._model, name) for name in self._interfaces)
         except Exception as error:  # noqa: BLE001 - the binding raises what C++ throws
@@ -59,7 +57,7 @@ class ArxDriver(Driver):
             state[arm.prefix + spec.State.EE_JOINT_STATE] = np.array([min(max(opening, 0.0), 1.0)])
         return Reading(state, time.monotonic())
 
-    def command(self, targets: Mapping[str, NDArray[np.float64]]) -> None:
+    def command(self, targets: Numbers) -> None:
         """Send joint targets; the SDK interpolates and bounds torques itself."""
         for arm, controller in zip(self._embodiment.arms, self._arms):
             wanted = self._sdk.JointState(arm.dof)

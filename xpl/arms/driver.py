@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    Numbers = Mapping[str, NDArray[np.float64]]
+    """What an arm measures or is told, by name of the state: rad, and 0 to 1 for grippers."""
+
 
 class DriverError(RuntimeError):
     """The arm or a camera cannot be reached, or says something that cannot be."""
@@ -39,7 +42,7 @@ class Reading:
         pictures: by the name of the camera in env.yml; one that gave nothing new keeps its last picture and time.
     """
 
-    state: Mapping[str, NDArray[np.float64]]
+    state: Numbers
     at: float
     pictures: Mapping[str, Picture] = field(default_factory=dict)
 
@@ -67,7 +70,7 @@ class Driver(ABC):
         """
 
     @abstractmethod
-    def command(self, targets: Mapping[str, NDArray[np.float64]]) -> None:
+    def command(self, targets: Numbers) -> None:
         """Send the targets of one control step, and return at once.
 
         Args:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Callable
+from typing import TYPE_CHECKING, Callable
 
 from xpl import _spec as spec
 from xpl.environment import Environment
@@ -11,6 +10,7 @@ from xpl.episode import Referee
 
 if TYPE_CHECKING:
     from xpl.arms.episode import ArmEpisode
+    from xpl.contract import Config, Result
     from xpl.episode import Setup
     from xpl.manifest import EnvManifest
 
@@ -30,15 +30,13 @@ class ArmEnvironment(Environment):
     guarded = False
     _episodes: list[ArmEpisode]
 
-    def __init__(
-        self, episode: Callable[[Setup], ArmEpisode], manifest: EnvManifest, config: Mapping[str, Any]
-    ) -> None:
+    def __init__(self, episode: Callable[[Setup], ArmEpisode], manifest: EnvManifest, config: Config) -> None:
         if int(config.get("num_envs") or 1) != 1:
             raise ValueError(f"there is one robot, and num_envs is {config['num_envs']}: ask for 1")
         self._made = episode
         super().__init__(episode, manifest, config)
 
-    def results(self) -> list[dict[str, Any]]:
+    def results(self) -> list[Result]:
         """Return the outcome of the robot's episode, with the trial that it was."""
         return [
             {**result, "layout": place.trial(result[spec.Deploy.SEED])}

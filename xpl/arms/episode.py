@@ -32,6 +32,8 @@ from xpl.episode import Corrections, Episode, Setup
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from xpl.arms.driver import Numbers
+    from xpl.contract import Action, Observation, State
     from xpl.embodiment import Arm
 
 RECORDS = "XPL_ARM_RECORDS"
@@ -128,7 +130,7 @@ class ArmEpisode(Episode):
         self._go_home()
         self._next = time.monotonic()
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return joints (rad) and grippers (0 to 1), as measured in this control step."""
         return self._present.state
 
@@ -136,7 +138,7 @@ class ArmEpisode(Episode):
         """Return the pictures of this control step."""
         return {name: {spec.Camera.COLOR: picture.image} for name, picture in self._present.pictures.items()}
 
-    def step(self, action: Mapping[str, Any]) -> Corrections:
+    def step(self, action: Action) -> Corrections:
         """Command one control step, when its time has come; hold the pose instead where somebody says so."""
         self._step += 1
         self._await_turn()
@@ -169,7 +171,7 @@ class ArmEpisode(Episode):
         """Return why the episode cannot go on."""
         return self._ended
 
-    def truth(self) -> Mapping[str, Any]:
+    def truth(self) -> Observation:
         """Return nothing: nobody knows where things are."""
         return {}
 
@@ -217,7 +219,7 @@ class ArmEpisode(Episode):
                 raise DriverError("the arm was let go")
             self._reading = self._driver.read(cameras=cameras)
 
-    def _command(self, targets: Mapping[str, NDArray[np.float64]]) -> None:
+    def _command(self, targets: Numbers) -> None:
         with self._lock:
             if self._driver is None:
                 raise DriverError("the arm was let go")

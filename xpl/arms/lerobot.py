@@ -22,6 +22,8 @@ from xpl.arms.driver import Driver, DriverError, Picture, Reading
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from xpl.arms.driver import Numbers
+    from xpl.contract import Entry
     from xpl.embodiment import Embodiment
 
 _PER = {"degrees": float(np.deg2rad(1.0)), "radians": 1.0}
@@ -47,7 +49,7 @@ class Words:
     cameras: Mapping[str, str] = field(default_factory=dict)
 
 
-def make(kind: str, settings: Mapping[str, Any]) -> Any:
+def make(kind: str, settings: Entry) -> Any:
     """Return a robot of LeRobot by its type, as `--robot.type` takes it.
 
     Args:
@@ -149,7 +151,7 @@ class LeRobotDriver(Driver):
             self._look(told, now)
         return Reading(state, now, dict(self._pictures))
 
-    def command(self, targets: Mapping[str, NDArray[np.float64]]) -> None:
+    def command(self, targets: Numbers) -> None:
         """Send joint targets in the robot's own units."""
         per, words = _PER[self._words.unit], self._words
         angles = np.concatenate([targets[arm.prefix + spec.State.ARM_JOINT_STATE] for arm in self._embodiment.arms])

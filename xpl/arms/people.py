@@ -29,19 +29,13 @@ _LOOK_S = 0.05
 _MOST_BYTES = 1000
 
 
-def ask(
-    text: str,
-    answers: Sequence[str],
-    meanwhile: Callable[[], None] = lambda: None,
-    sleep: Callable[[float], None] = time.sleep,
-) -> str:
+def ask(text: str, answers: Sequence[str], meanwhile: Callable[[], None] = lambda: None) -> str:
     """Return the answer of a person, as soon as there is one.
 
     Args:
         text: the question, a sentence.
         answers: what may be answered, in words; the number of one counts as well.
         meanwhile: called again and again while nobody has answered, for example to hold an arm.
-        sleep: waits.
     """
     folder = os.environ.get(DESK)
     if folder is None and _is_terminal():
@@ -60,7 +54,7 @@ def ask(
                     (place / f"{number}{QUESTION}").unlink()
                 return chosen
         meanwhile()
-        sleep(_LOOK_S)
+        time.sleep(_LOOK_S)
 
 
 def understood(told: str, answers: Sequence[str]) -> str | None:

@@ -7,38 +7,38 @@ import queue
 import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from xpl import images
 
 if TYPE_CHECKING:
-    from xpl.arms.driver import Reading
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from xpl.arms.driver import Numbers, Reading
 
 _MOST_WAITING = 200
 
 
 class Recorder:
-    """Writes episodes below a folder: `NNN/steps.jsonl`, and `NNN/CAMERA/STEP.png` with `pictures`.
+    """Writes episodes below a folder: `NNN/steps.jsonl`, and `NNN/CAMERA/STEP.png`.
 
     Encoding takes time that a control loop does not have: a thread does it. What it cannot keep up with is left out,
     and counted (`dropped`).
 
     Args:
         folder: where episodes go; each gets the first number that is free.
-        pictures: whether pictures are kept.
     """
 
-    def __init__(self, folder: Path, *, pictures: bool = True) -> None:
-        self._folder, self._pictures = folder, pictures
-        self._jobs: queue.Queue[tuple[Path, Any] | None] = queue.Queue(_MOST_WAITING)
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._jobs: queue.Queue[tuple[Path, str | NDArray[np.uint8]] | None] = queue.Queue(_MOST_WAITING)
         self._thread: threading.Thread | None = None
         self._episode: Path | None = None
         self.dropped = 0
 
-    def begin(self, about: Mapping[str, Any]) -> Path:
-        """Begin an episode; return its folder."""
+    def begin(self, about: Mapping[str, object]) -> None:
+        """Begin an episode."""
         number = 1
         while True:
             place = self._folder / f"{number:03d}"
@@ -52,19 +52,17 @@ class Recorder:
         if self._thread is None:
             self._thread = threading.Thread(target=self._write, daemon=True)
             self._thread.start()
-        return place
 
-    def step(self, number: int, reading: Reading, command: Mapping[str, Any], **more: Any) -> None:
+    def step(self, number: int, reading: Reading, command: Numbers) -> None:
         """Note a control step: what was measured, and what was commanded next."""
         if self._episode is None:
             return
-        line = {"step": number, "at": reading.at, "state": _plain(reading.state), "command": _plain(command), **more}
+        line = {"step": number, "at": reading.at, "state": _plain(reading.state), "command": _plain(command)}
         self._put(self._episode / "steps.jsonl", json.dumps(line) + "\n")
-        if self._pictures:
-            for name, picture in reading.pictures.items():
-                self._put(self._episode / name / f"{number:06d}.png", picture.image)
+        for name, picture in reading.pictures.items():
+            self._put(self._episode / name / f"{number:06d}.png", picture.image)
 
-    def end(self, result: Mapping[str, Any]) -> None:
+    def end(self, result: Mapping[str, object]) -> None:
         """Note how the episode ended."""
         if self._episode is not None:
             self._put(self._episode / "result.json", json.dumps({**result, "dropped": self.dropped}, indent=2))
@@ -77,7 +75,7 @@ class Recorder:
             self._thread.join(timeout=10.0)
             self._thread = None
 
-    def _put(self, path: Path, content: Any) -> None:
+    def _put(self, path: Path, content: str | NDArray[np.uint8]) -> None:
         try:
             self._jobs.put_nowait((path, content))
         except queue.Full:
@@ -100,5 +98,5 @@ class Recorder:
                 self.dropped += 1
 
 
-def _plain(values: Mapping[str, Any]) -> dict[str, list[float]]:
-    return {key: np.asarray(value, dtype=np.float64).round(6).tolist() for key, value in values.items()}
+def _plain(values: Numbers) -> dict[str, list[float]]:
+    return {key: value.round(6).tolist() for key, value in values.items()}

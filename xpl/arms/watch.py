@@ -13,7 +13,6 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Callable
 
 WATCH = "XPL_ARM_WATCH"
 """Environment variable with the file."""
@@ -29,20 +28,17 @@ class Watch:
     Args:
         path: the file; that of `XPL_ARM_WATCH` by default. Without one nobody watches.
         dead_man: whether the arm moves only as long as the file is fresh.
-        now: tells the time as files do, s.
 
     Raises:
         ValueError: a dead-man without a file.
     """
 
-    def __init__(
-        self, path: str | None = None, *, dead_man: bool = False, now: Callable[[], float] = time.time
-    ) -> None:
+    def __init__(self, path: str | None = None, *, dead_man: bool = False) -> None:
         given = path or os.environ.get(WATCH)
         if dead_man and not given:
             raise ValueError(f"a dead-man needs a switch: set {WATCH}=FILE and run python -m xpl.arms.watch FILE")
         self._path = Path(given) if given else None
-        self._dead_man, self._now = dead_man, now
+        self._dead_man = dead_man
 
     def word(self) -> str:
         """Return `go`, `pause` or `stop`; a dead-man that nobody holds is a pause."""
@@ -51,7 +47,7 @@ class Watch:
         try:
             with self._path.open("rb") as stream:
                 told = stream.read(20).decode("ascii", "replace").split()
-                age = self._now() - os.fstat(stream.fileno()).st_mtime
+                age = time.time() - os.fstat(stream.fileno()).st_mtime
         except OSError:
             return PAUSE if self._dead_man else GO
         word = told[0] if told and told[0] in (GO, PAUSE, STOP) else PAUSE
