@@ -36,7 +36,7 @@ def test_the_expert_solves_all_episodes_of_each_task_and_the_demo_policy_none(tm
     """The tasks are solvable, and not by standing still; one server plays both, and seeds begin anew with each."""
     tasks = ["lift_cube", "handover_block"]
     options = ["--env", "mujoco", "--task", ",".join(tasks), "--json"]
-    for policy, count, won in (("scripted_expert", 8, 16), ("demo_policy", 2, 0)):
+    for policy, count, won in (("scripted_expert", 5, 10), ("demo_policy", 1, 0)):
         done = xpl("eval", policy, *options, "--episodes", str(count), cwd=tmp_path)
         assert done.returncode == ExitCode.CLEAN, done.stderr
         report = json.loads(done.stdout)

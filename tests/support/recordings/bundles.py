@@ -12,7 +12,7 @@ from typing import Any
 from tests.support.places import ROOT
 from tests.support.recordings.runs import Faults, renamed, synthetic
 from xpl_cli.evaluation.records import fingerprints, records
-from xpl_cli.packages import package
+from xpl_cli.packages import environments, package
 from xpl_cli.submission import archive, bundle, claims, prepare
 
 ADAPTER = ROOT / "policy" / "scripted_expert"
@@ -63,6 +63,7 @@ def recorded(folder: Path) -> records.Run:
     adapter = package.load(ADAPTER)
     plan["policy"] |= {"digest": fingerprints.package_digest(ADAPTER), "checkpoint": None}
     plan["policy"]["spec"] = adapter.manifest.spec
+    plan["environment"]["digest"] = fingerprints.package_digest(environments.find("mujoco"))
     lines = [renamed(plan), *others]
     file.write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")
     return records.read(folder)
