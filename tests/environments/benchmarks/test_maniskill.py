@@ -23,6 +23,7 @@ from xpl.rendering import VULKAN_COMPLAINTS, RendererMissingError, choose_vulkan
 MANISKILL = peers.Benchmark("maniskill")
 MANIFEST = MANISKILL.manifest
 PANDA, STICK, SO100, PAIR = MANISKILL.robots
+pytestmark = peers.patient
 _ASKED = """
 import sys
 sys.path.insert(0, {root!r})

@@ -15,7 +15,7 @@ from xpl.poses import transform
 
 METAWORLD = peers.Benchmark("metaworld")
 
-pytestmark = METAWORLD.needed
+pytestmark = [peers.patient, METAWORLD.needed]
 
 
 @pytest.fixture(scope="module")
