@@ -21,7 +21,7 @@ import textwrap
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.packages import package
@@ -30,6 +30,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from xpl.contract import Entry
     from xpl_cli.audit.rules.registry import Rule
 
 OVERLAY = "overlay.yml"
@@ -50,7 +51,7 @@ class Subject:
     folder: Path
     good: bool
     target: str = package.POLICY
-    scaffold: dict[str, Any] | None = field(default_factory=dict)
+    scaffold: Entry | None = field(default_factory=dict)
     remove: Sequence[str] = ()
     edit: dict[str, dict[str, str]] = field(default_factory=dict)
     append: dict[str, str] = field(default_factory=dict)
@@ -115,7 +116,7 @@ def build(subject: Subject, target: Path) -> Path:
 
 
 @cache
-def _rendered(kind: str, options: tuple[tuple[str, Any], ...], name: str) -> dict[str, bytes]:
+def _rendered(kind: str, options: tuple[tuple[str, object], ...], name: str) -> dict[str, bytes]:
     """Return a scaffold; many subjects share one."""
     from xpl_cli.scaffold import adapter as scaffold
     from xpl_cli.scaffold import environment

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.audit.rules import retired
@@ -73,7 +73,7 @@ def notes(source: Source) -> tuple[str, ...]:
     )
 
 
-def _waivers(entries: list[Any]) -> Iterable[Waiver]:
+def _waivers(entries: list[object]) -> Iterable[Waiver]:
     for place, given in enumerate(entries):
         if isinstance(given, dict):
             rule, reason, message = given.get("rule"), given.get("reason"), given.get("message", "")

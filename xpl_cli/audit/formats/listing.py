@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.model import Finding, GateReport, NotRun, Outcome, Result, TargetReport
@@ -206,7 +206,7 @@ class Lines:
         return self._files[key]
 
 
-def shortened(value: Any, most: int = _SHORT) -> str:
+def shortened(value: object, most: int = _SHORT) -> str:
     """Return a value as text of bounded length."""
     text = str(value)
     return text if len(text) <= most else f"{text[: most - 3]}..."

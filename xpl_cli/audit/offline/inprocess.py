@@ -48,7 +48,7 @@ def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> lis
     return found
 
 
-def loading(probe: Probe) -> dict[str, Any]:
+def loading(probe: Probe) -> dict[str, object]:
     """Return what a process that loads the adapter is told, as a server's worker is."""
     package = probe.package
     return {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from xpl import _spec as sdk
 from xpl_cli.evaluation.statistics.intervals import Interval, wilson
@@ -70,7 +69,7 @@ class Figure:
             f"mean score {self.mean_score:.2f} ({self.score_interval.low:.2f} to {self.score_interval.high:.2f})"
         )
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, object]:
         """Return the figure as a map of plain values."""
         course = self.course
         return {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.audit.rules.clock import Clock
@@ -13,6 +13,7 @@ from xpl_cli.basics.progress import Progress
 from xpl_cli.isolation.bounds import Bounds
 
 if TYPE_CHECKING:
+    from xpl.contract import Config
     from xpl_cli.audit.rules.profiles import Profile
 
 PATIENCE_S = 30.0
@@ -50,7 +51,7 @@ class Options:
     names: tuple[str, ...] = ()
     ignore: tuple[str, ...] = ()
     keep_going: bool = False
-    overrides: dict[str, Any] = field(default_factory=dict)
+    overrides: Config = field(default_factory=dict)
     python: str | None = None
     env: str | None = None
     profile: Profile | None = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 from xpl_cli.audit.rules.gates import DEMONSTRATIONS, GATES
 from xpl_cli.audit.rules.model import Outcome
@@ -165,7 +165,7 @@ class Verdict:
         unproven = [*self.unproven, *(item for item in self.beside if isinstance(item, Unproven))]
         return "; ".join([*parts, *(str(item) for item in unproven if item.is_told)])
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, object]:
         """Return it as keys of a target in audit.schema.json."""
         return {
             "verdict": self.word.value,

@@ -16,11 +16,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl_cli.audit.rules.model import Edit, Finding, Fix, NotApplicable, NotRun
 
 if TYPE_CHECKING:
+    from xpl.contract import Entry
     from xpl_cli.audit.static.source import Source
 
 _SELECTED: Final = (
@@ -192,14 +193,14 @@ def _sorted(remarks: Iterator[Remark]) -> tuple[Remark, ...]:
     return tuple(sorted(remarks, key=lambda one: (one.path, one.line, one.column, one.rule)))
 
 
-def _of_ruff(entry: dict[str, Any], folder: Path) -> Remark:
+def _of_ruff(entry: Entry, folder: Path) -> Remark:
     path = Path(entry["filename"]).resolve().relative_to(folder).as_posix()
     begin, end = entry["location"], entry["end_location"]
     place = begin["row"], begin["column"], end["row"], end["column"]
     return Remark("ruff", entry["code"], entry["message"], path, *place, _fix(entry["fix"], entry["code"], path))
 
 
-def _fix(offered: dict[str, Any] | None, rule: str, path: str) -> Fix:
+def _fix(offered: Entry | None, rule: str, path: str) -> Fix:
     """Return ruff's own edit, as far as it calls it safe or unsafe, and not for display only."""
     kind = {"safe": "safe_edit", "unsafe": "unsafe_edit"}.get(offered["applicability"]) if offered else None
     if offered is None or kind is None:
@@ -218,7 +219,7 @@ def _fix(offered: dict[str, Any] | None, rule: str, path: str) -> Fix:
     return Fix(kind, offered["message"] or f"what ruff offers for {rule}", edits)
 
 
-def _of_mypy(entry: dict[str, Any], path: str) -> Remark:
+def _of_mypy(entry: Entry, path: str) -> Remark:
     line, column = int(entry["line"]), int(entry["column"]) + 1
     hint = entry.get("hint") or "say what the value is by an annotation or a check, or correct it"
     return Remark(

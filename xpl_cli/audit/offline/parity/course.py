@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.native.script import Call, played
 
 if TYPE_CHECKING:
-    from xpl.contract import ObservationDict
+    from xpl.contract import Entry, ObservationDict
     from xpl_cli.native.pairs import Question, Session
 
 Key = tuple[int, int]
@@ -75,7 +75,7 @@ class Course:
                 found.append(Call(call.reset, show, ask))
         return found
 
-    def told(self, calls: Iterable[Call]) -> list[Mapping[str, Any]]:
+    def told(self, calls: Iterable[Call]) -> list[Entry]:
         """Return calls with their observations, as a process in the adapter's interpreter takes them."""
         return [
             {sdk.Method.RESET: True}

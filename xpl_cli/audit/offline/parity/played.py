@@ -27,7 +27,7 @@ class RefusedError(Exception):
         self.answer = answer
 
 
-def overrides(session: Session, settings: Mapping[str, object]) -> dict[str, Any]:
+def overrides(session: Session, settings: Mapping[str, object]) -> dict[str, object]:
     """Return the keys of deploy.yml that an adapter is served with for a session."""
     return {
         **settings,

@@ -12,7 +12,7 @@ import functools
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl import checkpoint
@@ -44,6 +44,7 @@ from xpl_cli.native.rigid import rigid
 if TYPE_CHECKING:
     import numpy as np
 
+    from xpl.contract import Config
     from xpl_cli.audit.offline.parity.judgement import Judgement
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.native.pairs import Chunk
@@ -271,7 +272,7 @@ class Search:
         return ask
 
     @functools.cached_property
-    def _settled(self) -> dict[str, Any]:
+    def _settled(self) -> Config:
         """The values of deploy.yml after all overrides."""
         return self._probe.package.config({**self._probe.options.overrides, **self._config})
 
