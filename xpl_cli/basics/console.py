@@ -12,7 +12,7 @@ import json
 import os
 import sys
 from io import StringIO, TextIOWrapper
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.strangers import harmless, unheard
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import TextIO
+
+    from rich.console import RenderableType
 
 
 class _Output:
@@ -85,12 +87,12 @@ def painted(text: str) -> None:
         raise UserError(told, code=ExitCode.NOT_RUN) from None
 
 
-def data_json(value: Any) -> None:
+def data_json(value: object) -> None:
     """Write an answer as JSON."""
     data(json.dumps(value, indent=2, ensure_ascii=False))
 
 
-def answer(schema: str, body: Mapping[str, Any], following: Sequence[str] = ()) -> None:
+def answer(schema: str, body: Mapping[str, object], following: Sequence[str] = ()) -> None:
     """Write an answer as a JSON object that names its schema.
 
     Args:
@@ -101,7 +103,7 @@ def answer(schema: str, body: Mapping[str, Any], following: Sequence[str] = ()) 
     data_json({"schema": schema, **body, "next": list(following)})
 
 
-def rich(renderable: Any) -> None:
+def rich(renderable: RenderableType) -> None:
     """Write an answer for people: in colour on a terminal, plain and unwrapped elsewhere."""
     from rich.console import Console
 

@@ -26,13 +26,13 @@ def ends(**meanings: str) -> Callable[[_Function], _Function]:
     return declare
 
 
-def endings(function: Any = None) -> str:
+def endings(function: object = None) -> str:
     """Return the sentence on exit codes of a command, of all commands by default."""
     own = own_meanings(function)
     return f"Exit codes: {', '.join(f'{int(code)} {own.get(code, code.meaning)}' for code in ExitCode)}."
 
 
-def own_meanings(function: Any) -> dict[ExitCode, str]:
+def own_meanings(function: object) -> dict[ExitCode, str]:
     """Return what a command says of its exit codes by itself."""
     declared: dict[ExitCode, str] = getattr(function, _MEANINGS, {})
     return declared

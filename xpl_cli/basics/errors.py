@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -51,7 +51,7 @@ class UserError(Exception):
         self.hint = hint
         self.code = code
 
-    def details(self) -> dict[str, Any]:
+    def details(self) -> dict[str, object]:
         """Return what this kind of error adds to `xpl.error/1`."""
         return {}
 
@@ -82,7 +82,7 @@ class UnknownNameError(UserError):
         hint = f"did you mean {' or '.join(self.nearest)}?" if self.nearest else lists
         UserError.__init__(self, message, hint=hint, code=self.ends_with)
 
-    def details(self) -> dict[str, Any]:
+    def details(self) -> dict[str, object]:
         """Return the name, those there are unless they are many, and the nearest of them."""
         return {
             "given": self.given,

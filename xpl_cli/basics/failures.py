@@ -24,7 +24,7 @@ def wants_json(arguments: Sequence[str]) -> bool:
     return not _JSON.isdisjoint(arguments) or ("--format", "json") in itertools.pairwise(arguments)
 
 
-def document(error: UserError) -> dict[str, Any]:
+def document(error: UserError) -> dict[str, object]:
     """Return what a command with --json answers instead of its result."""
     return {
         "schema": SCHEMA,

@@ -51,7 +51,7 @@ def registered(kind: str) -> dict[str, Entry]:
     return found
 
 
-def call(entry: Entry, function: str, *arguments: Any) -> Any:
+def call(entry: Entry, function: str, *arguments: object) -> Any:
     """Return what a function of a format's module returns.
 
     Raises:

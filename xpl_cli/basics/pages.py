@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from typing import Any
 
 from markupsafe import Markup
 
@@ -14,7 +13,7 @@ from xpl_cli.basics.content import room
 from xpl_cli.basics.strangers import harmless
 
 
-def render(template: str, *, style: str, script: str | None = None, **values: Any) -> str:
+def render(template: str, *, style: str, script: str | None = None, **values: object) -> str:
     """Return a page from a template of templates/.
 
     Args:
@@ -37,13 +36,13 @@ def render(template: str, *, style: str, script: str | None = None, **values: An
     )
 
 
-def as_json(value: Any) -> Markup:
+def as_json(value: object) -> Markup:
     """Return JSON that is safe inside a script element: no text in it can end the element."""
     text = harmless(json.dumps(value, separators=(",", ":"), ensure_ascii=False))
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))  # noqa: S704 - see above
 
 
-def _shown(value: Any) -> Any:
+def _shown(value: object) -> object:
     """Return what a template shows of a value; what is not markup of ours does not turn the direction of writing."""
     return harmless(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 

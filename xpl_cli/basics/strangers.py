@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -67,7 +67,7 @@ def in_xml(text: str) -> str:
     return _NO_XML.sub("\N{REPLACEMENT CHARACTER}", unheard(harmless(text)))
 
 
-def in_table(value: Any) -> Any:
+def in_table(value: object) -> object:
     """Return a value of a table of which no spreadsheet makes a formula; numbers stay numbers."""
     if not isinstance(value, str):
         return value
