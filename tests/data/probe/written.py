@@ -95,5 +95,5 @@ NEW: dict[str, tuple[tuple[tuple[str, str, int], ...], Convention]] = {
         Convention(state=POSE, action=POSE, reference="delta_command", separate=True, beside=True),
     ),
 }
-"""Sets that no threshold was chosen on. A first run of those of STACK and PAIR led to a repair (deltas to the state that
-were normalised were called deltas to the command); those of THIRD and FOURTH were made after it."""
+"""Sets that no threshold was chosen on. A first run of those of STACK and PAIR led to a repair (deltas to the state
+that were normalised were called deltas to the command); those of THIRD and FOURTH were made after it."""
