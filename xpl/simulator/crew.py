@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl.action import ActionError
 from xpl.simulator.process import EnvLostError, EnvProcess, EnvRaisedError, message
+
+if TYPE_CHECKING:
+    from xpl.contract import Config
+
+Calls = Sequence[Sequence[Any]]
+"""Operations in their order: a method, and its arguments."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,7 @@ class Crew:
     def __init__(
         self,
         client: Path,
-        configs: Sequence[Mapping[str, Any]],
+        configs: Sequence[Config],
         python: str | None = None,
         limits: Limits | None = None,
     ) -> None:
@@ -84,7 +90,7 @@ class Crew:
         for told in answers.values():
             self.guarded, self.methods = told["guarded"], frozenset(told["methods"])
 
-    def reset(self, asked: Mapping[int, Any]) -> dict[int, Any]:
+    def reset(self, asked: Mapping[int, Calls]) -> dict[int, list[Any]]:
         """Run operations that begin an episode; return what they return, for the workers that live.
 
         Args:
@@ -96,7 +102,7 @@ class Crew:
         """
         return self._all(asked, self.limits.start_s)
 
-    def look(self, asked: Mapping[int, Any]) -> dict[int, Any]:
+    def look(self, asked: Mapping[int, Calls]) -> dict[int, list[Any]]:
         """Run operations that change nothing: whoever raises goes on living.
 
         Raises:
@@ -105,7 +111,7 @@ class Crew:
         """
         return self._all(asked, self.limits.step_s)
 
-    def run(self, asked: Mapping[int, Any]) -> dict[int, Any]:
+    def run(self, asked: Mapping[int, Calls]) -> dict[int, list[Any]]:
         """Run operations of an episode; a worker whose environment raises is lost, unless it refuses an action.
 
         Raises:
@@ -125,7 +131,7 @@ class Crew:
                 process.close()
             self._processes[worker] = None
 
-    def _all(self, asked: Mapping[int, Any], limit_s: float) -> dict[int, Any]:
+    def _all(self, asked: Mapping[int, Calls], limit_s: float) -> dict[int, list[Any]]:
         """Run operations; whatever an environment raises is raised here, and its worker lives on."""
         answers, raised = self._ask("run", asked, limit_s)
         _raise_first(raised.values())
@@ -137,7 +143,7 @@ class Crew:
             raise EnvLostError(next(filter(None, self.lost)))
 
     def _ask(
-        self, op: str, asked: Mapping[int, Any], limit_s: float
+        self, op: str, asked: Mapping[int, object], limit_s: float
     ) -> tuple[dict[int, Any], dict[int, EnvRaisedError]]:
         """Send to all workers that live, then wait for all; return their answers, and what environments raised."""
         # All are written down before the first is sent: what cannot travel leaves no worker out of step.

@@ -42,7 +42,7 @@ class EnvRaisedError(RuntimeError):
         self.message = message
 
 
-def message(op: str, value: Any) -> list[Data]:
+def message(op: str, value: object) -> list[Data]:
     """Return the pieces of a message to a worker.
 
     Raises:

@@ -204,7 +204,7 @@ class Steady:
             made.attrs[LIST] = True
 
 
-def numbers(value: Any, name: str) -> np.ndarray:
+def numbers(value: object, name: str) -> np.ndarray:
     """Return an array of numbers or truth values.
 
     Raises:

@@ -205,6 +205,3 @@ class EpisodeFile:
             block = storage.rows(dataset, slice(start, start + count))
             self._blocks[path] = start, block
         return np.array(block[step - start])
-
-    def _at(self, dataset: Dataset) -> str:
-        return f"{self.path}: {dataset.name.lstrip('/')}"

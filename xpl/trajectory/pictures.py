@@ -61,7 +61,9 @@ def found(path: Place, dataset: Dataset) -> Picture | None:
             width, height = _size(dataset, data)
             picture = Picture(height, width, COLOR, encoding or "other")
     if picture is not None and picture.height * picture.width > codec.PIXELS:
-        raise TrajectoryError(f"{_at(dataset)}: images have {shape[1:3]} pixels, more than {codec.PIXELS} in all")
+        raise TrajectoryError(
+            f"{storage.where(dataset)}: images have {shape[1:3]} pixels, more than {codec.PIXELS} in all"
+        )
     return picture
 
 
@@ -75,7 +77,7 @@ def decoded(dataset: Dataset, step: int) -> np.ndarray:
     try:
         return codec.decode(data)
     except (ObservationError, ValueError) as error:
-        raise TrajectoryError(f"{_at(dataset)}, step {step}: {error}") from None
+        raise TrajectoryError(f"{storage.where(dataset)}, step {step}: {error}") from None
 
 
 def encoded(dataset: Dataset, step: int) -> bytes:
@@ -87,7 +89,7 @@ def encoded(dataset: Dataset, step: int) -> bytes:
     try:
         data = dataset[step]
     except (OSError, RuntimeError, ValueError) as error:
-        raise TrajectoryError(f"{_at(dataset)}, step {step} cannot be read: {error}") from None
+        raise TrajectoryError(f"{storage.where(dataset)}, step {step} cannot be read: {error}") from None
     return data if isinstance(data, bytes) else np.asarray(data, np.uint8).tobytes()
 
 
@@ -110,8 +112,4 @@ def _size(dataset: Dataset, data: bytes) -> tuple[int, int]:
     try:
         return codec.size_of(data)
     except ObservationError as error:
-        raise TrajectoryError(f"{_at(dataset)}, step 0: {error}") from None
-
-
-def _at(dataset: Dataset) -> str:
-    return f"{dataset.file.filename}: {dataset.name.lstrip('/')}"
+        raise TrajectoryError(f"{storage.where(dataset)}, step 0: {error}") from None

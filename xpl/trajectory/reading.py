@@ -80,7 +80,7 @@ class Trajectory(EpisodeFile):
             return {}
         told = storage.document(found)
         if not isinstance(told, dict):
-            raise TrajectoryError(f"{self._at(found)}: expected a map, got {type(told).__name__}")
+            raise TrajectoryError(f"{storage.where(found)}: expected a map, got {type(told).__name__}")
         return told
 
     @property
@@ -140,7 +140,7 @@ class Trajectory(EpisodeFile):
         _, dataset = self._camera(camera, spec.Camera.COLOR)
         picture = self.pictures.get(dataset.name.lstrip("/"))
         if picture is None:
-            raise TrajectoryError(f"{self._at(dataset)}: expected images, got {dataset.shape} {dataset.dtype}")
+            raise TrajectoryError(f"{storage.where(dataset)}: expected images, got {dataset.shape} {dataset.dtype}")
         return picture.height, picture.width, picture.encoding
 
     def observation(self, step: int, cameras: Collection[str] | None = None) -> dict[str, Any]:

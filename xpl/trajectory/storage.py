@@ -85,7 +85,7 @@ def group(root: Group, path: str) -> Group:
     for name in path.split("/"):
         inner = _entry(found, name) if name in found else None
         if not isinstance(inner, hdf5().Group):
-            raise TrajectoryError(f"{_where(root)} has no group {path}")
+            raise TrajectoryError(f"{where(root)} has no group {path}")
         found = inner
     return found
 
@@ -100,43 +100,44 @@ def datasets(root: Group) -> dict[Place, Dataset]:
     for path, dataset in _below(root, ()):
         found[path] = dataset
         if len(found) > MOST_DATASETS:
-            raise TrajectoryError(f"{_where(root)} has more than {MOST_DATASETS} datasets, no episode has that many")
+            raise TrajectoryError(f"{where(root)} has more than {MOST_DATASETS} datasets, no episode has that many")
     return found
 
 
 def _below(node: Group, path: Place) -> Iterator[tuple[Place, Dataset]]:
     library = hdf5()
     if len(path) > DEEPEST:
-        raise TrajectoryError(f"{_where(node)} lies deeper than {DEEPEST} groups")
+        raise TrajectoryError(f"{where(node)} lies deeper than {DEEPEST} groups")
     for name in node:
         place = (*path, str(name))
         entry = _entry(node, name)
         if isinstance(entry, library.Group):
             yield from _below(entry, place)
         elif isinstance(entry, library.Dataset) and entry.shape is not None:  # else it has not even room for values
-            _check(entry, _where(entry))
+            _check(entry)
             yield place, entry
 
 
 def _entry(node: Group, name: str) -> Any:
     """Return what a group has under a name; links are not followed."""
     if not isinstance(node.get(name, getlink=True), hdf5().HardLink):
-        where = f"{_where(node)}/{name}" if node.name != "/" else f"{node.file.filename}: {name}"
-        raise TrajectoryError(f"{where} is a link; links are not followed, an episode is one file by itself")
+        place = f"{where(node)}/{name}" if node.name != "/" else f"{node.file.filename}: {name}"
+        raise TrajectoryError(f"{place} is a link; links are not followed, an episode is one file by itself")
     return node[name]
 
 
-def _where(node: Group | Dataset) -> str:
+def where(node: Group | Dataset) -> str:
+    """Return how errors name what lies in a file."""
     return f"{node.file.filename}: {node.name.lstrip('/')}" if node.name != "/" else str(node.file.filename)
 
 
-def _check(dataset: Dataset, where: str) -> None:
+def _check(dataset: Dataset) -> None:
     if dataset.external or dataset.is_virtual:
-        raise TrajectoryError(f"{where} has its data in other files; an episode is one file by itself")
+        raise TrajectoryError(f"{where(dataset)} has its data in other files; an episode is one file by itself")
     shape = dataset.shape
     sizes = [math.prod(shape[1:]), math.prod(dataset.chunks or ())]
     if max(sizes) * dataset.dtype.itemsize > MOST_BYTES:
-        raise TrajectoryError(f"{where} has rows of shape {shape[1:]}, more than {MOST_BYTES} bytes each")
+        raise TrajectoryError(f"{where(dataset)} has rows of shape {shape[1:]}, more than {MOST_BYTES} bytes each")
 
 
 def is_text(dataset: Dataset) -> bool:
@@ -166,14 +167,14 @@ def rows(dataset: Dataset, index: object = ()) -> np.ndarray:
         TrajectoryError: it holds none, claims more than is read at once, or cannot be read.
     """
     if dataset.dtype.kind not in "biuf":
-        raise TrajectoryError(f"{_where(dataset)}: expected numbers, got {dataset.shape} {dataset.dtype}")
+        raise TrajectoryError(f"{where(dataset)}: expected numbers, got {dataset.shape} {dataset.dtype}")
     if size_of(dataset, index) > MOST_READ:
-        raise TrajectoryError(f"{_where(dataset)} claims more than {MOST_READ} bytes: read it in parts")
+        raise TrajectoryError(f"{where(dataset)} claims more than {MOST_READ} bytes: read it in parts")
     try:
         return np.asarray(dataset[index])
     except (OSError, RuntimeError, ValueError) as error:
         step = f", step {index}" if isinstance(index, int) else ""
-        raise TrajectoryError(f"{_where(dataset)}{step} cannot be read: {error}") from None
+        raise TrajectoryError(f"{where(dataset)}{step} cannot be read: {error}") from None
 
 
 def text(dataset: Dataset, index: object = ()) -> str | list[str]:
@@ -182,14 +183,13 @@ def text(dataset: Dataset, index: object = ()) -> str | list[str]:
     Raises:
         TrajectoryError: it is no text, or too long.
     """
-    where = f"{dataset.file.filename}: {dataset.name.lstrip('/')}"
     if hdf5().check_string_dtype(dataset.dtype) is None:
-        raise TrajectoryError(f"{where}: expected text, got {dataset.shape} {dataset.dtype}")
+        raise TrajectoryError(f"{where(dataset)}: expected text, got {dataset.shape} {dataset.dtype}")
     value = dataset[index]
     values = [value] if isinstance(value, (bytes, str)) else list(np.ravel(value))
     texts = [one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one) for one in values]
     if sum(map(len, texts)) > MOST_TEXT:
-        raise TrajectoryError(f"{where} has more than {MOST_TEXT} characters of text")
+        raise TrajectoryError(f"{where(dataset)} has more than {MOST_TEXT} characters of text")
     return texts[0] if isinstance(value, (bytes, str)) else texts
 
 
@@ -205,8 +205,7 @@ def document(dataset: Dataset) -> Any:
     try:
         return json.loads(told)
     except (ValueError, RecursionError):
-        where = f"{dataset.file.filename}: {dataset.name.lstrip('/')}"
-        raise TrajectoryError(f"{where}: expected a JSON text, got {told[:60]!r}") from None
+        raise TrajectoryError(f"{where(dataset)}: expected a JSON text, got {told[:60]!r}") from None
 
 
 def wordings(dataset: Dataset) -> list[str]:
@@ -219,7 +218,7 @@ def wordings(dataset: Dataset) -> list[str]:
     found = document(dataset) if isinstance(told, str) and told.startswith("[") else told
     listed = [found] if isinstance(found, str) else found
     if not all(isinstance(one, str) for one in listed):
-        raise TrajectoryError(f"{dataset.file.filename}: {dataset.name.lstrip('/')}: expected a list of texts")
+        raise TrajectoryError(f"{where(dataset)}: expected a list of texts")
     return list(listed)
 
 

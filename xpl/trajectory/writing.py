@@ -24,6 +24,7 @@ from xpl.trajectory.truth import Truth
 if TYPE_CHECKING:
     from types import TracebackType
 
+    from xpl.contract import Action, Entry, Observation
     from xpl.trajectory.nodes import File
 
 JPEG, PADDED, PNG, RAW = "jpeg", "jpeg-padded", "png", "raw"
@@ -84,7 +85,7 @@ class Writer:
         images: str = JPEG,
         quality: int = codec.DEFAULT_QUALITY,
         frequency: float | None = None,
-        episode: Mapping[str, Any] | None = None,
+        episode: Entry | None = None,
         subtasks: list[Any] | None = None,
         indexed: bool = True,
         privileged: bool = False,
@@ -119,7 +120,7 @@ class Writer:
         else:
             self.discard()
 
-    def add(self, obs: Mapping[str, Any], action: Mapping[str, Any], **steps: Any) -> None:
+    def add(self, obs: Observation, action: Action, **steps: object) -> None:
         """Add a control step.
 
         Args:
@@ -135,7 +136,8 @@ class Writer:
         if self._truth is not None:
             parts |= self._told_truth(self._truth, obs)
         if self._columns and parts.keys() != self._columns.keys():
-            lost, new = (", ".join(sorted(map("/".join, one))) for one in _differing(self._columns, parts))
+            changes = (self._columns.keys() - parts.keys(), parts.keys() - self._columns.keys())
+            lost, new = (", ".join(sorted(map("/".join, paths))) for paths in changes)
             differs = " and ".join(filter(None, [lost and f"lacks {lost}", new and f"adds {new}"]))
             raise TrajectoryError(f"{self.path}: step {self.steps} {differs}: all steps have what the first one has")
         with self._told():
@@ -146,7 +148,7 @@ class Writer:
                 column.add(fitting[path])
         self.steps += 1
 
-    def put(self, name: str, rows: Iterable[Any]) -> None:
+    def put(self, name: str, rows: Iterable[object]) -> None:
         """Put a whole column.
 
         Args:
@@ -165,7 +167,7 @@ class Writer:
 
         self._put(name, rows, column)
 
-    def put_images(self, name: str, images: Iterable[Any]) -> None:
+    def put_images(self, name: str, images: Iterable[object]) -> None:
         """Put all images of a camera.
 
         Args:
@@ -182,7 +184,7 @@ class Writer:
 
         self._put(name, images, column)
 
-    def keep(self, name: str, value: Any) -> None:
+    def keep(self, name: str, value: object) -> None:
         """Keep what holds for all steps: numbers, a text, or a list of texts; name and errors as of `put`."""
         for path, told in _leaves({name.rpartition("/")[2]: value}, tuple(name.split("/")[:-1])):
             with self._told():
@@ -214,7 +216,7 @@ class Writer:
             self._partial.unlink()
 
     @property
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> Entry:
         """What the folder's index says of the episode."""
         return {"steps": self.steps, spec.Obs.FREQUENCY: self._frequency, "episode": storage.plain(self.episode)}
 
@@ -242,7 +244,7 @@ class Writer:
             os.fsync(stream.fileno())
         self._partial.chmod(0o644)  # mkstemp makes files private
 
-    def _parts(self, obs: Any, action: Any, steps: Mapping[str, Any]) -> Iterator[tuple[names.Place, Any]]:
+    def _parts(self, obs: Observation, action: Action, steps: Entry) -> Iterator[tuple[names.Place, Any]]:
         """Yield what is stored of a step, under the names of the file."""
         series = {spec.Trajectory.STATE: obs.get(spec.Obs.STATE), spec.Trajectory.ACTION: action}
         for name, told in series.items():
@@ -261,7 +263,7 @@ class Writer:
                 raise TrajectoryError(f"{self.path}: no fact of a step is called {name}: it stands for what is told so")
             yield (info, names.STEPS, name), value
 
-    def _told_truth(self, truth: Truth, obs: Mapping[str, Any]) -> dict[names.Place, np.ndarray]:
+    def _told_truth(self, truth: Truth, obs: Observation) -> dict[names.Place, np.ndarray]:
         """Return what is kept of what privileged policies are told; what does not go on is taken out again."""
         found = truth.parts(obs.get(spec.Obs.PRIVILEGED), self.steps)
         parts = {names.stored(path): array for path, array in found.items()}
@@ -326,7 +328,7 @@ class Writer:
             raise TrajectoryError(f"{self.path}: step {self.steps}: {error}") from None
 
 
-def _leaves(value: Mapping[str, Any], path: names.Place) -> Iterator[tuple[names.Place, Any]]:
+def _leaves(value: Entry, path: names.Place) -> Iterator[tuple[names.Place, Any]]:
     """Yield the values of nested maps that are something."""
     for key, entry in value.items():
         name = str(key)
@@ -341,7 +343,3 @@ def _leaves(value: Mapping[str, Any], path: names.Place) -> Iterator[tuple[names
             yield place, Listed(json.dumps(list(entry)))
         elif entry is not None:
             yield place, entry
-
-
-def _differing(columns: Mapping[names.Place, Any], parts: Mapping[names.Place, Any]) -> tuple[set[names.Place], ...]:
-    return columns.keys() - parts.keys(), parts.keys() - columns.keys()

@@ -19,11 +19,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from xpl.contract import Result
     from xpl.manifest import EnvManifest
     from xpl_cli.basics.progress import Progress
 
     _Job = tuple[Scenario, Sequence[int]]
-    _Played = tuple[list[dict[str, Any]], list[dict[str, Any]]]
+    _Played = tuple[list[Result], list[Result]]
+    _Row = dict[str, Any]
+    """What a report says of one pair: `unsupported`, or `episodes` and the figures of `expert` and `random`."""
 
 __all__ = ["SEEDS", "Choice", "check", "seeds", "text", "unsupported"]
 
@@ -102,7 +105,7 @@ def check(name: str, choice: Choice, say: Progress, workers: int | None = 1) -> 
     robots = _chosen("embodiment", choice.embodiments, facts.embodiments)
     settings = _chosen("setting", choice.settings, facts.settings)
     control = play.chosen("kind of control", choice.action_type, facts.action_types)
-    rows: list[dict[str, Any]] = []
+    rows: list[_Row] = []
     for task, robot, setting in product(tasks, robots, settings):
         reason = play.unsupported(facts.tasks[task], robot)
         rows.append({"task": task, "embodiment": robot, "setting": setting, "unsupported": reason})
@@ -175,12 +178,12 @@ def _play(job: _Job) -> _Played:
     return solved, guessed
 
 
-def _rates(batches: Sequence[_Played]) -> dict[str, Any]:
+def _rates(batches: Sequence[_Played]) -> _Row:
     solved, guessed = ([result for part in parts for result in part] for parts in zip(*batches, strict=True))
     return {"episodes": len(solved), "expert": _summary(solved), "random": _summary(guessed)}
 
 
-def _summary(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _summary(results: Sequence[Result]) -> dict[str, object]:
     count = max(1, len(results))
     solved = [result for result in results if result["success"]]
     return {
@@ -193,13 +196,13 @@ def _summary(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _is_sound(row: Mapping[str, Any]) -> bool:
+def _is_sound(row: _Row) -> bool:
     if row["unsupported"] is not None:
         return True
     return bool(row["expert"]["solved"] == row["episodes"] and row["random"]["solved"] == 0)
 
 
-def _lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
+def _lines(rows: Sequence[_Row]) -> Iterator[tuple[str, ...]]:
     yield ("task", "embodiment", "setting", "expert", "steps", "random", "score", "")
     for row in rows:
         place = (row["task"], row["embodiment"], row["setting"])

@@ -17,9 +17,15 @@ from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages import environments, package
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
+    from numpy.typing import ArrayLike
+
+    from xpl.contract import Action, Config, Observation, Result
     from xpl.manifest import EnvManifest, Task
+
+    Player = Callable[[Observation], Action]
+    """Answers each observation of an episode."""
 
 _JOINT = sdk.ACTION_TYPES[0]
 _MOVED, _TURNED = 0.05, 0.5  # m and rad, along and about each axis: how far random poses lie from the present one
@@ -48,7 +54,7 @@ class Scenario:
     action_type: str = _JOINT
     renderer: str | None = None
 
-    def config(self) -> dict[str, Any]:
+    def config(self) -> Config:
         """Return the configuration with which the environment is made."""
         return {
             "task": self.task,
@@ -132,7 +138,7 @@ def make(what: Scenario) -> Any:
         raise UserError(f"{what.environment}: {error}") from None
 
 
-def expert(what: Scenario) -> Callable[[Mapping[str, Any]], Mapping[str, Any]]:
+def expert(what: Scenario) -> Player:
     """Return a new player of the environment's own expert, which its manifest names.
 
     Raises:
@@ -145,15 +151,15 @@ def expert(what: Scenario) -> Callable[[Mapping[str, Any]], Mapping[str, Any]]:
     adapter = getattr(module, sdk.MODEL_CLASS)
     policy = adapter({sdk.Deploy.ENV_CFG_TYPE: what.embodiment, sdk.Deploy.ACTION_TYPE: what.action_type})
 
-    def act(obs: Mapping[str, Any]) -> Mapping[str, Any]:
+    def act(obs: Observation) -> Action:
         policy.update_obs(obs)
-        action: Mapping[str, Any] = policy.get_action()[0]
+        action: Action = policy.get_action()[0]
         return action
 
     return act
 
 
-def at_random(what: Scenario, seed: int) -> Callable[[Mapping[str, Any]], Mapping[str, Any]]:
+def at_random(what: Scenario, seed: int) -> Player:
     """Return a new player that draws every joint and gripper anew in each step, within its limits.
 
     Where poses are commanded, they lie up to 5 cm and 0.5 rad from the present one, along and about each axis.
@@ -161,7 +167,7 @@ def at_random(what: Scenario, seed: int) -> Callable[[Mapping[str, Any]], Mappin
     robot, rng = get_embodiment(what.embodiment), np.random.default_rng(seed)
     arm_key, gripper_key = sdk.ACTION_KEYS[what.action_type]
 
-    def act(obs: Mapping[str, Any]) -> Mapping[str, Any]:
+    def act(obs: Observation) -> Action:
         action = {}
         for arm in robot.arms:
             if arm_key == sdk.State.EE_POSE:
@@ -180,7 +186,7 @@ def random_control(action_types: Sequence[str]) -> str:
     return _JOINT if _JOINT in action_types else action_types[0]
 
 
-def player(name: str, what: Scenario, seed: int) -> tuple[Scenario, Callable[[Mapping[str, Any]], Mapping[str, Any]]]:
+def player(name: str, what: Scenario, seed: int) -> tuple[Scenario, Player]:
     """Return a new player by its name, one of `PLAYERS`, and what it plays.
 
     Raises:
@@ -193,7 +199,7 @@ def player(name: str, what: Scenario, seed: int) -> tuple[Scenario, Callable[[Ma
     return what, at_random(what, seed)
 
 
-def _near(pose: Any, rng: np.random.Generator) -> np.ndarray:
+def _near(pose: ArrayLike, rng: np.random.Generator) -> np.ndarray:
     """Return a pose (7,) beside another one."""
     given = np.asarray(pose, dtype=np.float64)
     turn = rotation.from_axis_angle(rng.uniform(-_TURNED, _TURNED, 3))
@@ -201,16 +207,12 @@ def _near(pose: Any, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate([moved, rotation.multiply(turn, given[sdk.POSITION_DIM :])])
 
 
-def play(
-    env: Any, act: Callable[[Mapping[str, Any]], Mapping[str, Any]], seed: int, watch: Callable[[], None] | None = None
-) -> dict[str, Any]:
+def play(env: Any, act: Player, seed: int, watch: Callable[[], None] = lambda: None) -> Result:
     """Play one episode and return its result; `watch` is called before every step and at the end."""
     env.reset([seed])
     while not env.is_episode_end():
-        if watch is not None:
-            watch()
-        env.take_action(act(env.get_obs()))
-    if watch is not None:
         watch()
-    result: dict[str, Any] = env.results()[0]
+        env.take_action(act(env.get_obs()))
+    watch()
+    result: Result = env.results()[0]
     return result
