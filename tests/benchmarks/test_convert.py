@@ -31,7 +31,6 @@ ROWS = [
 
 
 def test_the_benchmark_of_conversions_compares_equal_filters(tmp_path: Path) -> None:
-    """Every way is measured, and gives the pixels that ours gives."""
     file = tmp_path / "figures.json"
     command = [sys.executable, "benchmarks/convert.py", "--runs", "1", "--json", str(file)]
     done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)

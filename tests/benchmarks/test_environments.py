@@ -14,7 +14,6 @@ pytest.importorskip("mujoco")
 
 @pytest.mark.slow
 def test_our_own_figures_are_measured(tmp_path: Path) -> None:
-    """Every task's physics, every camera size by ray casting, episodes per hour; what cannot be measured says why."""
     file = tmp_path / "figures.json"
     done = subprocess.run(
         [sys.executable, "benchmarks/environments.py", "--no-peers", "--rounds", "2", "--json", str(file)],

@@ -15,7 +15,6 @@ pytest.importorskip("mujoco")
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_speed_and_cost_of_recorded_runs_are_measured(tmp_path: Path) -> None:
-    """Episodes per hour with one worker and two; wall and processor time with a record and without."""
     file = tmp_path / "figures.json"
     command = [sys.executable, "benchmarks/evaluation.py", "--episodes", "2", "--rounds", "1", "--json", str(file)]
     done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)

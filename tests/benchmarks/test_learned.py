@@ -35,7 +35,6 @@ def test_every_recipe_records_prepares_trains_and_judges(which: tuple[str, str],
 
 
 def test_who_reads_is_judged_with_other_instructions_too(tmp_path: Path) -> None:
-    """Each in a run of its own."""
     policy, task = "Tiny_VLA", "pick_by_language"
     asked = learned.parsed(["--policy", policy, "--task", task])
     found = learned.stages(learned.RECIPES[policy, task], tmp_path, tmp_path, asked)
@@ -56,7 +55,6 @@ def test_who_reads_is_judged_with_other_instructions_too(tmp_path: Path) -> None
 def test_what_there_is_not_is_refused_with_what_there_is(
     words: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before anything is recorded."""
     with pytest.raises(SystemExit) as ended:
         learned.parsed(words)
     assert ended.value.code == 2

@@ -25,12 +25,10 @@ def _distance(folder: Path, deploy: str) -> float:
 
 
 def test_the_scaffolds_loop_has_no_distance(tmp_path: Path) -> None:
-    """It is the reference."""
     assert _distance(tmp_path, LOOP) == 0
 
 
 def test_the_contracts_loop_has_no_distance(tmp_path: Path) -> None:
-    """It is the other form of the reference."""
     (text,) = [file.read_text(encoding="utf-8") for file in REFERENCES[1:]]
     assert _distance(tmp_path, text) == 0
 
@@ -101,7 +99,6 @@ def test_a_loop_that_only_hands_on_is_measured_where_it_is(tmp_path: Path) -> No
 
 @given(st.lists(st.sampled_from("abc")), st.lists(st.sampled_from("abc")))
 def test_unmatched_is_the_edit_distance_without_replacement(one: list[str], other: list[str]) -> None:
-    """The bits give what the table gives."""
     row = list(range(len(other) + 1))
     for i, left in enumerate(one, start=1):
         before, row = row, [i]

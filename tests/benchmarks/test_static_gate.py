@@ -20,7 +20,6 @@ COMMANDS = ["xpl audit", "xpl audit --no-cache", "ruff check", "ruff check, boun
     [(["--adapters", "2"], ["1 adapter", "2 adapters"]), (["policy/demo_policy"], ["demo_policy"])],
 )
 def test_the_static_benchmark_measures_every_command(tmp_path: Path, chosen: list[str], subjects: list[str]) -> None:
-    """Generated adapters, or those that are given."""
     file = tmp_path / "figures.json"
     done = subprocess.run(
         [sys.executable, "benchmarks/static_gate.py", "--runs", "1", "--json", str(file), *chosen],

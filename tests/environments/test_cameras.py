@@ -133,7 +133,6 @@ def test_every_pixel_is_where_projection_puts_it(renderer: str, eye: str) -> Non
 @pytest.mark.parametrize("renderer", RENDERERS[1:])
 @pytest.mark.parametrize("eye", EYES)
 def test_renderers_agree(renderer: str, eye: str) -> None:
-    """Segmentation and depth differ on outlines only."""
     env = _env(cameras=False)
     env.reset([1])
     physics = env.episodes[0].physics
@@ -277,7 +276,6 @@ def test_wrist_cameras_see_fingers_and_table(embodiment: str) -> None:
 
 
 def test_a_shape_without_a_closed_form_is_refused() -> None:
-    """By its name, before anything is drawn without it."""
     scene = mujoco.MjSpec()
     scene.worldbody.add_camera(name="eye")
     scene.worldbody.add_geom(name="egg", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=[0.1, 0.2, 0.1])

@@ -99,7 +99,6 @@ def _closed(client: Path) -> str:
 
 
 def test_closing_closes_once(start: Callable[..., VectorEnv], client: Path) -> None:
-    """And closing again is nothing."""
     env = start()
     env.reset([0])
     env.close()
@@ -137,7 +136,6 @@ def _interrupt(*_: object) -> None:
 
 @pytest.mark.parametrize("do", ["hang", "sleep"])
 def test_sigterm_closes_it(start: Callable[..., VectorEnv], client: Path, do: str) -> None:
-    """As a supervisor sends it to every process of a service."""
     env = start()
     env.reset([0])
     (pid,) = env.pids

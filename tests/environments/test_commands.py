@@ -49,7 +49,6 @@ def test_list_shows_what_is_offered() -> None:
 
 
 def test_check_prints_a_table() -> None:
-    """A line for each pair, with the reason where one is not offered."""
     choice = ("--task", "handover_block", "--embodiment", "arx_x5", "--embodiment", "arx_x5_single")
     answer = _run("check", "mujoco", *choice, "--setting", "clean", "--episodes", "1", "--workers", "1")
     assert answer.exit_code == ExitCode.CLEAN, answer.output
@@ -87,7 +86,6 @@ def test_check_exits_with_findings_where_the_expert_fails(monkeypatch: pytest.Mo
 
 
 def test_check_says_what_is_missing() -> None:
-    """An environment without frozen seeds cannot be checked, and one that names no expert has none to play."""
     assert "no frozen seeds" in str(_run("check", "offline").exception)
     with pytest.raises(NotFoundError, match="names no expert"):
         play.expert(play.scenario("offline"))

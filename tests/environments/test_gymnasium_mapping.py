@@ -68,7 +68,6 @@ def test_a_value_is_taken_scaled_and_clipped(entry: Any, numbers: list[float]) -
     ],
 )
 def test_what_cannot_be_taken_is_told_with_its_place(entry: Any, said: str) -> None:
-    """An author sees which path, and what there is instead."""
     with pytest.raises(MODULE.MappingError) as raised:
         _value(entry)
     assert said in str(raised.value)
@@ -84,7 +83,6 @@ def test_what_cannot_be_taken_is_told_with_its_place(entry: Any, said: str) -> N
     ],
 )
 def test_a_mapping_file_with_a_mistake_names_itself(change: dict[str, Any], said: str, tmp_path: Path) -> None:
-    """And the key."""
     entries = yaml.safe_load(MAPPINGS[0].read_text(encoding="utf-8")) | change
     file = tmp_path / "mine.yml"
     file.write_text(json.dumps({key: value for key, value in entries.items() if value is not None}), encoding="utf-8")

@@ -62,7 +62,6 @@ def _solve(env: Any, seed: int, action_type: str = "joint", embodiment: str = "a
 
 @pytest.mark.parametrize("task", TASKS)
 def test_observation_follows_the_schema(task: str) -> None:
-    """Keys, shapes and dtypes are the standard's, and quaternions are unit."""
     env = _env(task=task, cameras=[48, 64])
     env.reset([5])
     obs = env.get_obs()
@@ -93,7 +92,6 @@ def test_observation_follows_the_schema(task: str) -> None:
 
 
 def test_the_default_resolution_is_the_manifests() -> None:
-    """Cameras are on unless switched off, at the size env.yml gives."""
     env = make({"task": "lift_cube", "embodiment": "arx_x5"})
     env.reset([0])
     entry = FACTS["cameras"]["cam_head"]
@@ -103,7 +101,6 @@ def test_the_default_resolution_is_the_manifests() -> None:
 
 
 def test_truth_is_shown_only_when_asked_for() -> None:
-    """The privileged map holds what the README lists."""
     env = _env(task="handover_block", privileged=True)
     env.reset([0])
     truth = env.get_obs()["privileged"]
@@ -135,7 +132,6 @@ def test_delta_pose_is_the_last_steps_motion() -> None:
 
 
 def test_the_same_seed_gives_the_same_trajectory_and_pixels() -> None:
-    """Digest, state and images are equal bit by bit; another seed or action differs."""
     digests, images = [], []
     for seed, action_seed in ((7, 0), (7, 0), (8, 0), (7, 1)):
         env = _env(cameras=[32, 32])
@@ -178,7 +174,6 @@ def test_two_processes_give_the_same_trajectory_and_pixels() -> None:
 
 
 def test_an_episode_does_not_depend_on_the_one_before() -> None:
-    """A used environment, reset, equals a fresh one; resetting twice changes nothing."""
     env = _env()
     env.reset([3])
     for _ in range(5):
@@ -191,7 +186,6 @@ def test_an_episode_does_not_depend_on_the_one_before() -> None:
 
 
 def test_rendering_does_not_disturb_the_physics() -> None:
-    """With and without cameras the states are the same."""
     digests = []
     for cameras in (False, [16, 16]):
         env = _env(cameras=cameras)
@@ -208,7 +202,6 @@ def test_rendering_does_not_disturb_the_physics() -> None:
 @pytest.mark.parametrize("embodiment", FACTS["embodiments"])
 @pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
 def test_commanding_the_current_pose_stays(embodiment: str, action_type: str) -> None:
-    """The observed joints, or the observed flange pose, sent back as action move nothing and correct nothing."""
     env = _env(embodiment=embodiment, action_type=action_type)
     env.reset([0])
     start = env.get_obs()
@@ -242,7 +235,6 @@ def test_clamps_are_counted_and_reported() -> None:
 
 
 def test_an_unreachable_pose_is_reported() -> None:
-    """The flange goes as near as it can, and the step says how far off it stays."""
     env = _env(action_type="ee")
     env.reset([0])
     action = _hold(env.get_obs(), "ee")
@@ -269,7 +261,6 @@ def test_a_quaternion_is_normalised_or_refused() -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_non_finite_action_ends_the_episode_before_the_physics(bad: Any) -> None:
-    """State stays finite and unchanged; the report and the result say why."""
     env = _env()
     env.reset([0])
     obs = env.get_obs()
@@ -297,7 +288,6 @@ def test_a_state_beyond_all_measure_is_none() -> None:
 
 
 def test_the_running_list_shrinks() -> None:
-    """Environments end one by one; the others go on, and answers come in the order asked for."""
     env = _env(num_envs=3, max_steps=4)
     env.reset([0, 1, 2])
     assert env.get_running_env_idx_list() == [0, 1, 2]
@@ -318,7 +308,6 @@ def test_the_running_list_shrinks() -> None:
 
 
 def test_batch_equals_single() -> None:
-    """An environment does the same alone and among others."""
     batch, single = _env(num_envs=2), _env()
     batch.reset([5, 6])
     single.reset([6])
@@ -343,7 +332,6 @@ def test_batch_equals_single() -> None:
     ],
 )
 def test_a_wrong_configuration_is_refused(config: Any, message: str) -> None:
-    """One sentence says what is offered."""
     with pytest.raises(ValueError, match=message):
         _env(**config)
 
@@ -352,7 +340,6 @@ def test_a_wrong_configuration_is_refused(config: Any, message: str) -> None:
 
 
 def test_the_expert_says_what_it_lacks() -> None:
-    """Without privileged observations there is one clear error."""
     env = _env()
     env.reset([0])
     policy = Expert({"env_cfg_type": "arx_x5"})
@@ -395,7 +382,6 @@ def test_the_gripper_opens_to_the_stroke(embodiment: str) -> None:
 
 @pytest.mark.parametrize("embodiment", FACTS["embodiments"])
 def test_torques_are_bounded(embodiment: str) -> None:
-    """No joint ever exerts more than its effort in the spec, however wild the commands."""
     robot = get_embodiment(embodiment)
     env = _env(embodiment=embodiment)
     env.reset([0])
@@ -419,7 +405,6 @@ def test_an_episode_is_what_mj_step_alone_makes_of_it() -> None:
 
 
 def test_pack_order_matches_control_order() -> None:
-    """Commands reach the arm they name: moving the left joints leaves the right arm where it is."""
     env = _env()
     env.reset([0])
     obs = env.get_obs()

@@ -56,7 +56,6 @@ def test_a_task_declares_itself(task: str) -> None:
 
 
 def test_a_pair_that_is_not_offered_says_why() -> None:
-    """The reason stands in the manifest, and in the error of who asks all the same."""
     pairs = [(task, robot, why) for task in TASKS for robot, why in FACTS["tasks"][task].get("unsupported", {}).items()]
     for task, robot, why in pairs:
         assert robot in FACTS["embodiments"]
@@ -123,7 +122,6 @@ def test_stages_come_in_order_and_success_must_hold(task: str) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("task", TASKS)
 def test_doing_nothing_earns_nothing(task: str) -> None:
-    """No stage is reached by holding the first pose."""
     with closing(_started(task, "clean", 0)) as env:
         state = env.get_obs()["state"]
         action = {key: state[key] for key in get_embodiment("arx_x5").dims("joint")}
@@ -133,7 +131,6 @@ def test_doing_nothing_earns_nothing(task: str) -> None:
 
 
 def test_the_expert_plays_in_poses_too() -> None:
-    """The same program as through joint angles, through poses of the flange."""
     what = Scenario("mujoco", "stack_blocks_two", "arx_x5", "clean", "ee")
     result = play.play(play.make(what), play.expert(what), 100000)
     assert result["success"], result
@@ -187,7 +184,6 @@ def test_nothing_stands_in_the_way_and_all_is_to_be_seen(task: str, seed: int) -
 
 
 def test_randomized_episodes_differ_and_repeat() -> None:
-    """The seed decides what is drawn: words, table and light."""
     drawn = []
     for seed in (3, 3, 4, 5, 6):
         with closing(_started("lift_cube", "randomized", seed)) as env:
@@ -238,7 +234,6 @@ class _Naming(np.random.Generator):
 
 
 def test_only_the_words_tell_which_block_counts() -> None:
-    """The same blocks at the same places, whichever is named."""
     scene_module, task_module = (load_module(FOLDER / f"{name}.py") for name in ("scene", "task"))
     robot, entry = get_embodiment("arx_x5"), FACTS["tasks"]["pick_by_language"]
     scenes, words = set(), set()

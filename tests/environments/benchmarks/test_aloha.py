@@ -62,7 +62,6 @@ def test_gym_aloha_plays_and_draws_the_same_and_pictures_are_upright() -> None:
 
 @pytest.mark.parametrize("task", ALOHA.manifest["tasks"])
 def test_the_expert_solves_a_task_over_the_wire(task: str) -> None:
-    """Served, asked, its answer sent as it is to gym-aloha."""
     ALOHA.solve("--task", task, "--set", f"env_cfg_type={ALOHA.robots[0]}", "--set", "action_type=joint")
 
 

@@ -53,7 +53,6 @@ def test_its_joints_and_poses_agree_by_kinematics(glimpsed: Any) -> None:
 
 @LIBERO.needed
 def test_its_picture_is_upright(glimpsed: Any) -> None:
-    """As LIBERO gives it, turned upside down."""
     if "not_drawn" in glimpsed:
         pytest.skip(f"not run: {glimpsed['not_drawn']}")
     _is_upright(glimpsed["seen"])
@@ -86,7 +85,6 @@ def test_commands_move_and_turn_the_tool_and_the_fingers(looked: Any) -> None:
 @LIBERO.needed
 @pytest.mark.slow
 def test_joints_and_flange_agree_by_kinematics(looked: Any) -> None:
-    """Where it stands still."""
     _agree(looked["moved"], within=1e-6)
 
 

@@ -84,7 +84,6 @@ def test_a_driver_is_taken_from_the_named_folder_and_never_instead_of_vulkans_ow
 
 
 def test_without_maniskill_one_sentence_says_how_to_install_it() -> None:
-    """This Python has none."""
     client = load_module(MANISKILL.env / "client.py")
     with pytest.raises(RuntimeError, match="xpl install maniskill"):
         client.make({"task": "PickCube", "embodiment": PANDA})
@@ -92,7 +91,6 @@ def test_without_maniskill_one_sentence_says_how_to_install_it() -> None:
 
 @pytest.mark.parametrize(("robot", "task"), [(PANDA, "PickCube"), (SO100, "PickCubeSO100"), (PAIR, "TwoRobotPickCube")])
 def test_a_task_is_refused_for_another_robot_with_the_reason(robot: str, task: str) -> None:
-    """Before any simulator is made."""
     wrong = next(other for other in MANIFEST["embodiments"] if other != robot)
     with pytest.raises(ValueError, match="the task is for"):
         Environment(lambda _: None, EnvManifest.parse(MANIFEST), {"task": task, "embodiment": wrong})  # type: ignore[arg-type,return-value]
@@ -126,7 +124,6 @@ def test_changes_move_and_turn_the_tool_the_way_they_say(looked: Any) -> None:
 
 @pytest.mark.slow
 def test_an_episode_played_again_is_the_same(looked: Any) -> None:
-    """With other episodes between, in one scene."""
     assert looked["poses"]["again"] == 0
 
 
@@ -193,7 +190,6 @@ def test_without_a_vulkan_driver_one_sentence_says_where_to_get_one(played: None
 
 @pytest.mark.slow
 def test_every_task_that_is_offered_without_a_download_plays(looked: Any) -> None:
-    """One step each."""
     found = looked["tasks"]
     assert (len(found), {task: error for task, error in found.items() if error}) == (19, {})
 
@@ -215,7 +211,6 @@ def test_pictures_are_upright_and_maniskills_own(played: None) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("control", ["joint", "ee"])
 def test_a_planner_solves_its_task_over_the_wire(played: None, control: str) -> None:
-    """Served, asked, its answer converted to what ManiSkill takes, by angles and by poses."""
     MANISKILL.solve("--task", "PickCube", "--setting", "planner", "--set", f"action_type={control}")
 
 

@@ -65,7 +65,6 @@ def test_pictures_are_upright_and_meta_worlds_own() -> None:
     ("task", "setting"), [("reach", "clean"), pytest.param("pick-place", "delta", marks=pytest.mark.slow)]
 )
 def test_a_scripted_policy_solves_its_task_over_the_wire(task: str, setting: str) -> None:
-    """Served, asked, its answer converted to what Meta-World takes: in both ways that a command can count."""
     METAWORLD.solve("--task", task, "--setting", setting)
 
 

@@ -37,7 +37,6 @@ def looked() -> Any:
 @pytest.mark.slow
 @pytest.mark.parametrize("setting", ["clean", "absolute"])
 def test_a_command_moves_and_turns_the_tool_in_the_world(looked: Any, setting: str) -> None:
-    """By the 3 cm and the 0.3 rad that were asked for."""
     assert peers.move_along_axes(looked[setting]["axes"], 0.03, within=0.003)
     assert np.abs(np.array(looked[setting]["turns"]) - 0.3 * np.eye(3)).max() < 0.03
 
@@ -93,7 +92,6 @@ def test_what_was_played_here_is_the_same_in_robosuite_itself_bit_by_bit(looked:
 @ROBOSUITE.needed
 @pytest.mark.slow
 def test_every_task_begins_alike_with_a_seed_and_otherwise_with_another(looked: Any) -> None:
-    """All 19, whatever was played before; two steps go well."""
     assert looked["every"] == {task: [True, False, 2] for task in ROBOSUITE.manifest["tasks"]}
 
 

@@ -104,7 +104,6 @@ def test_success_is_robotwins_own_check(looked: Any) -> None:
 
 
 def test_the_limit_of_steps_ends_an_episode(looked: Any) -> None:
-    """RoboTwin's own is the same, and is that of the environment where another one is asked for."""
     lost = looked["won"]["limit"]
     assert (lost["success"], lost["end_reason"], lost["steps"]) == (False, "max_steps", STEPS)
 

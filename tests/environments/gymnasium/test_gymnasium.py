@@ -51,7 +51,6 @@ def _played(player: Path, task: str, *options: str) -> dict[str, Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["fetch_reach", pytest.param("fetch_pick_and_place", marks=pytest.mark.slow)])
 def test_a_policy_solves_a_task_of_gymnasium_robotics_over_the_wire(player: Path, task: str) -> None:
-    """Served, asked in a batch of two, each action mapped to what the Fetch takes."""
     report = _played(player, task, "--episodes", "2", "--num-envs", "2")
     assert report["success_rate"] == 1.0, report
     assert all(episode["end_reason"] == "success" for episode in report["episodes"])

@@ -114,7 +114,6 @@ REFUSED = {
 
 @pytest.mark.parametrize("action", REFUSED.values(), ids=REFUSED)
 def test_what_robodojo_refuses_is_refused_and_moves_nothing(action: dict[str, Any]) -> None:
-    """With an error that the SDK knows as the adapter's."""
     env = made()
     env.reset([0])
     before = env.get_obs()
@@ -279,7 +278,6 @@ def test_an_adapters_own_deploy_plays_as_robodojo_calls_it(count: int) -> None:
 
 
 def test_a_loop_that_leaves_before_the_end_is_told() -> None:
-    """RoboDojo would count its layouts."""
     env = made()
     deploy = SimpleNamespace(eval_one_episode=lambda TASK_ENV, model_client: TASK_ENV.take_action(JOINT))  # noqa: N803
     deploy.eval_one_episode.__name__ = "eval_one_episode"

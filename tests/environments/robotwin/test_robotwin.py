@@ -214,7 +214,6 @@ def test_an_expert_that_cannot_solve_only_tells_what_things_are_called() -> None
 
 
 def test_a_success_ends_the_episode_inside_its_chunk() -> None:
-    """No observation follows it, and the policy is told."""
     client = Chunks()
     told = played(client, succeeds_at=2)
     assert (told.episodes[0]["success"], told.episodes[0]["steps"], told.rate) == (True, 2, 1.0)
@@ -223,7 +222,6 @@ def test_a_success_ends_the_episode_inside_its_chunk() -> None:
 
 
 def test_wordings_that_were_not_seen_are_another_list() -> None:
-    """As `instruction_type` asks for."""
     assert played(Chunks(), instruction_type="unseen").episodes[0]["instruction"].startswith("please")
 
 
@@ -296,7 +294,6 @@ def test_the_robot_that_stands_in_is_what_robotwin_reads(tmp_path: Path) -> None
 
 
 def test_tasks_with_objects_are_refused_where_a_robot_stands_in() -> None:
-    """Which only RoboTwin's assets have."""
     config = {"task": "stack_bowls_two", "embodiment": "aloha_agilex", "setting": "stand_in_robot"}
     env = Environment(lambda setup: EPISODE.RoboTwinEpisode(setup, source()), MANIFEST, config)
     with pytest.raises(ValueError, match=r"only RoboTwin's assets have; stand_in_robot plays blocks_ranking_rgb"):
@@ -309,7 +306,6 @@ def test_every_setting_that_stands_in_says_so_by_its_name() -> None:
 
 
 def test_without_the_runtime_one_sentence_says_how_to_install_it() -> None:
-    """No assets are asked for."""
     if OWN.importlib.util.find_spec("robotwin") is not None:
         pytest.skip("RoboTwin's runtime is installed here")
     client = load_module(ENV / "client.py")
@@ -421,7 +417,6 @@ def test_it_plays_as_an_environment_of_the_standard() -> None:
 
 @pytest.mark.parametrize(("seed", "said"), [(100003, "unstable"), (100004, "expert does not solve")])
 def test_a_seed_that_robotwin_skips_is_no_failure_of_the_policy(seed: int, said: str) -> None:
-    """The environment raises, which is the infrastructure's."""
     config = {"task": "stack_blocks_two", "embodiment": "aloha_agilex", "action_type": "joint"}
     env = Environment(lambda setup: EPISODE.RoboTwinEpisode(setup, source()), MANIFEST, config)
     with pytest.raises(RuntimeError, match=said):
@@ -451,7 +446,6 @@ def test_without_code_or_assets_one_sentence_says_so(tmp_path: Path, monkeypatch
 
 
 def test_the_command_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As for every benchmark that is not installed."""
     monkeypatch.delenv(OWN.CHECKOUT, raising=False)
     if OWN.importlib.util.find_spec("robotwin") is not None:
         pytest.skip("RoboTwin's runtime is installed here")
