@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from xpl import _spec as sdk
 from xpl import robots
@@ -87,7 +87,7 @@ def _has_gripper(answers: Answers) -> bool:
     return bool(robots.entries()[answers.embodiment]["end_effector"]["kind"] == _GRIPPER)
 
 
-def _flow(value: Any) -> str:
+def _flow(value: object) -> str:
     """Return a value as YAML writes it on one line."""
     import yaml
 
@@ -100,15 +100,24 @@ def _settings() -> dict[str, Any]:
     return properties
 
 
-def _arguments(names: list[str], settings: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Describe the positional arguments of a script; `setting` tells how deploy.yml takes it, if it does."""
+class Argument(TypedDict):
+    """A positional argument of a script; `setting` tells how deploy.yml takes it, if it does."""
+
+    name: str
+    shown: str
+    position: int
+    optional: bool
+    setting: str | None
+
+
+def _arguments(names: list[str], settings: Mapping[str, Any]) -> list[Argument]:
     result = []
     for position, shown in enumerate(names, start=1):
         name = shown.strip("[]")
         kind = None
         if name in settings:
             kind = "text" if _takes_text(settings[name]) else "value"
-        result.append({"name": name, "shown": shown, "position": position, "optional": shown != name, "setting": kind})
+        result.append(Argument(name=name, shown=shown, position=position, optional=shown != name, setting=kind))
     return result
 
 
@@ -129,12 +138,12 @@ def _deploy_entries(answers: Answers, kind: kinds.Kind) -> list[dict[str, str]]:
     wanted = [key for key in settings if key in spec.schema("deploy")["required"]]
     wanted += [key for key in spec.data("conventions")["checkpoint"]["run_name"] if key not in wanted]
     told = {
-        key: {"value": chosen.get(key, settings[key].get("default")), "description": settings[key]["description"]}
+        key: kinds.Setting(chosen.get(key, settings[key].get("default")), settings[key]["description"])
         for key in wanted
     }
     return [
-        {"key": key, "value": as_yaml(entry["value"]), "description": entry["description"]}
-        for key, entry in {**told, **kind.settings}.items()
+        {"key": key, "value": as_yaml(line.value), "description": line.description}
+        for key, line in {**told, **kind.settings}.items()
     ]
 
 

@@ -20,6 +20,8 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from xpl.contract import Entry
+
 DEFAULT = "minimal"
 """The kind that is usual."""
 
@@ -32,6 +34,29 @@ _PATH, _UV = "path", "uv"
 
 
 @dataclass(frozen=True)
+class Needs:
+    """What a kind needs of its Python.
+
+    Attributes:
+        requirements: packages.
+        python: version, None for any.
+        only_if_asked: whether the tool's own Python has them.
+    """
+
+    requirements: Sequence[str] = ()
+    python: str | None = None
+    only_if_asked: bool = False
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A line of deploy.yml."""
+
+    value: object
+    description: str
+
+
+@dataclass(frozen=True)
 class Kind:
     """One kind.
 
@@ -39,22 +64,21 @@ class Kind:
         about: what the adapter is built on, in one line.
         refuses: option that does not fit to the reason.
         block: whether its conversions can be compiled from a native block.
-        environment: `requirements` of its Python, and the version `python` if it needs a certain one; with
-            `only_if_asked` the tool's own Python has them.
+        environment: of its own Python.
         evaluation_only: nothing is trained here.
         optional: inputs besides those that the author names.
-        settings: lines of deploy.yml, over and above what the standard asks for: `value` and `description`.
+        settings: lines of deploy.yml by key, over and above what the standard asks for.
     """
 
     about: str
     refuses: Mapping[str, str] = field(default_factory=dict)
     block: bool = False
-    environment: Mapping[str, Any] = field(default_factory=dict)
+    environment: Needs = Needs()
     evaluation_only: bool = False
     optional: tuple[str, ...] = ()
-    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    settings: Mapping[str, Setting] = field(default_factory=dict)
 
-    def python(self, given: str) -> dict[str, Any]:
+    def python(self, given: str) -> dict[str, str | Sequence[str]]:
         """Return the environment of the manifest.
 
         Args:
@@ -62,15 +86,15 @@ class Kind:
         """
         if _is_path(given):
             return {"manager": _PATH, "python": given}
-        requirements = self.environment.get("requirements")
-        if not given and (not requirements or self.environment.get("only_if_asked")):
+        needs = self.environment
+        if not given and (not needs.requirements or needs.only_if_asked):
             return {"manager": TOOLS_OWN}
-        version = given or self.environment.get("python")
-        return {
-            "manager": _UV,
-            **({"python": version} if version else {}),
-            **({"requirements": requirements} if requirements else {}),
-        }
+        found: dict[str, str | Sequence[str]] = {"manager": _UV}
+        if version := given or needs.python:
+            found["python"] = version
+        if needs.requirements:
+            found["requirements"] = needs.requirements
+        return found
 
 
 @dataclass(frozen=True)
@@ -85,7 +109,12 @@ class Camera:
 def kinds() -> dict[str, Kind]:
     """Return the kinds of adapters that there are."""
     path = room("templates") / "policy" / "kinds.yml"
-    return {name: Kind(**told) for name, told in spec.read_yaml(path).items()}
+    return {name: _parsed(told) for name, told in spec.read_yaml(path).items()}
+
+
+def _parsed(told: Entry) -> Kind:
+    lines = {key: Setting(**line) for key, line in told.get("settings", {}).items()}
+    return Kind(**{**told, "environment": Needs(**told.get("environment", {})), "settings": lines})
 
 
 def check_kind(kind: str) -> None:

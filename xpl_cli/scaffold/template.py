@@ -86,7 +86,7 @@ def render_folder(source: Path, context: Mapping[str, Any], leave_out: Sequence[
         return {path.relative_to(root).as_posix(): path.read_bytes() for path in paths}
 
 
-def as_yaml(value: Any) -> str:
+def as_yaml(value: object) -> str:
     """Return a value as it is written in YAML."""
     import yaml
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -147,29 +148,37 @@ def evaluate(
     reached = None if connect is None else remote.Remote(connect, token, ca_file)
     is_here = _is_here(policy)
     if is_here:
-        unfit = {"--setting": setting, "--num-envs": num_envs, "--horizon": horizon, "--until-width": until_width}
+        from xpl_cli.evaluation.hand_over.play import Request
+
+        unfit = {
+            "--setting": setting,
+            "--num-envs": num_envs,
+            "--horizon": horizon,
+            "--until-width": until_width,
+            "--instruction": instruction,
+            "--token-file": token_file,
+            "--ca-file": ca_file,
+            "--isolate": isolate or None,
+        }
         env, is_done = hand_over.tried(
             policy,
             env,
-            {
-                **unfit,
-                "--instruction": instruction,
-                "--token-file": token_file,
-                "--ca-file": ca_file,
-                "--isolate": isolate or None,
-            },
+            overrides,
+            unfit,
+            partial(
+                Request,
+                task=task,
+                episodes=episodes or 1,
+                out=out,
+                resume=resume,
+                connect=connect,
+                python=python,
+                env=policy_env,
+                gpu=policy_gpu,
+                eval_env=eval_env,
+                env_gpu=env_gpu or "0",
+            ),
             as_json=as_json,
-            task=task,
-            episodes=episodes or 1,
-            out=out,
-            resume=resume,
-            connect=connect,
-            overrides=overrides,
-            python=python,
-            env=policy_env,
-            gpu=policy_gpu,
-            eval_env=eval_env,
-            env_gpu=env_gpu or "0",
         )
         if is_done:
             return
@@ -192,11 +201,12 @@ def evaluate(
 
         if resume and not (out / records.FILE).exists():
             raise NotFoundError(f"{out} holds no recorded run to go on with", hint="without --resume it begins one")
-        first = int(adapter.config(overrides)[spec.Deploy.SEED])
         said = {task, setting, episodes, until_width, None if horizon == remote.WHOLE else horizon}
         is_silent = not overrides and said == {None} and instruction is None
         is_batch = (num_envs or 1) > 1
-        wishes: plan.Wishes | None = plan.Wishes(task, setting, episodes, first, horizon, until_width)
+        wishes: plan.Wishes | None = plan.Wishes(
+            task, setting, episodes, int(adapter.config(overrides)[spec.Deploy.SEED]), horizon, until_width
+        )
         if is_silent:
             wishes = None if horizon is None or (out / records.FILE).exists() else plan.Wishes(horizon=horizon)
         _recorded(

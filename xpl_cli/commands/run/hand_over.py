@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -12,8 +12,10 @@ from xpl_cli.basics.endings import ends
 from xpl_cli.commands.options import JSON, POLICY, POLICY_ENV, POLICY_GPU, PYTHON, SETTINGS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
+    from xpl.contract import Config
+    from xpl_cli.evaluation.hand_over.play import Request
 
 _ANSWER = "xpl.env-hand-over/1"
 
@@ -57,67 +59,69 @@ def hand_over(
     overrides = package.parse_overrides(settings)
     if seed is not None:
         overrides[spec.Deploy.SEED] = seed
-    what: dict[str, Any] = {
-        "package": package.load(policy, overrides),
-        "environment": name,
-        "task": task,
-        "episodes": episodes,
-        "workspace": workspace,
-        "rehearse": rehearse,
-        "out": out,
-        "resume": resume,
-        "connect": connect,
-        "overrides": overrides,
-        "python": python,
-        "env": policy_env,
-        "gpu": policy_gpu,
-        "eval_env": eval_env,
-        "env_gpu": env_gpu,
-        "hours": hours,
-    }
+    request = engine.Request(
+        package=package.load(policy, overrides),
+        environment=name,
+        task=task,
+        episodes=episodes,
+        workspace=workspace,
+        rehearse=rehearse,
+        out=out,
+        resume=resume,
+        connect=connect,
+        overrides=overrides,
+        python=python,
+        env=policy_env,
+        gpu=policy_gpu,
+        eval_env=eval_env,
+        env_gpu=env_gpu,
+        hours=hours,
+    )
     if not dry_run:
-        play(as_json=as_json, **what)
+        play(request, as_json=as_json)
         return
-    command = engine.plan(engine.Request(**what)).words("localhost", "PORT")
+    command = engine.plan(request).words("localhost", "PORT")
     if as_json:
         console.answer(_ANSWER, {"environment": name, "policy": policy, "command": command})
     else:
         console.data(shlex.join(command))
 
 
-def play(*, as_json: bool, **what: Any) -> None:
-    """Hand over, and tell what came of it.
-
-    Args:
-        as_json: whether the answer is a JSON object.
-        what: as `xpl_cli.evaluation.hand_over.play.Request` takes it.
-    """
+def play(request: Request, *, as_json: bool) -> None:
+    """Hand over, and tell what came of it."""
     from dataclasses import asdict
 
     from xpl_cli.basics import console
     from xpl_cli.evaluation.hand_over import play as engine
     from xpl_cli.standard import spec as standard
 
-    told = engine.hand_over(engine.Request(**what))
-    recorded = what["out"] is not None and told.episodes is not None
+    told = engine.hand_over(request)
+    recorded = request.out is not None and told.episodes is not None
     if as_json:
-        console.answer(_ANSWER, asdict(told), [shlex.join(["xpl", "report", str(what["out"])])] if recorded else [])
+        console.answer(_ANSWER, asdict(told), [shlex.join(["xpl", "report", str(request.out)])] if recorded else [])
         return
     console.data(told.text())
     console.data(standard.data("package")["eval_finish_line"])
 
 
 def tried(
-    policy: str, environment: str | None, unfit: Mapping[str, object], *, as_json: bool, **what: Any
+    policy: str,
+    environment: str | None,
+    overrides: Config,
+    unfit: Mapping[str, object],
+    request: Callable[..., Request],
+    *,
+    as_json: bool,
 ) -> tuple[str | None, bool]:
     """Hand over in the place of an evaluation, where the environment only stands in for what a known workspace has.
 
     Args:
         policy: the adapter, as it was named.
         environment: as it was named; None takes the one of the benchmark that deploy.yml names, if one plays its task.
+        overrides: of deploy.yml.
         unfit: options of an evaluation that are the benchmark's own business, with what was given for them.
+        request: makes the request of `package`, `environment` and `overrides`.
         as_json: whether the answer is a JSON object.
-        what: as `xpl_cli.evaluation.hand_over.play.Request` takes it.
 
     Returns:
         the environment, if one was named or found, and whether it was handed over to.
@@ -133,8 +137,8 @@ def tried(
     from xpl_cli.evaluation.runs.settings import benchmark_for
     from xpl_cli.packages import environments, package
 
-    adapter = package.load(policy, what["overrides"])
-    name = environment or benchmark_for(adapter.config(what["overrides"]))
+    adapter = package.load(policy, overrides)
+    name = environment or benchmark_for(adapter.config(overrides))
     if name is None:
         return None, False
     facts = environments.manifest(environments.find(name))
@@ -143,7 +147,7 @@ def tried(
         given = [option for option, value in unfit.items() if value is not None]
         if given:
             raise UserError(f"{name} plays in its own workspace, by its own launcher, which takes no {given[0]}")
-        play(as_json=as_json, package=adapter, environment=name, **what)
+        play(request(package=adapter, environment=name, overrides=overrides), as_json=as_json)
         return name, True
     if facts.stand_in is not None:
         console.note(f"{name}: {facts.stand_in}")
