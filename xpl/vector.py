@@ -20,6 +20,7 @@ from xpl.simulator.process import EnvLostError
 
 if TYPE_CHECKING:
     from xpl.contract import Action, Config, ObservationDict, Report, Result
+    from xpl.simulator.crew import Calls
 
 INFRASTRUCTURE = "infrastructure"
 """`end_reason` of an episode that says nothing about the policy: what it was played with failed."""
@@ -107,7 +108,7 @@ class VectorEnv:
         wanted = {**self._options, **(options or {})}
         more = [wanted] if wanted else []
         # The first observation comes along: an environment that is lost later shows its last one.
-        asked = {
+        asked: dict[int, Calls] = {
             worker: [
                 [spec.Method.RESET, [self._seeds[part[0] : part[-1] + 1], *more]],
                 ["get_obs_batch", [list(range(len(part)))]],
