@@ -101,7 +101,7 @@ class Done:
         return self.problem or f"ended without an answer: {self.last:.200}"
 
 
-def run(module: str, order: Mapping[str, Any], place: Place) -> Done:
+def run(module: str, order: Mapping[str, object], place: Place) -> Done:
     """Run an errand to its end.
 
     Args:

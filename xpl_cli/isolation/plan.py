@@ -10,7 +10,6 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Any
 
 from xpl_cli.isolation import seccomp
 
@@ -70,7 +69,7 @@ def apart_by_bubblewrap(program: str) -> list[str]:
     return [program, *options, "--dev-bind", "/", "/", "--proc", "/proc", "--"]
 
 
-def _launch(plan: dict[str, Any]) -> list[str]:
+def _launch(plan: dict[str, object]) -> list[str]:
     script = Path(__file__).with_name("launch.py")
     return [sys.executable, "-I", "-S", str(script), json.dumps(plan), "--"]
 

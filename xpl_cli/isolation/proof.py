@@ -63,7 +63,7 @@ def _rights() -> Iterator[str]:
         yield "the priority can be raised"
 
 
-def _goes(attempt: Callable[[], Any]) -> bool:
+def _goes(attempt: Callable[[], object]) -> bool:
     try:
         attempt()
     except OSError:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.basics import console, content
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.lifecycle.python_env.installers import CONDAS
 from xpl_cli.lifecycle.python_env.place import condition
 from xpl_cli.lifecycle.python_env.plan import CONDA, MADE_BY_XPL, plan_of
 
@@ -95,7 +96,7 @@ def _warn_if_outdated(plan: Plan) -> None:
 
 
 def _conda_prefix(name: str) -> Path:
-    conda = shutil.which("conda") or shutil.which("mamba") or shutil.which("micromamba")
+    conda = next(filter(None, map(shutil.which, CONDAS)), None)
     if conda is None:
         raise UserError(f"conda environment {name!r} was asked for, but conda is not on PATH", code=ExitCode.NOT_RUN)
     listed = subprocess.run([conda, "env", "list", "--json"], capture_output=True, text=True, check=False, timeout=60)

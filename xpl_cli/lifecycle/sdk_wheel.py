@@ -15,7 +15,7 @@ import tempfile
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import xpl
 from xpl_cli.basics import atomic
@@ -91,7 +91,7 @@ def _build_in(root: Path) -> Path:
     return Path(next(builder.build(directory=str(root / "dist"))))
 
 
-def _project() -> dict[str, Any]:
+def _project() -> dict[str, object]:
     """Return what would stand in the SDK's own `pyproject.toml`."""
     return {
         "project": {
