@@ -171,7 +171,7 @@ class Bridge:
         return told
 
 
-def _command(given: Any, whose: str) -> NDArray[np.float64]:
+def _command(given: object, whose: str) -> NDArray[np.float64]:
     try:
         return np.asarray(given, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError):

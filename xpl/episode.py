@@ -286,7 +286,7 @@ def _is_finite(state: State) -> bool:
     return True
 
 
-def _digested(value: Any) -> list[bytes]:
+def _digested(value: object) -> list[bytes]:
     """Return a value as a digest takes it: maps by sorted keys, numbers and arrays as float64, others part by part."""
     if isinstance(value, Mapping):
         found: list[bytes] = []

@@ -207,7 +207,7 @@ class GuardedEnv:
         watched = self._watched.get(index)
         return None if watched is None else watched.end_reason
 
-    def _report(self, index: int, given: Any, verdict: Verdict | None) -> Report:
+    def _report(self, index: int, given: object, verdict: Verdict | None) -> Report:
         report = dict(given) if isinstance(given, Mapping) else {}
         corrections = {prefix: dict(found) for prefix, found in (report.get("corrections") or {}).items()}
         for found in () if verdict is None else verdict.corrections:

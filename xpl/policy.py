@@ -341,7 +341,7 @@ class Policy:
         # A native block may keep more of them.
         return [encodings[0]] * (self.history - len(encodings)) + encodings[-self.history :]
 
-    def _checked(self, raw: Any, envs: list[int]) -> list[np.ndarray]:
+    def _checked(self, raw: object, envs: list[int]) -> list[np.ndarray]:
         if isinstance(raw, Mapping) or not hasattr(raw, "__iter__"):
             raise ActionError(f"predict must return (B, H, D) or a list of (H, D), got {type(raw).__name__}")
         rows = [np.asarray(row) if isinstance(row, (list, tuple)) else as_array(row) for row in raw]

@@ -134,10 +134,10 @@ def _length(chunks: Sequence[Any], horizon: int | None) -> int:
     return shortest if horizon is None else min(horizon, shortest)
 
 
-def _many(value: Any) -> str:
+def _many(value: object) -> str:
     return f"{len(value)}" if isinstance(value, Sequence) else type(value).__name__
 
 
-def _is_held(report: Any) -> bool:
+def _is_held(report: object) -> bool:
     """Tell whether a guard held the pose instead of executing an action."""
     return isinstance(report, Mapping) and report.get("held") is not None

@@ -105,7 +105,7 @@ class Conversation:
         operation = self._operations.get(func_name)
         return await (self.call_method(func_name, obs) if operation is None else operation(self, obs))
 
-    async def _prepare(self, obs: Any) -> Any:
+    async def _prepare(self, obs: object) -> Any:
         about = dict(_map(spec.Message.PREPARE_CASE, obs))
         case = about.pop(spec.Payload.ACTION_CASE_ID, self._labels.action_case_id)
         if case is None:
@@ -128,7 +128,7 @@ class Conversation:
         return NoOperationError(f"the wire {self._setup.wire} has no {name}")
 
 
-def _map(operation: str, obs: Any) -> Mapping[str, Any]:
+def _map(operation: str, obs: object) -> Mapping[str, Any]:
     """Return what is told with an operation that takes a map or nothing.
 
     Raises:

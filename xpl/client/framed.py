@@ -134,7 +134,7 @@ class FramedConversation(Conversation):
             raise ClientError(f"this server offers no {name!r}: it is of the first generation, without `call`")
         return await self._call(name, obs)
 
-    async def _update(self, name: str, obs: Any) -> None:
+    async def _update(self, name: str, obs: object) -> None:
         if self._exchange.goes_ahead:
             await self._exchange.send_ahead({spec.Payload.FUNC_NAME: name, spec.Payload.OBS: obs})
         else:
