@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from xpl.trajectory.names import Place
     from xpl.trajectory.nodes import Group
 
-_ROWS = 64
-_WAITING_BYTES = 1 << 22
+ROWS = 64
+"""Most values that wait in memory, and those of a chunk where they are small."""
+WAITING_BYTES = 1 << 22
 
 
 class Column(Protocol):
@@ -51,14 +52,14 @@ class Rows:
         file: Group,
         path: Place,
         first: np.ndarray,
-        chunk: int = _ROWS,
+        chunk: int = ROWS,
         *,
         marked: bool = False,
         **compression: Any,
     ) -> None:
         self._name = "/".join(path)
         self._shape, self._dtype = first.shape, first.dtype
-        self._most = max(1, min(_ROWS, _WAITING_BYTES // max(1, first.nbytes)))
+        self._most = max(1, min(ROWS, WAITING_BYTES // max(1, first.nbytes)))
         self._waiting: list[np.ndarray] = []
         # HDF5 wants chunks of at least one value, and only what can grow may have larger ones than there are.
         sizes = {
@@ -98,49 +99,6 @@ class Rows:
             self._dataset.resize(start + len(self._waiting), axis=0)
             self._dataset[start:] = np.stack(self._waiting)
             self._waiting = []
-
-
-class Blobs:
-    """Encoded images: a dataset (T,) of bytes of variable length, or (T, N) padded with NUL.
-
-    Args:
-        file: an open HDF5 file.
-        path: where in it.
-        padded: as (T, N).
-    """
-
-    def __init__(self, file: Group, path: Place, *, padded: bool) -> None:
-        self._padded = padded
-        self._waiting: list[np.ndarray] = []
-        name = "/".join(path)
-        if padded:  # compressed, so that the padding costs nothing
-            options = {"dtype": np.uint8, "compression": "gzip", "compression_opts": 1}
-            self._dataset = file.create_dataset(name, (0, 1), maxshape=(None, None), chunks=(1, 1 << 14), **options)
-        else:
-            kind = hdf5().vlen_dtype(np.uint8)
-            self._dataset = file.create_dataset(name, (0,), maxshape=(None,), chunks=(_ROWS,), dtype=kind)
-
-    def add(self, value: bytes) -> None:
-        """Take the next step's image."""
-        self._waiting.append(np.frombuffer(value, np.uint8))
-        if sum(map(len, self._waiting)) > _WAITING_BYTES or len(self._waiting) >= _ROWS:
-            self.close()
-
-    def close(self) -> None:
-        """Write what is still in memory."""
-        if not self._waiting:
-            return
-        start, count = self._dataset.shape[0], len(self._waiting)
-        if self._padded:
-            width = max(self._dataset.shape[1], *map(len, self._waiting))
-            self._dataset.resize((start + count, width))
-            for number, blob in enumerate(self._waiting):
-                self._dataset[start + number, : len(blob)] = blob
-        else:
-            self._dataset.resize(start + count, axis=0)
-            for number, blob in enumerate(self._waiting):  # at once h5py takes equal lengths for a table
-                self._dataset[start + number] = blob
-        self._waiting = []
 
 
 class Listed(str):

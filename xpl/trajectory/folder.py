@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, overload
+from typing import overload
 
 from xpl.trajectory import index
 from xpl.trajectory.errors import TrajectoryError
@@ -56,7 +56,7 @@ class Folder(Sequence[Trajectory]):
         self.path = os.fspath(path)
         self._root, self._files = root, files
         self.keys = tuple(name.with_suffix("").as_posix() for name in self._files)
-        self._indices: dict[Path, dict[str, dict[str, Any]]] = {}
+        self._indices: dict[Path, dict[str, index.Line]] = {}
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -72,29 +72,24 @@ class Folder(Sequence[Trajectory]):
         """Return a trajectory by its place; it is opened when something of it is asked for."""
         if isinstance(place, slice):
             return [self[number] for number in range(len(self))[place]]
-        facts = self.facts(place)
-        return Trajectory(
-            str(self._root / self._files[place]),
-            key=self.keys[place],
-            steps=None if facts is None else facts["steps"],
-        )
+        file = self._root / self._files[place]
+        return Trajectory(str(file), key=self.keys[place], steps=self._known_steps(file))
 
     def __iter__(self) -> Iterator[Trajectory]:
         """Yield one after the other."""
         return (self[number] for number in range(len(self)))
 
-    def facts(self, place: int) -> dict[str, Any] | None:
-        """Return what the folder's index says of a trajectory: `steps`, `frequency`, `episode`; None where nothing."""
-        file = self._root / self._files[place]
-        if file.parent not in self._indices:
-            self._indices[file.parent] = index.entries(file.parent)
-        entry = self._indices[file.parent].get(file.name)
-        return entry if entry is not None and entry.get("bytes") == file.stat().st_size else None
-
     @property
     def steps(self) -> int:
         """Control steps of all of them together; opens those of which the index says nothing."""
         return sum(map(len, self))
+
+    def _known_steps(self, file: Path) -> int | None:
+        """Return the steps that the folder's index says of a file as it is; None where it says nothing."""
+        if file.parent not in self._indices:
+            self._indices[file.parent] = index.lines(file.parent)
+        line = self._indices[file.parent].get(file.name)
+        return line.steps if line is not None and line.bytes == file.stat().st_size else None
 
 
 def _files(path: Path) -> Iterator[Path]:

@@ -8,11 +8,13 @@ import numpy as np
 
 from xpl import images as codec
 from xpl.observation import is_encoded
-from xpl.trajectory.columns import Blobs, Rows
+from xpl.trajectory.columns import ROWS, WAITING_BYTES, Rows
 from xpl.trajectory.errors import TrajectoryError
+from xpl.trajectory.storage import hdf5
 
 if TYPE_CHECKING:
     from xpl.trajectory import names
+    from xpl.trajectory.nodes import Group
 
 
 class Pixels(Rows):
@@ -32,10 +34,29 @@ class Depth(Rows):
 
 
 class Encoded:
-    """Colour images, encoded."""
+    """Colour images, encoded: a dataset (T,) of bytes of variable length, or (T, N) padded with NUL.
 
-    def __init__(self, blobs: Blobs, encode: Callable[[Any], bytes], size: tuple[int, int], path: names.Place) -> None:
-        self._blobs, self._encode, self._size, self._path = blobs, encode, size, path
+    Args:
+        file: an open HDF5 file.
+        path: where in it.
+        encode: encodes an image.
+        size: height and width of all.
+        padded: as (T, N).
+    """
+
+    def __init__(
+        self, file: Group, path: names.Place, encode: Callable[[Any], bytes], size: tuple[int, int], *, padded: bool
+    ) -> None:
+        self._name, self._encode, self._size, self._padded = "/".join(path), encode, size, padded
+        self._waiting: list[np.ndarray] = []
+        if padded:  # compressed, so that the padding costs nothing
+            options = {"dtype": np.uint8, "compression": "gzip", "compression_opts": 1}
+            self._dataset = file.create_dataset(
+                self._name, (0, 1), maxshape=(None, None), chunks=(1, 1 << 14), **options
+            )
+        else:
+            kind = hdf5().vlen_dtype(np.uint8)
+            self._dataset = file.create_dataset(self._name, (0,), maxshape=(None,), chunks=(ROWS,), dtype=kind)
 
     def fitting(self, value: Any) -> bytes:
         """Return an image as it is stored.
@@ -47,16 +68,27 @@ class Encoded:
             return bytes(value)
         image = np.asarray(value)
         if image.shape[:2] != self._size:
-            raise TrajectoryError(f"{'/'.join(self._path)}: expected images of {self._size}, got {image.shape}")
+            raise TrajectoryError(f"{self._name}: expected images of {self._size}, got {image.shape}")
         return self._encode(image)
 
     def add(self, value: bytes) -> None:
         """Take the image of the next step."""
-        self._blobs.add(value)
+        self._waiting.append(np.frombuffer(value, np.uint8))
+        if sum(map(len, self._waiting)) > WAITING_BYTES or len(self._waiting) >= ROWS:
+            self.close()
 
     def close(self) -> None:
         """Write what is still in memory."""
-        self._blobs.close()
+        if not self._waiting:
+            return
+        start, count = self._dataset.shape[0], len(self._waiting)
+        if self._padded:
+            self._dataset.resize((start + count, max(self._dataset.shape[1], *map(len, self._waiting))))
+        else:
+            self._dataset.resize(start + count, axis=0)
+        for number, blob in enumerate(self._waiting, start):  # at once h5py takes equal lengths for a table
+            self._dataset[(number, slice(len(blob))) if self._padded else number] = blob
+        self._waiting = []
 
 
 def decoded(value: Any) -> np.ndarray:

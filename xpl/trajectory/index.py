@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,6 +16,13 @@ if TYPE_CHECKING:
 
 NAME = "index.jsonl"
 _MOST_BYTES = 1 << 28
+
+
+class Line(NamedTuple):
+    """What the index says of a file: its size and its control steps."""
+
+    bytes: object
+    steps: int
 
 
 def note(path: Path, facts: Mapping[str, object]) -> None:
@@ -33,9 +40,9 @@ def note(path: Path, facts: Mapping[str, object]) -> None:
         os.close(handle)
 
 
-def entries(folder: Path) -> dict[str, dict[str, Any]]:
+def lines(folder: Path) -> dict[str, Line]:
     """Return the newest line of each file by its name; a line that is none counts for nothing."""
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, Line] = {}
     path = folder / NAME
     try:
         if not path.is_file() or path.stat().st_size > _MOST_BYTES:
@@ -45,9 +52,9 @@ def entries(folder: Path) -> dict[str, dict[str, Any]]:
         return found
     for raw in content.split(b"\n"):
         try:
-            line = json.loads(raw)
+            told = json.loads(raw)
         except (ValueError, RecursionError):
             continue
-        if isinstance(line, dict) and isinstance(line.get("file"), str) and isinstance(line.get("steps"), int):
-            found[line["file"]] = line
+        if isinstance(told, dict) and isinstance(told.get("file"), str) and isinstance(told.get("steps"), int):
+            found[told["file"]] = Line(told.get("bytes"), told["steps"])
     return found

@@ -16,7 +16,7 @@ from xpl import _spec as spec
 from xpl import images as codec
 from xpl.observation import ObservationError, is_encoded
 from xpl.trajectory import index, names, storage
-from xpl.trajectory.columns import Blobs, Column, Listed, Rows, Steady, numbers
+from xpl.trajectory.columns import Column, Listed, Rows, Steady, numbers
 from xpl.trajectory.errors import TrajectoryError
 from xpl.trajectory.image_columns import Depth, Encoded, Pixels, decoded, flat
 from xpl.trajectory.truth import Truth
@@ -313,7 +313,8 @@ class Writer:
             return Pixels(self._file, path, decoded(value), chunk=1, **_SMALL)
         size = codec.size_of(value)[::-1] if is_encoded(value) else np.shape(value)[:2]
         encode = codec.encode_png if self._form == PNG else self._jpeg
-        return Encoded(Blobs(self._file, path, padded=self._form == PADDED), encode, (int(size[0]), int(size[1])), path)
+        sizes = (int(size[0]), int(size[1]))
+        return Encoded(self._file, path, encode, sizes, padded=self._form == PADDED)
 
     def _jpeg(self, image: Any) -> bytes:
         return codec.encode_jpeg(image, self._quality)
