@@ -29,67 +29,51 @@ def test_an_environment_that_offers_what_is_needed_fits() -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "offered", "wanted", "says"),
+    ("field", "offered", "wanted"),
     [
-        ("embodiment", "franka_single", "arx_x5", "was started for embodiment arx_x5, the environment has franka"),
-        ("embodiment", "my_robot", "arx_x5", "the environment has my_robot"),
-        ("action_type", "ee", "joint", "was started for action_type joint, the environment has ee"),
-        ("control_frequency", 25, 30, "meant for 30 Hz, the environment executes them at 25 Hz"),
-        ("inputs", ["state"], POLICY["inputs"], "does not offer vision, instruction"),
-        ("inputs", [], POLICY["inputs"], "does not offer vision, state, instruction"),
+        ("embodiment", "franka_single", "arx_x5"),
+        ("embodiment", "my_robot", "arx_x5"),
+        ("action_type", "ee", "joint"),
+        ("control_frequency", 25, 30),
+        ("inputs", ["state"], POLICY["inputs"]),
+        ("inputs", [], POLICY["inputs"]),
     ],
-)  # fmt: skip
-def test_each_difference_names_both_sides(field: str, offered: Any, wanted: Any, says: str) -> None:
+)
+def test_each_difference_has_both_sides(field: str, offered: Any, wanted: Any) -> None:
     (found,) = differences(POLICY, {**ENVIRONMENT, field: offered})
     assert (found["field"], found["policy"], found["environment"]) == (field, wanted, offered)
-    assert says in found["message"]
     assert sentence([found]) == f"policy and environment do not fit: {found['message']}"
 
 
 @pytest.mark.parametrize(
-    ("field", "declared", "offered", "says"),
-    [
-        ("embodiment", ["franka_single", "piper"], "arx_x5", "takes embodiment franka_single or piper, not arx_x5"),
-        ("action_type", ["joint"], "ee", "takes action_type joint, not ee"),
-    ],
+    ("field", "declared", "offered"),
+    [("embodiment", ["franka_single", "piper"], "arx_x5"), ("action_type", ["joint"], "ee")],
 )
-def test_without_a_choice_what_the_manifest_declares_counts(
-    field: str, declared: list[str], offered: str, says: str
-) -> None:
+def test_without_a_choice_what_the_manifest_declares_counts(field: str, declared: list[str], offered: str) -> None:
     policy = {**POLICY, field: None, f"{field}s": declared}
     (found,) = differences(policy, {**ENVIRONMENT, field: offered})
     assert (found["field"], found["policy"]) == (field, declared)
-    assert says in found["message"]
     assert differences(policy, {**ENVIRONMENT, field: declared[0]}) == []
 
 
 @pytest.mark.parametrize(
-    ("needed", "shown", "says"),
+    ("needed", "shown", "fits"),
     [
-        ({"width": 640, "height": 480}, {"width": 640, "height": 480}, None),
-        ({"width": 640, "height": 480}, {"width": 1280, "height": 720}, None),
-        ({"width": None, "height": None}, {"width": 8, "height": 8}, None),
-        ({"width": 640, "height": 480}, {"width": 640, "height": 360}, "needs cam_head 640 x 480 or larger, the"),
-        (
-            {"width": 320, "height": None},
-            {"width": 64, "height": 48},
-            "320 x any or larger, the environment shows 64 x 48",
-        ),
-        (
-            {"width": 64, "height": 48, "exact": True},
-            {"width": 128, "height": 96},
-            "needs cam_head 64 x 48, the environ",
-        ),
+        ({"width": 640, "height": 480}, {"width": 640, "height": 480}, True),
+        ({"width": 640, "height": 480}, {"width": 1280, "height": 720}, True),
+        ({"width": None, "height": None}, {"width": 8, "height": 8}, True),
+        ({"width": 640, "height": 480}, {"width": 640, "height": 360}, False),
+        ({"width": 320, "height": None}, {"width": 64, "height": 48}, False),
+        ({"width": 64, "height": 48, "exact": True}, {"width": 128, "height": 96}, False),
     ],
 )
 def test_images_are_at_least_as_large_as_the_policy_needs_them(
-    needed: dict[str, Any], shown: dict[str, int], says: str | None
+    needed: dict[str, Any], shown: dict[str, int], fits: bool
 ) -> None:
     """Of that very size where it takes no other; a camera that is not shown is a matter of the inputs."""
     policy = {**POLICY, "cameras": {"cam_head": needed, "cam_left_wrist": {"width": 9999, "height": 9999}}}
     found = differences(policy, {**ENVIRONMENT, "cameras": {"cam_head": shown}})
-    assert [one["field"] for one in found] == ([] if says is None else ["cameras"])
-    assert says is None or says in found[0]["message"]
+    assert [one["field"] for one in found] == ([] if fits else ["cameras"])
 
 
 @pytest.mark.parametrize("field", ["embodiment", "action_type", "control_frequency", "inputs"])
@@ -115,12 +99,6 @@ def test_an_embodiment_has_one_name_behind_its_aliases(chosen: Any, declared: An
     assert differences(announced, {**ENVIRONMENT, "embodiment": offered}) == []
     told = needs(Manifest.parse({"embodiments": declared}), {"env_cfg_type": chosen})
     assert differences(told, {**ENVIRONMENT, "embodiment": offered}) == []
-
-
-def test_several_differences_are_one_sentence() -> None:
-    found = differences(POLICY, {**ENVIRONMENT, "action_type": "ee", "control_frequency": 10})
-    assert sentence(found).count("; ") == 1
-    assert sentence(found).startswith("policy and environment do not fit: the policy was started for action_type joint")
 
 
 def test_needs_are_read_from_manifest_and_configuration() -> None:
