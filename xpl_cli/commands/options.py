@@ -28,10 +28,9 @@ EVAL_ENV = typer.Option(
 )
 JSON = typer.Option(False, "--json", help="Print a JSON object.")
 
-ISOLATE_HELP = "Run the adapter without network, and with nothing to write to but a temporary folder."
-ISOLATE_OR_FAIL_HELP = ISOLATE_HELP + " Exit code 4 where that cannot be had."
-ISOLATE = typer.Option(False, "--isolate", help=ISOLATE_OR_FAIL_HELP, rich_help_panel=ADAPTER)
-MEMORY_HELP = "Most memory that the adapter's processes may hold: 8GB, 80% (of the machine's) or none."
-PATIENCE_HELP = "End an adapter that is silent for so long while it loads or answers: no processor time, input, output."
-PRIVILEGED_HELP = "Keep what the simulator tells privileged policies, too: its numbers, for policies that may know."
-TIME_HELP = "Most time for one package: 90s, 60m, 2h or none. What is not done then is reported as not run."
+ISOLATE_HELP = "Run the adapter without network, able to write to a temporary folder alone."
+ISOLATE = typer.Option(False, "--isolate", help=ISOLATE_HELP, rich_help_panel=ADAPTER)
+MEMORY_HELP = "Memory limit of the adapter's processes: 8GB, 80% (of the machine's) or none."
+PATIENCE_HELP = "End an adapter that does nothing for so long while it loads or answers."
+PRIVILEGED_HELP = "Record the simulator's ground truth, too, for privileged policies."
+TIME_HELP = "Time limit for one package: 90s, 60m, 2h or none; the rest is reported as not run."

@@ -9,7 +9,7 @@ import typer
 
 from xpl_cli.basics.formats import REPORTS_HELP
 from xpl_cli.commands.options import (
-    ISOLATE_OR_FAIL_HELP,
+    ISOLATE_HELP,
     JSON,
     MEMORY_HELP,
     PATIENCE_HELP,
@@ -36,9 +36,11 @@ _PROFILES = ("full", "shadow")
 def audit(
     paths: list[Path] = typer.Argument(None, metavar="PATH...", help="Folders of adapters or environments."),
     every: bool = typer.Option(False, "--all", help="Every package below policy/ and envs/ of this folder."),
-    gate: list[str] = typer.Option([], "--gate", help="Run only this gate; may be repeated. static, offline, mujoco."),
+    gate: list[str] = typer.Option(
+        [], "--gate", help="Run only this gate: static, offline or mujoco; may be repeated."
+    ),
     selected: list[str] = typer.Option(
-        [], "--select", help="Run only these rules: codes, code prefixes, slugs, `advice`."
+        [], "--select", help="Run only these rules: codes, their beginnings, slugs or `advice`."
     ),
     ignored: list[str] = typer.Option([], "--ignore", help="Leave these rules out."),
     report_format: str = typer.Option("text", "--format", help=REPORTS_HELP, rich_help_panel="Report"),
@@ -47,77 +49,80 @@ def audit(
         [],
         "--output",
         metavar="FILE",
-        help="Write the report to a file instead of stdout. FORMAT=FILE writes one more report; may be repeated.",
+        help="Write the report to a file instead of stdout; FORMAT=FILE writes one more; may be repeated.",
         rich_help_panel="Report",
     ),
     fix: bool = typer.Option(
-        False, "--fix", help="Do the edits of the static gate that are safe, then audit.", rich_help_panel="Fixes"
+        False, "--fix", help="Apply the safe fixes of the static gate, then audit.", rich_help_panel="Fixes"
     ),
     unsafe_fixes: bool = typer.Option(
         False,
         "--unsafe-fixes",
-        help="With --fix or --diff: also edits that may change behaviour that is right.",
+        help="With --fix or --diff: also fixes that may change right behaviour.",
         rich_help_panel="Fixes",
     ),
     diff: bool = typer.Option(
         False,
         "--diff",
-        help="Print what --fix would do, and do nothing; 1 if there is anything.",
+        help="Print the fixes as a diff without applying them; exit 1 if it is not empty.",
         rich_help_panel="Fixes",
     ),
     changed_since: str | None = typer.Option(
-        None, metavar="REF", help="Only packages whose files changed since they parted from this commit, tag or branch."
+        None,
+        metavar="REF",
+        help="Audit only packages with changes since the merge base with this commit, tag or branch.",
     ),
     keep_going: bool = typer.Option(False, "--keep-going", help="Run a gate although an earlier one failed."),
     fail_on: str = typer.Option(
-        "fail", help="Mildest outcome that is an error for the exit code: fail or warn.", rich_help_panel="Report"
+        "fail", help="Mildest outcome with exit code 1: fail or warn.", rich_help_panel="Report"
     ),
-    no_cache: bool = typer.Option(False, "--no-cache", help="Run every rule, and keep nothing for next time."),
+    no_cache: bool = typer.Option(False, "--no-cache", help="Reuse and keep no results."),
     profile: str | None = typer.Option(
         None,
         metavar="PROFILE",
-        help="full demands the real model, shadow does without; full where it can be had.",
+        help="full: with the real model; shadow: without; full where possible by default.",
         rich_help_panel="Adapter",
     ),
-    shadow: bool = typer.Option(
-        False, "--shadow", help="The same as --profile shadow: neither weights nor a GPU.", rich_help_panel="Adapter"
-    ),
+    shadow: bool = typer.Option(False, "--shadow", help="The same as --profile shadow.", rich_help_panel="Adapter"),
     task: list[str] = typer.Option(
         [],
         metavar="NAME",
-        help="Drive it in this task in physics; may be repeated.",
+        help="Task of the MuJoCo gate; may be repeated.",
         rich_help_panel="Physics and demonstrations",
     ),
     episodes: int | None = typer.Option(
         None,
         min=1,
         metavar="N",
-        help="Whole episodes over which the MuJoCo gate measures success.",
+        help="Episodes over which the MuJoCo gate measures success.",
         rich_help_panel="Physics and demonstrations",
     ),
     demos: Path | None = typer.Option(
         None,
         metavar="PATH",
-        help="Recorded episodes that the policy is held against, in the standard's form.",
+        help="Demonstrations to compare the policy with.",
         rich_help_panel="Physics and demonstrations",
     ),
     pictures: Path | None = typer.Option(
         None,
         metavar="DIR",
-        help="Write what demonstrations show, predicted beside done, as pictures.",
+        help="Save plots of predicted and demonstrated actions.",
         rich_help_panel="Physics and demonstrations",
     ),
     video: Path | None = typer.Option(
-        None, metavar="DIR", help="Film every episode of the MuJoCo gate.", rich_help_panel="Physics and demonstrations"
+        None,
+        metavar="DIR",
+        help="Save a video of every episode of the MuJoCo gate.",
+        rich_help_panel="Physics and demonstrations",
     ),
     move: bool = typer.Option(
         False,
         "--move",
-        help="Play environments that may be robots (`real_time`), too: resets and moves them.",
+        help="Also run environments that may be real robots (`real_time`): moves them.",
         rich_help_panel="Physics and demonstrations",
     ),
     memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP, rich_help_panel="Bounds"),
-    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_OR_FAIL_HELP, rich_help_panel="Bounds"),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP, rich_help_panel="Bounds"),
     time_limit: str = typer.Option("60m", metavar="TIME", help=TIME_HELP, rich_help_panel="Bounds"),
     patience: float = typer.Option(30.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP, rich_help_panel="Bounds"),
     settings: list[str] = SETTINGS,

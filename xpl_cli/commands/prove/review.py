@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
-from xpl_cli.commands.options import ISOLATE_OR_FAIL_HELP, JSON, MEMORY_HELP, PATIENCE_HELP, TIME_HELP
+from xpl_cli.commands.options import ISOLATE_HELP, JSON, MEMORY_HELP, PATIENCE_HELP, TIME_HELP
 
 _LONGEST = 1 << 20
 """Bytes of a description; GitHub takes 65,536 characters."""
@@ -39,7 +39,7 @@ def review(
     ),
     no_cache: bool = typer.Option(False, "--no-cache", help="Run every rule, and keep nothing for next time."),
     memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP),
-    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_OR_FAIL_HELP),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP),
     time_limit: str = typer.Option("60m", metavar="TIME", help=TIME_HELP),
     patience: float = typer.Option(30.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
     as_json: bool = JSON,

@@ -11,7 +11,7 @@ import typer
 
 from xpl_cli.basics.endings import ends
 from xpl_cli.basics.strangers import one_line
-from xpl_cli.commands.options import ISOLATE_OR_FAIL_HELP, JSON, POLICY, POLICY_ENV, POLICY_GPU, PYTHON
+from xpl_cli.commands.options import ISOLATE_HELP, JSON, POLICY, POLICY_ENV, POLICY_GPU, PYTHON
 
 if TYPE_CHECKING:
     from xpl_cli.submission.claims import Claim
@@ -90,7 +90,7 @@ def verify(
     policy_env: str | None = POLICY_ENV,
     policy_gpu: str | None = POLICY_GPU,
     eval_env: str | None = _EVAL_ENV,
-    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_OR_FAIL_HELP),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP),
     as_json: bool = JSON,
 ) -> None:
     """Check a bundle, and play a sample of its episodes again.

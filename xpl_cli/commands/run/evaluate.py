@@ -31,65 +31,63 @@ if TYPE_CHECKING:
 def evaluate(
     policy: str = POLICY,
     env: str | None = typer.Option(None, "--env", help="Environment package; EVAL_ENV_TYPE decides by default."),
-    task: str | None = typer.Option(
-        None, help="Task of the environment; deploy.yml's or the first by default. Also A,B, a split of it, or all."
-    ),
+    task: str | None = typer.Option(None, help="Task, A,B, a split or all; deploy.yml's or the first by default."),
     setting: str | None = typer.Option(
-        None, help="Setting of the environment; the first by default. With --out also A,B or all."
+        None, help="Setting of the environment, with --out also A,B or all; the first by default."
     ),
-    episodes: int | None = typer.Option(
-        None, min=1, help="Number of episodes, of each task and setting; 1 by default."
-    ),
-    num_envs: int | None = typer.Option(
-        None, min=1, help="Environments at once, in one batch; by default one a worker."
-    ),
+    episodes: int | None = typer.Option(None, min=1, help="Episodes of each task and setting; 1 by default."),
+    num_envs: int | None = typer.Option(None, min=1, help="Environments in one batch; one for each worker by default."),
     workers: str = typer.Option(
         "1",
         metavar="N|auto",
-        help="Processes that share them; 0: none, auto: one a core. With --out: episodes at once.",
+        help="Processes that share them (0: none, auto: one a core); with --out, episodes at once.",
     ),
     horizon: int | None = typer.Option(
-        None, min=1, help="Actions of a chunk to execute, by our own loop; without it deploy.py's loop runs."
+        None,
+        min=1,
+        help="Execution horizon: actions of a chunk before the next inference; deploy.py's loop by default.",
     ),
     seed: int | None = typer.Option(
         None,
         min=0,
-        help="Seed of the first episode; deploy.yml's by default. With --out its place among the evaluation seeds.",
+        help="Seed of the first episode, with --out its place among evaluation seeds; deploy.yml's by default.",
     ),
-    out: Path | None = typer.Option(
-        None, metavar="DIR", help="Record the run there, episode by episode.", rich_help_panel="Record"
-    ),
+    out: Path | None = typer.Option(None, metavar="DIR", help="Record the run there.", rich_help_panel="Record"),
     resume: bool = typer.Option(False, "--resume", help="Go on with the run in --out.", rich_help_panel="Record"),
     until_width: float | None = typer.Option(
         None,
         metavar="W",
-        help="End a task once the 95 % interval of its success rate is no wider than W, such as 0.2.",
+        help="End a task once the 95 % interval of its success rate is at most W wide, such as 0.2.",
         rich_help_panel="Record",
     ),
     servers: int | None = typer.Option(
         None,
         min=1,
-        help="Policy servers; one for each episode at a time by default, one in all with --policy-gpu.",
+        help="Policy servers; one for each worker by default, one with --policy-gpu.",
         rich_help_panel="Servers and machines",
     ),
     film: int = typer.Option(
-        1, min=0, metavar="N", help="Film the first N episodes of each task and setting.", rich_help_panel="Record"
+        1,
+        min=0,
+        metavar="N",
+        help="Save a video of the first N episodes of each task and setting.",
+        rich_help_panel="Record",
     ),
     record: Path | None = typer.Option(
         None,
         "--record",
         metavar="DIR",
-        help="Keep the episodes there as trajectories (HDF5), too.",
+        help="Also save the episodes there as trajectories (HDF5).",
         rich_help_panel="Record",
     ),
     keep: str | None = typer.Option(
-        None, metavar="all|success", help="Which of them; all by default.", rich_help_panel="Record"
+        None, metavar="all|success", help="Which trajectories to save; all by default.", rich_help_panel="Record"
     ),
     privileged: bool = typer.Option(False, "--privileged", help=PRIVILEGED_HELP, rich_help_panel="Record"),
     backend: str = typer.Option(
         "local",
         metavar="NAME",
-        help="Who plays a recorded run: local, or ray (a cluster).",
+        help="Where a recorded run is executed: local, or ray (a cluster).",
         rich_help_panel="Servers and machines",
     ),
     policy_gpus: float = typer.Option(
@@ -98,7 +96,7 @@ def evaluate(
     instruction: str | None = typer.Option(
         None,
         metavar="blank|swap",
-        help="Tell the policy nothing, or another episode's instruction, to see whether it heeds it; with --out.",
+        help="Give the policy no instruction, or another episode's, to see whether it follows it; with --out.",
         rich_help_panel="Record",
     ),
     connect: str | None = typer.Option(
@@ -119,14 +117,19 @@ def evaluate(
     ),
     settings: list[str] = SETTINGS,
     info: str | None = typer.Option(
-        None, metavar="K=V,...", help="Further overrides in the launchers' form.", rich_help_panel="Adapter"
+        None,
+        metavar="K=V,...",
+        help="The same as --set for each K=V, as launchers write it.",
+        rich_help_panel="Adapter",
     ),
     policy_env: str | None = POLICY_ENV,
     eval_env: str | None = EVAL_ENV,
     policy_gpu: str | None = POLICY_GPU,
     isolate: bool = ISOLATE,
     env_gpu: str | None = typer.Option(
-        None, help="Device of the simulator; ours need none.", rich_help_panel="Environment's process"
+        None,
+        help="Accepted for launchers; the environments here need no device.",
+        rich_help_panel="Environment's process",
     ),
     python: str | None = PYTHON,
     as_json: bool = JSON,
