@@ -30,6 +30,7 @@ ROWS = [
 ]
 
 
+@pytest.mark.slow
 def test_the_benchmark_of_conversions_compares_equal_filters(tmp_path: Path) -> None:
     file = tmp_path / "figures.json"
     command = [sys.executable, "benchmarks/convert.py", "--runs", "1", "--json", str(file)]

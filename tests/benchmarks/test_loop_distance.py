@@ -24,13 +24,9 @@ def _distance(folder: Path, deploy: str) -> float:
     return distance(functions(folder / "deploy.py"), [functions(file) for file in REFERENCES])
 
 
-def test_the_scaffolds_loop_has_no_distance(tmp_path: Path) -> None:
-    assert _distance(tmp_path, LOOP) == 0
-
-
-def test_the_contracts_loop_has_no_distance(tmp_path: Path) -> None:
-    (text,) = [file.read_text(encoding="utf-8") for file in REFERENCES[1:]]
-    assert _distance(tmp_path, text) == 0
+@pytest.mark.parametrize("reference", REFERENCES, ids=["scaffold", "contract"])
+def test_a_reference_has_no_distance(reference: Path, tmp_path: Path) -> None:
+    assert _distance(tmp_path, reference.read_text(encoding="utf-8")) == 0
 
 
 def test_how_a_loop_is_written_does_not_count(tmp_path: Path) -> None:
