@@ -148,53 +148,26 @@ def _changed(**more: Any) -> dict[str, Any]:
 
 
 UNFIT: list[tuple[dict[str, Any], str]] = [
-    (
-        _changed(parts=[{"joints": {"arm": "left"}}, GRIPPER]),
-        "native.action, joints left: franka_single has no arm 'left'; say one of single",
-    ),
-    (
-        _changed(parts=[GRIPPER]),
-        "native.action makes no joint actions of franka_single: no part gives arm_joint_state; add it",
-    ),
+    (_changed(parts=[{"joints": {"arm": "left"}}, GRIPPER]), "native.action, joints left: franka_single"),
+    (_changed(parts=[GRIPPER]), "native.action .* no part gives arm_joint_state"),
     (_changed(parts=[*ACTION["parts"], GRIPPER]), "native.action has a part twice: gripper single"),
-    (
-        _changed(parts=[*ACTION["parts"], {"position": {"arm": "single"}}]),
-        "native.action has position single, which joint actions do not",
-    ),
+    (_changed(parts=[*ACTION["parts"], {"position": {"arm": "single"}}]), "native.action has position single"),
     (_changed(pad=7), "native.action.pad is 7, but its parts have 8 numbers"),
     (_changed(steps=4), "native.action.steps is 4, and temporal.chunk 8"),
-    (
-        _changed(normalize={"unknown": "ask the authors"}),
-        r"open that conversions need: action.normalize \(ask the authors\); find",
-    ),
+    (_changed(normalize={"unknown": "ask the authors"}), r"action.normalize \(ask the authors\)"),
     (_changed(normalize={"rule": "mean_std", "file": "gone.json"}), "native.action.normalize names the file gone.json"),
-    (
-        _state({"joints": {"arm": "single", "sign": [1, -1]}}),
-        "native.state q, joints single: sign has 2 entries, expected 7",
-    ),
-    (
-        _state({"joints": {"arm": "single", "names": ["a"]}}),
-        "native.state q, joints single: expected each joint of the robot once, joint1, .*; got a",
-    ),
-    (
-        _state({"hand": {"arm": "single"}}),
-        "native.state q, hand single: franka_single has a parallel gripper there; say gripper",
-    ),
-    (
-        _state({"gripper": {"arm": "single", "closed": 1, "open": 1}}),
-        "native.state q, gripper single: closed and open are the same",
-    ),
-    (
-        _state({"gripper": {"arm": "single", "closed": [1, 2], "open": 1}}),
-        "native.state q, gripper single: 2 values closed and 1 open",
-    ),
+    (_state({"joints": {"arm": "single", "sign": [1, -1]}}), "native.state q, joints single: sign has 2 entries"),
+    (_state({"joints": {"arm": "single", "names": ["a"]}}), "native.state q, joints single: .* got a"),
+    (_state({"hand": {"arm": "single"}}), "native.state q, hand single: .* say gripper"),
+    (_state({"gripper": {"arm": "single", "closed": 1, "open": 1}}), "native.state q, gripper single: .* the same"),
+    (_state({"gripper": {"arm": "single", "closed": [1, 2], "open": 1}}), "native.state q, gripper single: 2 values"),
     (
         _state({"rotation": {"arm": "single", "form": "matrix", "sign": "positive_w"}}),
-        "native.state q, rotation single: sign is for quaternions",
+        "native.state q, rotation single",
     ),
     (
         _state({"rotation": {"arm": "single", "form": "euler", "euler": "xxy"}}),
-        "native.state q, rotation single: euler xxy turns about one axis twice",
+        "native.state q, rotation single: euler",
     ),
     ({"state": [JOINTS, JOINTS]}, "native: an input is named twice: q"),
     ({"state": [JOINTS], "history": {"length": 2, "mask": "q"}}, "native: an input is named twice: q"),
@@ -210,22 +183,13 @@ def test_a_block_that_does_not_fit_is_refused(block: dict[str, Any], told: str) 
 def test_a_hand_is_no_gripper_and_what_is_not_known_is_no_frame() -> None:
     gripper = {"gripper": {"arm": "left", "closed": 0, "open": 1}}
     hand = get_embodiment("tianji_marvin_wuji")
-    for parts, told in (
-        ([gripper], "native.state s, gripper left: tianji_marvin_wuji has a hand there; say hand"),
-        (
-            [{"position": {"arm": "left", "frame": "base"}}],
-            "native.state s, position left: .* is mounted; say frame: world",
-        ),
-        (
-            [{"position": {"arm": "left", "point": "tcp"}}],
-            "native.state s, position left: .* fingertips; say point: flange",
-        ),
-        (
-            [{"joints": {"arm": "left", "names": ["a"]}}],
-            "native.state s, joints left: .* no joint names of this arm; leave names out",
-        ),
+    for part, told in (
+        (gripper, "native.state s, gripper left: .* say hand"),
+        ({"position": {"arm": "left", "frame": "base"}}, "native.state s, position left: .* frame: world"),
+        ({"position": {"arm": "left", "point": "tcp"}}, "native.state s, position left: .* point: flange"),
+        ({"joints": {"arm": "left", "names": ["a"]}}, "native.state s, joints left: .* leave names out"),
     ):
-        native = {**CASES["hands, absolute"].native, "state": [{"input": "s", "parts": parts}]}
+        native = {**CASES["hands, absolute"].native, "state": [{"input": "s", "parts": [part]}]}
         with pytest.raises(NativeError, match=told):
             compile_interface(native, hand, "joint")
 
