@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -22,8 +21,7 @@ from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.commands.run import checkpoint as command
-from xpl_cli.lifecycle.checkpoints.specification import declared, digest_of
+from xpl_cli.lifecycle.checkpoints.specification import declared
 from xpl_cli.packages import package
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
@@ -233,14 +231,6 @@ def test_the_manifests_of_the_page_are_valid(tmp_path: Path) -> None:
         assert validate(part[key], f"policy#/properties/{key}") == []
         if key == "checkpoints":
             assert list(declared(package.Package(tmp_path, {}, Manifest.parse(part)))) == ["base", "small"]
-
-
-def test_the_page_has_the_digest_of_a_folder_and_every_option() -> None:
-    """The shell line of the code, and the options of the commands."""
-    (line,) = re.findall("`(find .*)`", digest_of.__doc__ or "")
-    assert line in PAGE
-    options = set(re.findall(r'"(--[a-z-]+)"', Path(command.__file__).read_text(encoding="utf-8")))
-    assert options - {"--json", "--force"} <= set(re.findall(r"--[a-z][a-z-]+", PAGE))
 
 
 LOOKS = """
