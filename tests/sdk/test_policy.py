@@ -414,10 +414,7 @@ def test_a_wrong_configuration_is_refused_at_construction(change: dict[str, Any]
 @pytest.mark.parametrize(
     ("declared", "said"),
     [
-        (
-            {"embodiments": ["arx_x5", "piper"]},
-            "declares the embodiments arx_x5, piper, got env_cfg_type: franka_single",
-        ),
+        ({"embodiments": ["arx_x5", "piper"]}, "embodiments arx_x5, piper, got env_cfg_type: franka_single"),
         ({"embodiments": ["franka_single"], "action_types": ["ee"]}, "the action types ee, got action_type: joint"),
     ],
 )
