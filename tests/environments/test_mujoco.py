@@ -12,7 +12,7 @@ import pytest
 
 from xpl import _spec as spec
 from xpl import get_embodiment
-from xpl.action import ActionError, pack
+from xpl.action import ActionError
 from xpl.observation import ObservationError
 from xpl.poses import transform
 from xpl_cli.basics.content import load_module, room
@@ -320,16 +320,7 @@ def test_batch_equals_single() -> None:
 
 
 @pytest.mark.parametrize(
-    ("config", "message"),
-    [
-        ({"task": "lift_cub"}, "did you mean 'lift_cube'"),
-        ({"embodiment": "franka"}, "unknown embodiment 'franka'"),
-        ({"action_type": "velocity"}, "action_type"),
-        ({"num_envs": 0}, "num_envs"),
-        ({"renderer": "eg"}, "did you mean 'egl'"),
-        ({"cameras": [224]}, "cameras"),
-        ({"camera": True}, "did you mean 'cameras'"),
-    ],
+    ("config", "message"), [({"renderer": "eg"}, "did you mean 'egl'"), ({"task": "lift_cub"}, "task")]
 )
 def test_a_wrong_configuration_is_refused(config: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
@@ -402,17 +393,3 @@ def test_an_episode_is_what_mj_step_alone_makes_of_it() -> None:
     How much of the environment's time that is, `./dev bench environments` tells.
     """
     assert ours.check("stack_blocks_two", "joint") > 100  # raises where the states differ
-
-
-def test_pack_order_matches_control_order() -> None:
-    env = _env()
-    env.reset([0])
-    obs = env.get_obs()
-    action = _hold(obs)
-    action["left_arm_joint_state"] = action["left_arm_joint_state"] + np.array([0.1, 0, 0, 0, 0, 0], dtype=np.float32)
-    for _ in range(10):
-        env.take_action(action)
-    now = env.get_obs()
-    assert np.allclose(now["state"]["left_arm_joint_state"], action["left_arm_joint_state"], atol=5e-3)
-    before, after = (pack(seen["state"], get_embodiment("arx_x5"), "joint") for seen in (obs, now))
-    assert np.abs(after[7:] - before[7:]).max() < 1e-4
