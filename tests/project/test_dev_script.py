@@ -77,6 +77,14 @@ def checkout(tmp_path: Path) -> Checkout:
     return Checkout(tmp_path)
 
 
+@pytest.fixture(scope="module")
+def ready(tmp_path_factory: pytest.TempPathFactory) -> Checkout:
+    """Return a copy that is set up; tests put programs into it."""
+    checkout = Checkout(tmp_path_factory.mktemp("ready"))
+    assert checkout.dev("setup")[0] == 0
+    return checkout
+
+
 def test_the_set_up_runs_once_and_again_after_a_change(checkout: Checkout) -> None:
     assert checkout.dev("setup")[0] == 0
     once = checkout.calls.read_text(encoding="utf-8")
@@ -123,56 +131,51 @@ def test_a_named_interpreter_is_not_replaced_by_another(checkout: Checkout) -> N
     assert (code, "tried /no/such/python." in err) == (1, True)
 
 
-def test_a_command_keeps_folder_arguments_exit_code_and_process(checkout: Checkout) -> None:
+def test_a_command_keeps_folder_arguments_exit_code_and_process(ready: Checkout) -> None:
     """`./dev xpl` becomes the tool: same process, so that signals reach it, and nothing is lost on the way."""
-    checkout.dev("setup")
-    checkout.script(checkout.folder / ".venv/bin/xpl", XPL)
-    process = checkout.start("xpl", "audit", "policy/My Policy", "*")
+    ready.script(ready.folder / ".venv/bin/xpl", XPL)
+    process = ready.start("xpl", "audit", "policy/My Policy", "*")
     out, _ = process.communicate(timeout=DEADLINE_S)
-    assert out == f"<{checkout.folder.parent}><{process.pid}><audit><policy/My Policy><*>"
+    assert out == f"<{ready.folder.parent}><{process.pid}><audit><policy/My Policy><*>"
     assert process.returncode == 7
-    assert checkout.dev("demo", "--json")[1].endswith("<demo><--json>")
+    assert ready.dev("demo", "--json")[1].endswith("<demo><--json>")
 
 
-def test_the_tests_get_their_markers_and_arguments(checkout: Checkout) -> None:
-    checkout.dev("setup")
-    checkout.script(checkout.folder / ".venv/bin/pytest", XPL)
-    code, out, _ = checkout.dev("test", "slow", "-k", "a or b")
+def test_the_tests_get_their_markers_and_arguments(ready: Checkout) -> None:
+    ready.script(ready.folder / ".venv/bin/pytest", XPL)
+    code, out, _ = ready.dev("test", "slow", "-k", "a or b")
     assert code == 7
-    assert out.startswith(f"<{checkout.folder}>")
+    assert out.startswith(f"<{ready.folder}>")
     assert out.endswith("<-m><><--timeout><1800><-k><a or b>")
-    assert "<-m>" not in checkout.dev("test", "-x")[1]
+    assert "<-m>" not in ready.dev("test", "-x")[1]
 
 
-def test_lint_runs_all_tools_and_remembers_a_failure(checkout: Checkout) -> None:
-    checkout.dev("setup")
-    checkout.script(checkout.folder / ".venv/bin/ruff", "#!/bin/bash\necho ruff $1\n[[ $1 != check ]]\n")
-    checkout.script(checkout.folder / ".venv/bin/lint-imports", "#!/bin/bash\necho layers\n")
-    checkout.script(checkout.folder / ".venv/bin/mypy", "#!/bin/bash\necho mypy $1; cat $1/*.py\n")
-    checkout.script(checkout.folder / "conformance/static/no-hang/rule.py", "rule\n")
-    code, out, _ = checkout.dev("lint")
+def test_lint_runs_all_tools_and_remembers_a_failure(ready: Checkout) -> None:
+    ready.script(ready.folder / ".venv/bin/ruff", "#!/bin/bash\necho ruff $1\n[[ $1 != check ]]\n")
+    ready.script(ready.folder / ".venv/bin/lint-imports", "#!/bin/bash\necho layers\n")
+    ready.script(ready.folder / ".venv/bin/mypy", "#!/bin/bash\necho mypy $1; cat $1/*.py\n")
+    ready.script(ready.folder / "conformance/static/no-hang/rule.py", "rule\n")
+    code, out, _ = ready.dev("lint")
     assert (code, out) == (1, "ruff check\nruff format\nlayers\nmypy\nmypy .mypy_cache/rules\nrule\n")
 
 
-def test_the_site_is_built_strictly_or_shown(checkout: Checkout) -> None:
-    checkout.dev("setup")
-    checkout.script(checkout.folder / ".venv/bin/properdocs", XPL)
+def test_the_site_is_built_strictly_or_shown(ready: Checkout) -> None:
+    ready.script(ready.folder / ".venv/bin/properdocs", XPL)
     for arguments, action in ((("docs",), "build"), (("docs", "serve", "--open"), "serve")):
-        code, out, _ = checkout.dev(*arguments)
+        code, out, _ = ready.dev(*arguments)
         assert code == 7
-        assert out.startswith(f"<{checkout.folder}>")
+        assert out.startswith(f"<{ready.folder}>")
         assert f"<{action}><--strict><--config-file><mkdocs.yml>" in out
     assert out.endswith("<--open>")
 
 
-def test_benchmarks_run_by_name_or_all(checkout: Checkout) -> None:
-    checkout.dev("setup")
+def test_benchmarks_run_by_name_or_all(ready: Checkout) -> None:
     for name, code in {"fast": 0, "slow": 4}.items():
-        checkout.script(checkout.folder / f"benchmarks/{name}.py", f"raise SystemExit({code})")
-    code, out, _ = checkout.dev("bench")
+        ready.script(ready.folder / f"benchmarks/{name}.py", f"raise SystemExit({code})")
+    code, out, _ = ready.dev("bench")
     assert (code, out) == (4, "== benchmarks/fast.py\n== benchmarks/slow.py\n")
-    assert checkout.dev("bench", "fast")[0] == 0
-    assert checkout.dev("bench", "none")[0] == 3
+    assert ready.dev("bench", "fast")[0] == 0
+    assert ready.dev("bench", "none")[0] == 3
 
 
 def test_an_unknown_command_is_a_usage_error(checkout: Checkout) -> None:

@@ -147,25 +147,6 @@ def test_what_the_author_wrote_stays(adapter: Path, templates: Path) -> None:
     assert updating.plan(adapter).steps == ()
 
 
-def test_line_ends_of_another_system_stay(adapter: Path, templates: Path) -> None:
-    file = adapter / ".gitignore"
-    file.write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
-    _change(templates)
-    assert not _apply(adapter).conflicts
-    assert b"/.venv/\r\n" in file.read_bytes()
-
-
-def test_a_conflict_is_shown_and_nothing_of_it_is_lost(adapter: Path, templates: Path) -> None:
-    _edit(adapter / ".gitignore", "/.venv*", "/environment/")
-    _change(templates)
-    plan = _apply(adapter)
-    assert [(step.name, step.conflicts) for step in plan.conflicts] == [(".gitignore", 1)]
-    text = (adapter / ".gitignore").read_text()
-    assert text.startswith(
-        "<<<<<<< yours\n/environment/\n||||||| as rendered\n/.venv*\n=======\n/.venv/\n>>>>>>> template\n"
-    )
-
-
 def test_files_that_the_author_took_over_are_left_alone(adapter: Path, templates: Path) -> None:
     _edit(adapter / lock.PATH, "free: []", "free: [install.sh, own.sh]")
     (adapter / "install.sh").write_text("mine\n")
@@ -329,14 +310,6 @@ def test_exit_codes(arguments: list[str], code: int, adapter: Path) -> None:
 
 
 # -- what the audit says -----------------------------------------------------------------------------------------------
-
-
-def test_an_updated_adapter_has_no_static_finding(adapter: Path) -> None:
-    _as_of_an_older_template(adapter)
-    _edit(adapter / "policy.yml", "family: other", "family: act")
-    _apply(adapter)
-    report = engine.audit(adapter, "policy", Options(gates=(Gate.STATIC,)))
-    assert {result.slug for result in report.results if result.findings} == {"placeholders"}
 
 
 def test_an_edited_generated_file_is_brought_back_by_the_fix(adapter: Path) -> None:
