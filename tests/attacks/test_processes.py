@@ -37,7 +37,6 @@ MODEL = """
 class Model:
     def __init__(self, config): pass
     def infer(self, observation):
-        {thinking}
         return [1]
 """
 HANGS = "import ctypes; ctypes.PyDLL(None).pause()"
@@ -93,8 +92,7 @@ def test_nothing_is_left_of_an_adapter_that_loads(
     write_adapter: Callable[..., Path], number: signal.Signals, at_import: str, awaited: str | None
 ) -> None:
     """Neither itself nor what has left its group, though it hangs or is stopped, and though its server was killed."""
-    folder = write_adapter("")
-    (folder / "model.py").write_text(at_import + MODEL.format(thinking="pass"), encoding="utf-8")
+    folder = write_adapter(at_import + MODEL)
     with started(folder, "--set", "close_timeout_s=0.2") as (process, mark):
         wait_until(lambda: strays(mark), "the adapter has started a process")
         if awaited is not None:
@@ -106,8 +104,7 @@ def test_nothing_is_left_of_an_adapter_that_loads(
 
 def test_a_worker_that_is_killed_takes_all_of_its_own_along(write_adapter: Callable[..., Path]) -> None:
     """The server of two goes on with the other one."""
-    folder = write_adapter("")
-    (folder / "model.py").write_text(AWAY + MODEL.format(thinking="pass"), encoding="utf-8")
+    folder = write_adapter(AWAY + MODEL)
     with started(folder, "--workers", "2") as (process, mark):
         assert process.stdout is not None
         url = json.loads(process.stdout.readline())["url"]
@@ -120,9 +117,7 @@ def test_a_worker_that_is_killed_takes_all_of_its_own_along(write_adapter: Calla
 
 def test_an_adapter_that_kills_its_keeper_ends(write_adapter: Callable[..., Path]) -> None:
     """And so does the server, with all that was started, though the adapter still holds the pipes."""
-    folder = write_adapter("")
-    killing = AWAY + "import os, signal; os.kill(os.getppid(), signal.SIGKILL)\n"
-    (folder / "model.py").write_text(killing + MODEL.format(thinking="pass"), encoding="utf-8")
+    folder = write_adapter(AWAY + "import os, signal; os.kill(os.getppid(), signal.SIGKILL)\n" + MODEL)
     with started(folder) as (process, mark):
         assert process.wait(DEADLINE_S) == 4
         wait_until(lambda: not processes(mark), "nothing is left")
@@ -130,7 +125,7 @@ def test_an_adapter_that_kills_its_keeper_ends(write_adapter: Callable[..., Path
 
 def test_a_pipeline_keeps_its_other_commands(write_adapter: Callable[..., Path], tmp_path: Path) -> None:
     """A shell puts all of them into one group, which the server may lead; its end ends no command of the user."""
-    folder = write_adapter(MODEL.format(thinking="pass").replace("\n", "\n    "))
+    folder = write_adapter(MODEL)
     done, seen = tmp_path / "done", tmp_path / "seen"
     mark = uuid.uuid4().hex
     # As a shell with job control does it: both in the group that the first one leads.
@@ -168,7 +163,7 @@ def test_what_a_shell_had_started_before_it_became_the_server_is_spared(
     write_adapter: Callable[..., Path], tmp_path: Path
 ) -> None:
     """As in `exec xpl serve ... > >(tee log)`: the reader is a child of the server, and not of its making."""
-    folder = write_adapter(MODEL.format(thinking="pass").replace("\n", "\n    "))
+    folder = write_adapter(MODEL)
     log = tmp_path / "log"
     code = f"import sys\nlines = sys.stdin.read()\nopen({str(log)!r}, 'w').write(lines)"
     script = (
@@ -201,9 +196,7 @@ def test_a_worker_says_how_it_ended(write_adapter: Callable[..., Path]) -> None:
         "import os; os._exit(7)": "exit code 7",
         "import os; os.abort()": "signal SIGABRT",
     }.items():
-        folder = write_adapter("")
-        (folder / "model.py").write_text(ending, encoding="utf-8")
-        with started(folder) as (process, _):
+        with started(write_adapter(ending)) as (process, _):
             _, log = process.communicate(timeout=DEADLINE_S)
             assert process.returncode == 4
             assert told in log.decode()
