@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.adapters.adopted import DEPLOY, FILES, written
+from tests.support.commands import xpl
 from tests.support.examples import examples
-from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl_cli.adopt import package
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -93,8 +93,8 @@ def test_nothing_is_concluded_from_code(adapter: Path) -> None:
 
 
 def test_each_value_names_its_place(adapter: Path) -> None:
-    done = xpl("adopt", str(adapter), "--json", cwd=adapter.parent)
-    assert done.returncode == ExitCode.CLEAN, done.stderr
+    done = xpl("adopt", str(adapter), "--json", folder=adapter.parent)
+    assert done.code == ExitCode.CLEAN, done.stderr
     answer = json.loads(done.stdout)
     keys = {entry["key"].partition(".")[0] for entry in answer["unknown"]}
     assert keys == {*UNKNOWN, "environment"}
@@ -107,7 +107,7 @@ def test_each_value_names_its_place(adapter: Path) -> None:
 
 
 def test_what_is_unknown_keeps_nobody_from_running_the_adapter(adapter: Path) -> None:
-    assert xpl("adopt", str(adapter), cwd=adapter.parent).returncode == ExitCode.CLEAN
+    assert xpl("adopt", str(adapter), folder=adapter.parent).code == ExitCode.CLEAN
     loaded = packages.load(adapter)
     assert loaded.config()["env_cfg_type"] == "arx_x5"
     assert not set(UNKNOWN) & set(loaded.manifest.data)
@@ -125,15 +125,15 @@ def test_nothing_of_the_adapter_is_run(adapter: Path) -> None:
     for name in ("model.py", "deploy.py", "__init__.py"):
         (adapter / name).write_text(bomb + FILES.get(name, ""))
     (adapter / "install.sh").write_text(f"touch {trace}\n")
-    assert xpl("adopt", str(adapter), "--scripts", cwd=adapter.parent).returncode == ExitCode.CLEAN
+    assert xpl("adopt", str(adapter), "--scripts", folder=adapter.parent).code == ExitCode.CLEAN
     assert not trace.exists()
 
 
 def test_only_the_manifest_is_written_and_a_dry_run_prints_it(adapter: Path) -> None:
     before = state(adapter)
-    printed = xpl("adopt", str(adapter), "--dry-run", cwd=adapter.parent).stdout
+    printed = xpl("adopt", str(adapter), "--dry-run", folder=adapter.parent).stdout
     assert state(adapter) == before
-    assert xpl("adopt", str(adapter), cwd=adapter.parent).returncode == ExitCode.CLEAN
+    assert xpl("adopt", str(adapter), folder=adapter.parent).code == ExitCode.CLEAN
     after = state(adapter)
     assert after.pop("policy.yml") == (printed.encode(), 0o100644)
     assert after == before, "something else was touched"
@@ -141,8 +141,8 @@ def test_only_the_manifest_is_written_and_a_dry_run_prints_it(adapter: Path) -> 
 
 def test_a_manifest_that_is_there_is_not_replaced(adapter: Path) -> None:
     (adapter / "policy.yml").write_text("name: Mine\n")
-    done = xpl("adopt", str(adapter), cwd=adapter.parent)
-    assert done.returncode == ExitCode.USAGE
+    done = xpl("adopt", str(adapter), folder=adapter.parent)
+    assert done.code == ExitCode.USAGE
     assert "is there already" in done.stderr
     assert "--merge" in done.stderr
     assert (adapter / "policy.yml").read_text() == "name: Mine\n"
@@ -155,7 +155,7 @@ def test_merge_appends_what_is_missing_and_keeps_every_byte(adapter: Path) -> No
     )
     (adapter / "policy.yml").write_text(mine)
     (adapter / "policy.yml").chmod(0o600)
-    done = xpl("adopt", str(adapter), "--merge", "--json", cwd=adapter.parent)
+    done = xpl("adopt", str(adapter), "--merge", "--json", folder=adapter.parent)
     assert json.loads(done.stdout)["state"] == "completed"
     text = (adapter / "policy.yml").read_text()
     assert text.startswith(mine + "\n")
@@ -163,13 +163,13 @@ def test_merge_appends_what_is_missing_and_keeps_every_byte(adapter: Path) -> No
     found = yaml.safe_load(text)
     assert found["temporal"] == {"kind": "chunk", "chunk": 3}
     assert found["embodiments"] == ["arx_x5"]
-    again = xpl("adopt", str(adapter), "--merge", "--json", cwd=adapter.parent)
+    again = xpl("adopt", str(adapter), "--merge", "--json", folder=adapter.parent)
     assert json.loads(again.stdout)["state"] == "unchanged"
     assert (adapter / "policy.yml").read_text() == text
 
 
 def test_missing_scripts_come_only_on_request_and_replace_none(adapter: Path) -> None:
-    done = xpl("adopt", str(adapter), "--scripts", "--json", cwd=adapter.parent)
+    done = xpl("adopt", str(adapter), "--scripts", "--json", folder=adapter.parent)
     names = set(json.loads(done.stdout)["files"])
     scripts = {*spec.data("package")["scripts"], "install.sh"}
     assert names == {"policy.yml", *scripts} - {"install.sh", "train.sh", "process_data.sh"}
@@ -179,9 +179,16 @@ def test_missing_scripts_come_only_on_request_and_replace_none(adapter: Path) ->
 
 def test_values_of_the_user_outrank_what_is_read(adapter: Path) -> None:
     done = xpl(
-        "adopt", str(adapter), "--set", "temporal.chunk=4", "--set", "embodiments=[piper]", "--json", cwd=adapter.parent
+        "adopt",
+        str(adapter),
+        "--set",
+        "temporal.chunk=4",
+        "--set",
+        "embodiments=[piper]",
+        "--json",
+        folder=adapter.parent,
     )
-    assert done.returncode == ExitCode.CLEAN
+    assert done.code == ExitCode.CLEAN
     found = yaml.safe_load((adapter / "policy.yml").read_text())
     assert (found["temporal"]["chunk"], found["embodiments"]) == (4, ["piper"])
     assert set(found["temporal"]["kind"]) == {"unknown"}
@@ -191,8 +198,8 @@ def test_values_of_the_user_outrank_what_is_read(adapter: Path) -> None:
         ("family=acts", "did you mean act"),
         ("a.b=1", "no key"),
     ):
-        wrong = xpl("adopt", str(adapter), "--set", setting, cwd=adapter.parent)
-        assert wrong.returncode == ExitCode.USAGE
+        wrong = xpl("adopt", str(adapter), "--set", setting, folder=adapter.parent)
+        assert wrong.code == ExitCode.USAGE
         assert told in wrong.stderr
     assert not (adapter / "policy.yml").exists()
 
@@ -211,14 +218,14 @@ def test_any_file_may_be_missing(adapter: Path, gone: str) -> None:
 
 
 def test_a_folder_without_an_adapter_is_not_adopted(tmp_path: Path) -> None:
-    assert xpl("adopt", str(tmp_path), cwd=tmp_path).returncode == ExitCode.NOT_FOUND
-    assert xpl("adopt", "nowhere", cwd=tmp_path).returncode == ExitCode.NOT_FOUND
+    assert xpl("adopt", str(tmp_path), folder=tmp_path).code == ExitCode.NOT_FOUND
+    assert xpl("adopt", "nowhere", folder=tmp_path).code == ExitCode.NOT_FOUND
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_printed_audit_is_that_of_the_adopted_adapter(adapter: Path) -> None:
-    said = json.loads(xpl("adopt", str(adapter), "--json", cwd=adapter.parent).stdout)["audit"]
-    done = xpl("audit", str(adapter), "--gate", "static", "--json", cwd=adapter.parent)
+    said = json.loads(xpl("adopt", str(adapter), "--json", folder=adapter.parent).stdout)["audit"]
+    done = xpl("audit", str(adapter), "--gate", "static", "--json", folder=adapter.parent)
     results = json.loads(done.stdout)["targets"][0]["gates"][0]["results"]
     failed = [result["code"] for result in results if result["outcome"] in {"fail", "warn"}]
     assert [finding.split()[1] for finding in said["findings"]] == failed
@@ -255,8 +262,8 @@ def test_the_page_works_as_shown(adapter: Path) -> None:
     commands = [line.partition("#")[0].split()[1:] for line in example.splitlines()]
     assert len(commands) == 4
     for command in commands:
-        done = xpl(*command, cwd=adapter.parent)
-        assert done.returncode == ExitCode.CLEAN, (command, done.stderr)
+        done = xpl(*command, folder=adapter.parent)
+        assert done.code == ExitCode.CLEAN, (command, done.stderr)
     (shown,) = re.findall(r"```yaml\n(.*?)```", PAGE, flags=re.DOTALL)
     assert yaml.safe_load(shown).items() <= read_again(adapter).items()
 

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.adapters.native import observation
-from tests.support.peer import xpl
+from tests.support.commands import Ended, xpl
 from tests.support.places import ROOT
 from xpl import Client, get_embodiment
 from xpl import _spec as sdk
@@ -105,8 +105,8 @@ def _bad(folder: Path, *gates: Gate, **options: Any) -> list[str]:
     ]
 
 
-def _xpl(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return xpl("new-policy", *arguments, cwd=cwd)
+def _xpl(*arguments: str, cwd: Path) -> Ended:
+    return xpl("new-policy", *arguments, folder=cwd)
 
 
 # -- what is rendered --------------------------------------------------------------------------------------------------
@@ -241,7 +241,7 @@ def test_what_does_not_fit_is_refused(chosen: dict[str, Any], message: str, hint
 def test_all_options_that_do_not_fit_are_told_at_once(tmp_path: Path) -> None:
     wrong = ["--chunk", "0", "--history", "0", "--action-type", "joints", "--cameras", "cam_haed", "--python", "three"]
     done = _xpl("class", *wrong, "--kind", "tourch", cwd=tmp_path)
-    assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
+    assert (done.code, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
     for told in ("class", "--chunk", "--history", "joint", "cam_head", "--python", "torch"):
         assert told in done.stderr
 

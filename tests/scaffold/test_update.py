@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.peer import xpl
+from tests.support.commands import Ended, xpl
 from tests.support.places import copy
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
@@ -74,8 +74,8 @@ def _change(templates: Path) -> None:
     (files / "__init__.py.jinja").unlink()
 
 
-def _xpl(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return xpl("update", *arguments, cwd=cwd)
+def _xpl(*arguments: str, cwd: Path) -> Ended:
+    return xpl("update", *arguments, folder=cwd)
 
 
 def _as_of_an_older_template(folder: Path) -> None:
@@ -259,16 +259,16 @@ def test_the_command_tells_what_it_does(adapter: Path) -> None:
     _as_of_an_older_template(adapter)
     before = _tree(adapter)
     dry = _xpl("Foo", "--dry-run", "--json", cwd=adapter.parent)
-    assert (dry.returncode, _tree(adapter)) == (0, before)
+    assert (dry.code, _tree(adapter)) == (0, before)
     done = _xpl("Foo", "--json", cwd=adapter.parent)
     told, foretold = json.loads(done.stdout), json.loads(dry.stdout)
-    assert done.returncode == 0
+    assert done.code == 0
     assert (told["state"], foretold["state"]) == ("updated", "would be updated")
     assert told["files"] == foretold["files"]
     assert {"name": ".gitignore", "action": "updated", "conflicts": 0, "note": None} in told["files"]
     assert _tree(adapter) == _render()
     again = _xpl("Foo", cwd=adapter.parent)
-    assert (again.returncode, again.stdout) == (0, "Foo: is as its template has it, nothing to do\n")
+    assert (again.code, again.stdout) == (0, "Foo: is as its template has it, nothing to do\n")
 
 
 def test_a_conflict_is_exit_code_1(adapter: Path) -> None:
@@ -278,7 +278,7 @@ def test_a_conflict_is_exit_code_1(adapter: Path) -> None:
     _edit(adapter / ".gitignore", "/data\n", "/data here\n")
     for options in (["--dry-run"], []):
         done = _xpl("Foo", *options, cwd=adapter.parent)
-        assert done.returncode == 1, done.stderr
+        assert done.code == 1, done.stderr
         assert "conflict  .gitignore (1 to decide)" in done.stdout
 
 
@@ -291,22 +291,22 @@ def test_changes_that_git_has_not_recorded_are_protected(adapter: Path) -> None:
     _as_of_an_older_template(adapter)
     git("init", "--quiet")
     refused = _xpl("Foo", cwd=adapter.parent)
-    assert refused.returncode == 2
+    assert refused.code == 2
     assert "Foo has changes that git has not recorded" in refused.stderr
     git("add", "--all")
     git("commit", "--quiet", "--message", "scaffold")
     (adapter.parent / "elsewhere.txt").write_text("not of the package\n")
     _edit(adapter / "README.md", "# Foo", "# My Foo")
     refused = _xpl("Foo", cwd=adapter.parent)
-    assert (refused.returncode, refused.stdout) == (2, "")
+    assert (refused.code, refused.stdout) == (2, "")
     assert "git has not recorded: Foo/README.md" in refused.stderr
-    assert _xpl("Foo", "--force", cwd=adapter.parent).returncode == 0
+    assert _xpl("Foo", "--force", cwd=adapter.parent).code == 0
 
 
 @pytest.mark.parametrize(("arguments", "code"), [(["Nothing"], 3), (["demo_policy"], 2)])
 def test_exit_codes(arguments: list[str], code: int, adapter: Path) -> None:
     done = _xpl(*arguments, cwd=adapter.parent)
-    assert (done.returncode, done.stdout) == (code, "")
+    assert (done.code, done.stdout) == (code, "")
 
 
 # -- what the audit says -----------------------------------------------------------------------------------------------
