@@ -262,19 +262,18 @@ class Noted:
         return self._client.call(func_name=func_name, obs=obs)
 
 
-@pytest.mark.parametrize("count", [1, 3])
-def test_an_adapters_own_deploy_plays_as_robodojo_calls_it(count: int) -> None:
+def test_an_adapters_own_deploy_plays_as_robodojo_calls_it() -> None:
     """Both functions, by keyword, with two resets at the beginning of each batch of layouts."""
-    env = made(num_envs=count)
-    with serving(POLICY, {"env_cfg_type": "arx_x5", "action_type": "joint"}) as server, Client(server.url) as client:
-        noted = Noted(client)
-        told = LOOP.evaluate(env, load_module(POLICY / "deploy.py"), noted, range(4))
-    assert [result["seed"] for result in told] == [0, 1, 2, 3]
-    assert [result["steps"] for result in told] == [16, 6, 16, 10]
-    batches = -(-4 // count)
-    assert noted.asked.count("reset") == 2 * batches
-    assert noted.asked[:2] == ["reset", "reset"]
-    assert ("update_obs_batch" in noted.asked) == (count > 1)
+    with serving(POLICY, {"env_cfg_type": "arx_x5", "action_type": "joint"}) as server:
+        for count in (1, 3):
+            with Client(server.url) as client:
+                noted = Noted(client)
+                told = LOOP.evaluate(made(num_envs=count), load_module(POLICY / "deploy.py"), noted, range(4))
+            assert [result["seed"] for result in told] == [0, 1, 2, 3]
+            assert [result["steps"] for result in told] == [16, 6, 16, 10]
+            assert noted.asked.count("reset") == 2 * -(-4 // count)
+            assert noted.asked[:2] == ["reset", "reset"]
+            assert ("update_obs_batch" in noted.asked) == (count > 1)
 
 
 def test_a_loop_that_leaves_before_the_end_is_told() -> None:
