@@ -151,7 +151,7 @@ def evaluate(
     reached = None if connect is None else remote.Remote(connect, token, ca_file)
     is_here = _is_here(policy)
     if is_here:
-        from xpl_cli.evaluation.hand_over.play import Request
+        from xpl_cli.evaluation.hand_over.request import Request
 
         unfit = {
             "--setting": setting,

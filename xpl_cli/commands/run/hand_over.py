@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from xpl.contract import Config
-    from xpl_cli.evaluation.hand_over.play import Request
+    from xpl_cli.evaluation.hand_over.request import Request
 
 _ANSWER = "xpl.env-hand-over/1"
 
@@ -54,12 +54,13 @@ def hand_over(
     from xpl import _spec as spec
     from xpl_cli.basics import console
     from xpl_cli.evaluation.hand_over import play as engine
+    from xpl_cli.evaluation.hand_over.request import Request
     from xpl_cli.packages import package
 
     overrides = package.parse_overrides(settings)
     if seed is not None:
         overrides[spec.Deploy.SEED] = seed
-    request = engine.Request(
+    request = Request(
         package=package.load(policy, overrides),
         environment=name,
         task=task,

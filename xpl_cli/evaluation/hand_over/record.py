@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from xpl_cli.evaluation.hand_over.play import Plan as HandedOver
-    from xpl_cli.evaluation.hand_over.play import Request
+    from xpl_cli.evaluation.hand_over.request import Plan as HandedOver
+    from xpl_cli.evaluation.hand_over.request import Request
     from xpl_cli.evaluation.hand_over.results import Layout
     from xpl_cli.evaluation.records.model import Conduct
 
