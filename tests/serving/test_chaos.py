@@ -27,6 +27,7 @@ from xpl.client import ClientError, PolicyServerError, RequestTimeoutError, Serv
 from xpl.wire import codec
 
 SEED = int(os.environ.get("XPL_CHAOS_SEED", "20260101"))
+STEPS = int(os.environ.get("XPL_CHAOS_STEPS", "600"))
 """Of everything that is drawn here; set the variable to the seed in a failure's message to repeat it."""
 
 POLICY = Path(counting.__file__).read_text(encoding="utf-8")
@@ -468,12 +469,12 @@ def run_chaos(server: Server, steps: int, options: dict[str, Any], every: int) -
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(2 * STEPS)
 @far_variants
 def test_every_step_is_applied_once_or_the_trial_ends_loudly(adapter: Path, options: dict[str, Any]) -> None:
     """Under every kind of fault; the seed is in the message of a failure."""
     with Server(adapter) as server:
-        run_chaos(server, 600, options, every=20)
+        run_chaos(server, STEPS, options, every=20)
 
 
 # -- two clients -------------------------------------------------------------------------------------------------------
