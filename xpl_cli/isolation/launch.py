@@ -7,7 +7,7 @@ It runs by itself, with the standard library and nothing of the tool, so that it
 started waits: below it is the first process of a PID namespace, which reaps orphans, and below that the command. If any
 of the two ends, the kernel ends everything in the namespace.
 
-Sources: bwrap(1), namespaces(7), user_namespaces(7), pid_namespaces(7), keyctl(2), landlock(7).
+Sources: bwrap(1), namespaces(7), user_namespaces(7), pid_namespaces(7), capabilities(7), keyctl(2), landlock(7).
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ FAILED = 125
 _NOSUID, _NODEV, _NOEXEC = 2, 4, 8
 _REC, _SLAVE = 1 << 14, 1 << 19
 _SET_PDEATHSIG, _SET_DUMPABLE, _SET_NO_NEW_PRIVS = 1, 4, 38
+_CAPABILITY_BOUND_DROP, _CAPABILITY_AMBIENT, _AMBIENT_CLEAR_ALL = 24, 47, 4
+_CAPABILITY_VERSION_3 = 0x20080522
 _JOIN_SESSION_KEYRING = 1
 _LANDLOCK_CREATE, _LANDLOCK_ADD, _LANDLOCK_RESTRICT, _WRITE_FILE = 444, 445, 446, 1 << 1  # on every architecture
 _PROCESSES = 8192
@@ -164,6 +166,7 @@ def _first_process(command: Sequence[str], alive: int) -> NoReturn:
     with contextlib.suppress(OSError):
         _write("/proc/sys/kernel/ns_last_pid", str(random.SystemRandom().choice(_PIDS)))
     os.chdir(here)  # what is mounted there now
+    _drop_capabilities()
     started = os.fork()
     if started == 0:
         os.setsid()
@@ -197,6 +200,22 @@ def _exit_code(status: int) -> int:
 
 def _prctl(option: int, value: int, told: str) -> None:
     _check(_libc.prctl(option, ctypes.c_ulong(value), *[ctypes.c_ulong(0)] * 3), told)
+
+
+def _drop_capabilities() -> None:
+    """Give up every capability for good, root's too, which would take /proc away again and reach what lies below it.
+
+    Source: capabilities(7).
+    """
+    _prctl(_SET_NO_NEW_PRIVS, 1, "no_new_privs")
+    _check(
+        _libc.prctl(_CAPABILITY_AMBIENT, *map(ctypes.c_ulong, (_AMBIENT_CLEAR_ALL, 0, 0, 0))), "ambient capabilities"
+    )
+    last = int(Path("/proc/sys/kernel/cap_last_cap").read_text(encoding="ascii"))
+    for capability in range(last + 1):
+        _prctl(_CAPABILITY_BOUND_DROP, capability, f"bounding capability {capability}")
+    header, none = struct.pack("=Ii", _CAPABILITY_VERSION_3, 0), bytes(24)
+    _check(_libc.capset(header, none), "capset")
 
 
 def _mount(source: str, target: str, flags: int, kind: str | None = None) -> None:

@@ -223,9 +223,13 @@ def check(checkouts: Sequence[Path], *, memory_limit: str, isolate: bool) -> Non
 
 
 _IS_APART = """
-import os, sys
+import ctypes, os, sys
 if os.readlink("/proc/self/ns/pid") == sys.argv[1]:
     sys.exit("it sees the processes of the machine")
+if any(int(line.split()[1], 16) for line in open("/proc/self/status") if line.startswith("Cap")):
+    sys.exit("it keeps capabilities")
+if ctypes.CDLL(None).umount2(b"/proc", 2) == 0:
+    sys.exit("it can take /proc away, and see the processes of the machine below")
 """
 
 
