@@ -98,8 +98,9 @@ def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs f
     """
     manifest = environments.manifest(environments.find(environment))
     tasks = manifest.tasks
-    task, is_asked_for = task or config.get(sdk.Deploy.TASK_NAME), task is not None
-    if task not in tasks and (is_asked_for or environment != "offline"):
+    configured = config.get(sdk.Deploy.TASK_NAME)
+    task, is_asked_for = task or configured, task not in (None, configured)
+    if task not in tasks and (is_asked_for or not manifest.scripted):  # launchers debug with the benchmark's task
         if task is not None:
             raise NotFoundError(f"{environment} has no task {task!r}; it has {', '.join(tasks)}")
         task = next(iter(tasks))
