@@ -76,11 +76,11 @@ REFUSED = {
     "calls.py": (b"x = a" + b"()" * 300, "nested more than 200 levels deep"),
     "digits.py": (b"x = " + b"9" * 100_000, "does not parse"),
     "statements.py": (b"x=1\n" * 65_000, "more than 250000 nodes of syntax"),
-    "subshells.sh": (b"echo " + b"$(" * NESTED + b")" * NESTED, "nested more than 100 levels deep"),
-    "defaults.sh": (b"echo " + b"${a:-" * NESTED + b"}" * NESTED, "nested more than 100 levels deep"),
-    "quotes.sh": (b"echo " + b'"$(' * NESTED, "nested more than 100 levels deep"),
-    "blocks.sh": (b"{ true\n" * NESTED, "nested more than 100 levels deep"),
-    "words.sh": (b"a " * 60_000, "more than 50000 words"),
+    "subshells.sh": (b"echo " + b"$(" * NESTED + b")" * NESTED, "does not parse"),
+    "heredocs.sh": (b"cat " + b"<<A " * NESTED, "maximum here-document count exceeded"),  # bash says so
+    "quotes.sh": (b"echo " + b'"$(' * NESTED, "does not parse"),
+    "blocks.sh": (b"{ true\n" * NESTED, "does not parse"),
+    "words.sh": (b"a " * 60_000, "more than 60000 characters"),
     "values.yml": (b"[" + b"1," * 110_000 + b"]", "more than 100000 values"),
     "aliases.yml": (
         b"a0: &a0 [1]\n" + b"".join(b"a%d: &a%d [*a%d, *a%d]\n" % (n, n, n - 1, n - 1) for n in range(1, 40)),
@@ -101,7 +101,7 @@ REFUSED = {
 }
 DOUBLED = b"a0=x\n" + b"".join(b"a%d=$a%d$a%d\n" % (n, n - 1, n - 1) for n in range(1, 60)) + b"sh $a59.py\n"
 TAKEN = {
-    "heredocs.sh": b"cat " + b"<<A " * NESTED,
+    "defaults.sh": b"echo " + b"${a:-" * NESTED + b"}" * NESTED,
     "backticks.sh": b"echo " + b"`" * NESTED,
     "escapes.sh": b"echo " + b"\\\"'" * NESTED,
     "long.sh": b"python " + b"a" * NESTED + b".py\nbash " + b"a/" * NESTED + b"b.sh\n",

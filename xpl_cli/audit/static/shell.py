@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from tree_sitter import Node, Tree
 
 _MOST_CHARACTERS: Final = 60_000
-_MOST_WORDS: Final = 50_000
 _MOST_LEVELS: Final = 100
 _LONGEST_S: Final = 5.0
 """Seconds that the grammar, or bash, may take for one script: a thousand times what they do take."""
@@ -232,7 +231,6 @@ class _Reader:
         self.source = source
         self.found: list[Command] = []
         self._lines = source.split(b"\n")
-        self._words = 0
 
     def read(self, node: Node, place: _Place) -> None:
         """Collect the commands of a node, and note what ends each."""
@@ -321,9 +319,6 @@ class _Reader:
             self.found.append(command)
 
     def _word(self, node: Node) -> Word:
-        self._words += 1
-        if self._words > _MOST_WORDS:
-            raise TooMuchError(f"more than {_MOST_WORDS} words")
         line, column = node.start_point
         return Word(self._text(node), line + 1, self._column(line, column), tuple(_expansions(node)))
 
