@@ -19,7 +19,7 @@ from tests.support import commands
 from tests.support.distributions import forget
 from xpl import Client, get_embodiment
 from xpl.client import PolicyServerError
-from xpl_cli.data.formats import open_set
+from xpl_cli.data.reading import open_set
 from xpl_cli.standard.validate import validate
 
 REPO = Path(__file__).parents[2]

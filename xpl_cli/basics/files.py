@@ -17,6 +17,7 @@ MOST_BYTES = 256 << 20
 """What no file that people or tools write for us comes near, and what a machine can still hold in memory."""
 
 _PATIENCE_S = 5.0
+_LEAST = 1 << 16
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
@@ -57,7 +58,8 @@ def content(path: Path, most: int = MOST_BYTES) -> bytes:
         OSError: as `opened`.
     """
     with opened(path, most) as stream:
-        return stream.read(most)
+        # Not `most`, which would be taken at once however small the file is. Those of /proc say that they are empty.
+        return stream.read(min(most, max(os.fstat(stream.fileno()).st_size, _LEAST)))
 
 
 def given(path: Path, most: int = MOST_BYTES) -> bytes:

@@ -12,7 +12,7 @@ from xpl.trajectory import Writer
 from xpl_cli.audit.demonstrations import validation
 from xpl_cli.audit.demonstrations.validation import Options, validate
 from xpl_cli.basics import parallel
-from xpl_cli.data.formats import open_set
+from xpl_cli.data.reading import open_set
 
 if TYPE_CHECKING:
     import pytest

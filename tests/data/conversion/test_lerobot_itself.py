@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from xpl_cli.data.formats import open_set, pictures
+from xpl_cli.data.formats import pictures
+from xpl_cli.data.reading import open_set
 
 if TYPE_CHECKING:
     from collections.abc import Callable

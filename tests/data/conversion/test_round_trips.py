@@ -11,8 +11,9 @@ from xpl import get_embodiment, trajectory
 from xpl.convert.frames import Frame
 from xpl_cli.basics import parallel
 from xpl_cli.basics.errors import UnknownNameError
-from xpl_cli.data.formats import open_set, pictures
+from xpl_cli.data.formats import pictures
 from xpl_cli.data.formats.lerobot import layout
+from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.summary import Summary
 

@@ -80,8 +80,8 @@ def read(folder: str, target: str, made: str) -> None:
     """Save what our reader says, its episodes from the last to the first, and convert the set."""
     from xpl_cli.basics.progress import Progress
     from xpl_cli.data.conversion import work
-    from xpl_cli.data.formats import open_set
     from xpl_cli.data.formats.writing import Options
+    from xpl_cli.data.reading import open_set
 
     found = open_set(folder)
     kept: dict[str, Any] = {}

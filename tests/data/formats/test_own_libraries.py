@@ -22,7 +22,8 @@ import zarr
 
 from tests.data import made
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.data.formats import open_set, pictures
+from xpl_cli.data.formats import pictures
+from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
 
 LOSSY_DB = 33.0

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.data import made
-from xpl_cli.data.formats import open_set
 from xpl_cli.data.formats.lerobot import layout
+from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from tests.data import made
 from tests.support.distributions import Install, installing
 from xpl.registry import EntryPointError
 from xpl_cli.basics import formats
-from xpl_cli.data.formats import open_set
+from xpl_cli.data.reading import open_set
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

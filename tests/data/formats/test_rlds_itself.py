@@ -14,7 +14,8 @@ import pytest
 
 from tests.data.formats import rlds_driver
 from tests.support.places import ROOT
-from xpl_cli.data.formats import open_set, pictures
+from xpl_cli.data.formats import pictures
+from xpl_cli.data.reading import open_set
 
 PYTHON = os.environ.get("XPL_TFDS_PYTHON", "")
 LOSSY_DB = 33.0

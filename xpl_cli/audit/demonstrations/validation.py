@@ -31,9 +31,9 @@ from xpl_cli.audit.rules.model import (
     outcome_of,
 )
 from xpl_cli.basics import parallel
-from xpl_cli.data.formats import open_set
 from xpl_cli.data.probe.probe import Found, probe
 from xpl_cli.data.probe.sample import spread
+from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ def list_(
 ) -> None:
     """List a set's episodes, and the columns and cameras that they have."""
     from xpl_cli.basics import console
-    from xpl_cli.data.formats import open_set
+    from xpl_cli.data.reading import open_set
     from xpl_cli.data.sets.summary import Summary
 
     found = Summary.of(open_set(demonstrations))

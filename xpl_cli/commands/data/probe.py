@@ -31,9 +31,9 @@ def probe(
     """Measure the conventions of demonstrations instead of believing a README: each with evidence and margin."""
     from xpl_cli.basics import console, output
     from xpl_cli.basics.progress import progress
-    from xpl_cli.data.formats import open_set
     from xpl_cli.data.probe import draft, page
     from xpl_cli.data.probe.probe import probe as measured
+    from xpl_cli.data.reading import open_set
 
     for path in (explain, write):
         if path is not None:

@@ -30,7 +30,7 @@ def show(
     from xpl_cli.basics import console
     from xpl_cli.basics.atomic import write_file
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.data.formats import open_set
+    from xpl_cli.data.reading import open_set
     from xpl_cli.data.show import page, sheet
     from xpl_cli.data.show.rerun import write
     from xpl_cli.data.show.view import chosen, view

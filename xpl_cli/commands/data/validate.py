@@ -56,7 +56,7 @@ def validate(
     from xpl_cli.basics import output as output_file
     from xpl_cli.basics.errors import UserError, one_of
     from xpl_cli.basics.progress import progress
-    from xpl_cli.data.formats import open_set
+    from xpl_cli.data.reading import open_set
 
     delivery = Delivery.asked(_JSON if as_json else report_format, output)
     one_of("--fail-on", fail_on, _FAIL_ON)

@@ -10,8 +10,8 @@ from xpl_cli.data.conversion import mapping as mappings
 from xpl_cli.data.conversion import packing
 from xpl_cli.data.conversion.packing import PackedSet, UnpackedSet
 from xpl_cli.data.conversion.standard import NAME, FieldSet, StandardSet
-from xpl_cli.data.formats import open_set
 from xpl_cli.data.formats.writing import CONVERTED
+from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:

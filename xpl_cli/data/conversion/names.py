@@ -12,7 +12,7 @@ from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.formats.writers import WRITERS
 from xpl_cli.data.formats.writing import CONVERTED, Names
 from xpl_cli.data.sets.delegating import DelegatingEpisode, base_format
-from xpl_cli.data.sets.interface import Camera, Column, Extras
+from xpl_cli.data.sets.interface import Camera, Clip, Column, Extras
 
 if TYPE_CHECKING:
     import numpy as np
@@ -156,13 +156,13 @@ class Renamed(DelegatingEpisode):
         """Yield images of a camera."""
         return self._inner.frames(self._how.cameras[camera], start, stop)
 
-    def video(self, camera: str) -> Any:
+    def video(self, camera: str) -> Clip | None:
         """Return where a camera's video lies; None if it has none."""
-        return getattr(self._inner, "video", lambda _: None)(self._how.cameras[camera])
+        return self._inner.video(self._how.cameras[camera])
 
-    def stats(self, camera: str) -> Any:
+    def stats(self, camera: str) -> Mapping[str, Any] | None:
         """Return the statistics of a camera that the set has; None if it has none."""
-        return getattr(self._inner, "stats", lambda _: None)(self._how.cameras[camera])
+        return self._inner.stats(self._how.cameras[camera])
 
 
 def _renamed(name: str, given: str, wanted: Names) -> str:

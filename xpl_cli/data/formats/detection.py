@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl.registry import OURS
 from xpl_cli.basics import formats
-from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.formats import hdf5
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from xpl_cli.data.sets.interface import Demonstrations
 
 
-def open_set(path: str | Path) -> Demonstrations:
-    """Return the demonstrations in a file or folder. It lists episodes at most, and reads none.
+def open_here(path: Path) -> Demonstrations:
+    """Return the demonstrations in a file or folder, read by this process (`xpl_cli.data.reading` has one for it).
 
     Formats of installed packages are asked before ours: they know something more particular.
 
     Raises:
-        DataError: there is nothing, nothing that is known, or it is damaged.
+        DataError: nothing is known there, or it is damaged.
         EntryPointError: a format of an installed package cannot be used.
     """
-    path = Path(path)
-    if not path.exists():
-        raise DataError(f"there are no demonstrations at {path}: no such file or folder", code=ExitCode.NOT_FOUND)
     known = formats.registered(formats.DATA)
     for entry in sorted(known.values(), key=lambda entry: entry.distribution == OURS):
         if formats.call(entry, "recognises", path):

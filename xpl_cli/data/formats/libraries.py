@@ -7,6 +7,7 @@ from types import ModuleType
 from typing import Final
 
 from xpl_cli.basics.extras import how_to_install
+from xpl_cli.data.sets import bounds
 from xpl_cli.data.sets.errors import DataError
 
 _EXTRA: Final = "data"
@@ -39,7 +40,8 @@ def zarr() -> ModuleType:
 
 def _imported(name: str, what: str) -> ModuleType:
     try:
-        return importlib.import_module(name)
+        with bounds.importing():
+            return importlib.import_module(name)
     except ImportError as error:
         raise DataError(
             f"{what} need the library {name.partition('.')[0]}, which cannot be imported here: {error}",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl.images import PIXELS, size_of
+from xpl_cli.data.sets import bounds
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 NAME: Final = "rlds"
 _INFO: Final = "dataset_info.json"
 _FEATURES: Final = "features.json"
+_TENSORFLOW_BYTES: Final = 2 << 30
+"""For its threads and pools."""
 _SENTENCES: Final = (
     "language_instruction",
     "natural_language_instruction",
@@ -59,7 +62,8 @@ class RldsSet(Demonstrations):
 
     def __init__(self, path: Path) -> None:
         try:
-            import tensorflow_datasets as tfds
+            with bounds.importing(_TENSORFLOW_BYTES):
+                import tensorflow_datasets as tfds
         except ImportError as error:
             raise DataError(
                 f"{path} is RLDS, which is read through tensorflow-datasets, and that cannot be imported: {error}",

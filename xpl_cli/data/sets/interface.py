@@ -60,6 +60,21 @@ class Camera:
     extrinsics: np.ndarray | None = field(default=None, compare=False)
 
 
+@dataclass(frozen=True)
+class Clip:
+    """An episode's part of a video.
+
+    Attributes:
+        path: the file.
+        begins_s: when it begins there.
+        codec: as the set names it.
+    """
+
+    path: str
+    begins_s: float
+    codec: str
+
+
 class Episode(Protocol):
     """One recorded episode. Opening it reads no images and no columns."""
 
@@ -104,6 +119,14 @@ class Episode(Protocol):
             KeyError: there is no such camera.
             DataError: an image cannot be decoded; it says which.
         """
+
+    def video(self, camera: str) -> Clip | None:  # noqa: ARG002 - of most formats there is none
+        """Return where a camera's video lies, which a writer of videos copies; None where its images are none."""
+        return None
+
+    def stats(self, camera: str) -> Mapping[str, Any] | None:  # noqa: ARG002 - likewise
+        """Return the statistics of a camera's images that the set has, as LeRobot names them; None if it has none."""
+        return None
 
 
 class Demonstrations(Protocol):

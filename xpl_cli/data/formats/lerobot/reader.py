@@ -6,7 +6,6 @@ import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,7 +15,7 @@ from xpl.images import PIXELS
 from xpl_cli.data.formats import libraries, pictures, video
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Extras
+from xpl_cli.data.sets.interface import Camera, Clip, Column, Demonstrations, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
@@ -26,21 +25,6 @@ _MOST_ROW: Final = 64 << 20
 """Bytes of one row of a column."""
 _TYPES: Final = ("bool", *(f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)))
 _NUMBERS: Final = (*_TYPES, "float16", "float32", "float64")
-
-
-@dataclass(frozen=True)
-class Clip:
-    """An episode's part of a video.
-
-    Attributes:
-        path: the file.
-        begins_s: when it begins there.
-        codec: as the set names it.
-    """
-
-    path: Path
-    begins_s: float
-    codec: str
 
 
 def recognises(path: Path) -> bool:
@@ -201,7 +185,7 @@ class LeRobotEpisode(OutlinedEpisode):
         if camera not in self.entry.videos:
             return None
         path, begins = self.entry.videos[camera]
-        return Clip(self._owner.root / path, begins, self.cameras[camera].encoding)
+        return Clip(str(self._owner.root / path), begins, self.cameras[camera].encoding)
 
     def stats(self, camera: str) -> dict[str, Any] | None:
         """Return the statistics of a camera's images that the set has; None if it has none."""

@@ -192,8 +192,8 @@ def _video(path: Path, episode: Episode, name: str, plan: Plan, rate: float) -> 
         codec, PSNR in dB of the worst frame of a sample (None for a copy), and its statistics.
     """
     wanted = stats.chosen(episode.length)
-    source = getattr(episode, "video", lambda _: None)(name)
-    if source is not None and encoding.copied(source.path, source.begins_s, rate, episode.length, path):
+    source = episode.video(name)
+    if source is not None and encoding.copied(Path(source.path), source.begins_s, rate, episode.length, path):
         seen = _sampled(episode, name, wanted)
         return source.codec, None, seen
     kept: list[NDArray[np.uint8]] = []
@@ -216,10 +216,9 @@ def _video(path: Path, episode: Episode, name: str, plan: Plan, rate: float) -> 
 
 def _sampled(episode: Episode, name: str, wanted: list[int]) -> stats.Stats:
     """Return the statistics of a copied video: those that the set has, else of frames of it."""
-    known = getattr(episode, "stats", lambda _: None)(name)
+    known = episode.stats(name)
     if known is not None:
-        found: stats.Stats = known
-        return found
+        return dict(known)
     places = set(wanted)
     return stats.of_images(
         [stats.thinned(frame) for index, frame in enumerate(episode.frames(name)) if index in places]

@@ -1,0 +1,206 @@
+"""A set whose files are read in a process of its own, within bounds (`bounds.py`)."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+import threading
+import weakref
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from xpl.process import link
+from xpl.process.parent import Process, ProcessLostError
+from xpl.registry import EntryPointError
+from xpl.wire import packed
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.data.sets.bounds import Bounds
+from xpl_cli.data.sets.errors import DataError
+from xpl_cli.data.sets.interface import Camera, Clip, Column, Demonstrations, Extras
+from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
+
+_START: Final = """
+sys.path[:] = {paths!r}
+from xpl_cli.data.reading.worker import main
+main(int(sys.argv[2]))
+"""
+_MOST_ANSWER: Final = 1 << 31
+_FRUGAL: Final = {
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+    "ARROW_IO_THREADS": "2",
+    "BLOSC_NTHREADS": "2",
+    "OMP_NUM_THREADS": "2",
+}
+"""Threads take memory for their stacks, and pools take it ahead, whether or not there is work for them."""
+
+
+def open_set(path: str | Path) -> Demonstrations:
+    """Return the demonstrations in a file or folder. Opening it lists episodes at most, and reads none.
+
+    Whatever its format is, a process of its own reads it: one that takes too much time or memory is ended, with one
+    error.
+
+    Raises:
+        DataError: there is nothing, nothing that is known, or it is damaged.
+        EntryPointError: a format of an installed package cannot be used.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise DataError(f"there are no demonstrations at {path}: no such file or folder", code=ExitCode.NOT_FOUND)
+    return _RemoteSet(path)
+
+
+class _Reader:
+    """The process that reads a set: started when something is asked, once more after it was lost or this one forked.
+
+    Args:
+        path: of the set.
+
+    Attributes:
+        opened: path, format and length of the set.
+
+    Raises:
+        DataError: it cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._lock = path, threading.Lock()
+        self._bounds = Bounds.of(path)
+        self._process: Process | None = None
+        self._owner = 0
+        self.opened: dict[str, Any] = {}
+        self._start()
+
+    def ask(self, do: str, *arguments: Any) -> Any:
+        """Return what the process answers; its arrays are read-only.
+
+        Raises:
+            DataError: it cannot.
+        """
+        with self._lock:
+            if self._process is None or self._owner != os.getpid():  # a forked process must not share the link
+                self._start()
+            return self._asked(do, *arguments)
+
+    def forget(self, number: int) -> None:
+        """Let go of images of which no more are asked for, where the process that reads them is still there."""
+        with self._lock:
+            if self._process is not None and self._owner == os.getpid():
+                self._asked("end", number)
+
+    def _start(self) -> None:
+        start = _START.format(paths=[str(Path(path).resolve()) for path in sys.path if path])
+        self._process = process = Process(start, environment={**os.environ, **_FRUGAL}, largest=_MOST_ANSWER)
+        self._owner = os.getpid()
+        weakref.finalize(self, _end, process, self._owner)
+        self.opened = self._asked("open", str(self._path), self._bounds.memory, self._bounds.seconds)
+
+    def _asked(self, do: str, *arguments: Any) -> Any:
+        process = self._process
+        assert process is not None  # noqa: S101 - `ask` has started it
+        try:
+            process.send(link.encode({"do": do, "arguments": arguments}), self._bounds.wait_s)
+            head, buffers = process.take()
+        except ProcessLostError as error:
+            self._process = None
+            within = f"{self._bounds.memory >> 20} MB and {self._bounds.seconds:.0f} s of processor time"
+            raise DataError(f"{self._path} cannot be read within {within}: {error}") from None
+        if "entry_point" in head:
+            raise EntryPointError(head["entry_point"])
+        if "error" in head:
+            told = head["error"]
+            message = told["message"] if told["code"] is not None else f"{self._path} cannot be read: {told['message']}"
+            code = ExitCode.NOT_RUN if told["code"] is None else ExitCode(told["code"])
+            raise DataError(message, hint=told["hint"], code=code)
+        return packed.decode(buffers[0])
+
+
+def _end(process: Process, owner: int) -> None:
+    if os.getpid() == owner:
+        process.kill()
+
+
+class _RemoteSet(Demonstrations):
+    """A set that another process reads."""
+
+    def __init__(self, path: Path) -> None:
+        self._reader = _Reader(path)
+        opened = self._reader.opened
+        super().__init__(opened["path"], opened["format"])
+        self._length = int(opened["length"])
+
+    @functools.cached_property
+    def _about(self) -> dict[str, Any]:
+        return self._reader.ask("about")  # type: ignore[no-any-return]
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Steps per second, if the set says so."""
+        return self._about["rate_hz"]  # type: ignore[no-any-return]
+
+    @property
+    def robot(self) -> str | None:
+        """What the set calls its robot, if it does."""
+        return self._about["robot"]  # type: ignore[no-any-return]
+
+    @property
+    def extras(self) -> Extras:
+        """What else the set says of itself."""
+        return self._about["extras"]  # type: ignore[no-any-return]
+
+    def __len__(self) -> int:
+        """How many episodes there are."""
+        return self._length
+
+    def __getitem__(self, index: int) -> _RemoteEpisode:
+        """Return an episode, by its place."""
+        place = range(len(self))[index]
+        return _RemoteEpisode(self._reader, place, self._reader.ask("key", place))
+
+
+class _RemoteEpisode(OutlinedEpisode):
+    """An episode that another process reads."""
+
+    def __init__(self, reader: _Reader, index: int, key: str) -> None:
+        super().__init__(key)
+        self._reader, self._index = reader, index
+
+    def outline(self) -> Outline:
+        """Return what the file says without rows and images."""
+        told = self._reader.ask("outline", self._index)
+        columns = {
+            name: Column(tuple(one["shape"]), one["dtype"], tuple(one["names"]))
+            for name, one in told["columns"].items()
+        }
+        cameras = {name: Camera(**one) for name, one in told["cameras"].items()}
+        return Outline(told["length"], tuple(told["instructions"]), columns, cameras, told["extras"])
+
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Return rows of a column."""
+        known = self.columns[column]
+        rows = self._reader.ask("read", self._index, column, start, stop)
+        return np.asarray(rows, dtype=str) if known.dtype == "str" else rows
+
+    def video(self, camera: str) -> Clip | None:
+        """Return where a camera's video lies."""
+        told = self._reader.ask("video", self._index, camera)
+        return None if told is None else Clip(**told)
+
+    def stats(self, camera: str) -> Mapping[str, Any] | None:
+        """Return the statistics of a camera's images that the set has."""
+        return self._reader.ask("stats", self._index, camera)  # type: ignore[no-any-return]
+
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
+        """Yield images of a camera."""
+        if camera not in self.cameras:
+            raise KeyError(camera)
+        number = self._reader.ask("film", self._index, camera, start, stop)
+        try:
+            while images := self._reader.ask("frames", number):
+                yield from images
+        finally:
+            self._reader.forget(number)

@@ -1,0 +1,123 @@
+"""The process that reads a set: opens it with the reader of its format, and answers what `remote.py` asks."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+import numpy as np
+
+from xpl.process import child
+from xpl.registry import EntryPointError
+from xpl.wire import packed
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.data.formats.detection import open_here
+from xpl_cli.data.sets.bounds import Bounds
+
+if TYPE_CHECKING:
+    from xpl.process.link import Head
+    from xpl.wire.arrays import Data
+    from xpl_cli.data.sets.interface import Demonstrations
+
+_FRAMES_BYTES: Final = 8 << 20
+"""Of the images that are answered at once; one is always."""
+
+
+def main(descriptor: int) -> NoReturn:
+    """Answer until the other end of the link is closed."""
+    child.serve(descriptor, _Service().handle)
+
+
+class _Service:
+    """One set, and the images that are being read of it."""
+
+    def __init__(self) -> None:
+        self._bounds = Bounds(0, 0.0)
+        self._set: Demonstrations | None = None
+        self._numbers = itertools.count()
+        self._films: dict[int, Iterator[np.ndarray]] = {}
+
+    def handle(self, head: Head, _buffers: Sequence[memoryview]) -> tuple[Head, list[Data]]:
+        """Return the answer to a message: a packed value, or an error."""
+        arguments = list(head["arguments"])
+        try:
+            if head["do"] != "open":
+                self._bounds.begin()
+            value = getattr(self, f"_{head['do']}")(*arguments)
+            return {}, [b"".join(packed.encode(value))]
+        except EntryPointError as error:
+            return {"entry_point": str(error)}, []
+        except UserError as error:
+            return _error(str(error), error.hint, error.code), []
+        except MemoryError:
+            return _error(f"it takes more than {self._bounds.memory >> 20} MB of memory to be read"), []
+        except KeyError as error:
+            return _error(f"it lacks {str(error)[:200]}"), []
+        except Exception as error:  # noqa: BLE001 - libraries raise almost anything on damaged files
+            return _error(f"it is damaged, or not what its format says: {type(error).__name__}: {str(error)[:200]}"), []
+
+    def _open(self, path: str, memory: int, seconds: float) -> dict[str, Any]:
+        self._bounds = Bounds(memory, seconds)
+        self._bounds.hold()
+        self._bounds.begin()
+        self._set = found = open_here(Path(path))
+        return {"path": found.path, "format": found.format, "length": len(found)}
+
+    def _about(self) -> dict[str, Any]:
+        found = self._opened
+        return {"rate_hz": found.rate_hz, "robot": found.robot, "extras": dict(found.extras)}
+
+    def _key(self, index: int) -> str:
+        return self._opened[index].key
+
+    def _outline(self, index: int) -> dict[str, Any]:
+        episode = self._opened[index]
+        return {
+            "key": episode.key,
+            "length": episode.length,
+            "instructions": list(episode.instructions),
+            "columns": {name: asdict(column) for name, column in episode.columns.items()},
+            "cameras": {name: vars(camera) for name, camera in episode.cameras.items()},
+            "extras": dict(episode.extras),
+        }
+
+    def _read(self, index: int, column: str, start: int, stop: int | None) -> np.ndarray | list[str]:
+        rows = self._opened[index].read(column, start, stop)
+        return rows if rows.dtype.kind in "biuf" else [str(one) for one in rows]
+
+    def _video(self, index: int, camera: str) -> dict[str, Any] | None:
+        clip = self._opened[index].video(camera)
+        return None if clip is None else asdict(clip)
+
+    def _stats(self, index: int, camera: str) -> dict[str, Any] | None:
+        known = self._opened[index].stats(camera)
+        return None if known is None else dict(known)
+
+    def _film(self, index: int, camera: str, start: int, stop: int | None) -> int:
+        number = next(self._numbers)
+        self._films[number] = iter(self._opened[index].frames(camera, start, stop))
+        return number
+
+    def _frames(self, number: int) -> list[np.ndarray]:
+        found: list[np.ndarray] = []
+        for image in self._films[number]:
+            found.append(np.ascontiguousarray(image))
+            if sum(one.nbytes for one in found) >= _FRAMES_BYTES:
+                break
+        return found
+
+    def _end(self, number: int) -> None:
+        self._films.pop(number, None)
+
+    @property
+    def _opened(self) -> Demonstrations:
+        if self._set is None:
+            raise RuntimeError("no set was opened")
+        return self._set
+
+
+def _error(message: str, hint: str | None = None, code: ExitCode | None = None) -> Head:
+    return {"error": {"message": message, "hint": hint, "code": None if code is None else int(code)}}

@@ -1,0 +1,106 @@
+"""What reading a set may take: memory and processor time, by its size.
+
+A small file can claim any size and cost any time: compressed blocks, links in circles, counts in a header. The process
+that reads it is ended there (setrlimit(2)), whatever library it is in.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_MEMORY: Final = 320 << 20
+_MEMORY_OF_SIZE: Final = 3
+_SECONDS: Final = 8.0
+_BYTES_A_SECOND: Final = 2 << 20
+_WAIT_FACTOR: Final = 12.0
+_MOST_FILES: Final = 10_000
+_PAGE: Final = resource.getpagesize()
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Of a process that reads one set.
+
+    Attributes:
+        memory: bytes that it may take beyond what its libraries have taken when they were imported.
+        seconds: of processor time for one answer.
+    """
+
+    memory: int
+    seconds: float
+
+    @classmethod
+    def of(cls, path: Path) -> Self:
+        """Return the bounds for a file or folder: what any needs, and more for a large one."""
+        size = _size(path)
+        return cls(_MEMORY + _MEMORY_OF_SIZE * size, _SECONDS + size / _BYTES_A_SECOND)
+
+    @property
+    def wait_s(self) -> float:
+        """Seconds to wait for an answer, on a machine that has other work too."""
+        return _WAIT_FACTOR * self.seconds
+
+    def hold(self) -> None:
+        """Hold this process to the memory from here on; it writes no file and leaves no core either."""
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+        _limit_memory(_held() + self.memory)
+
+    def begin(self) -> None:
+        """Count the processor time of one answer from here on."""
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+        end = int(used.ru_utime + used.ru_stime + self.seconds) + 1
+        resource.setrlimit(resource.RLIMIT_CPU, (end, hard))
+
+
+@contextlib.contextmanager
+def importing(more: int = 0) -> Iterator[None]:
+    """Leave what a library takes when it is imported out of the bounds.
+
+    Args:
+        more: bytes that it takes for itself when it is first used.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    if soft in (resource.RLIM_INFINITY, hard):
+        yield
+        return
+    before = _held()
+    resource.setrlimit(resource.RLIMIT_DATA, (hard, hard))
+    try:
+        yield
+    finally:
+        _limit_memory(soft + max(_held() - before, 0) + more)
+
+
+def _limit_memory(size: int) -> None:
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (size if hard == resource.RLIM_INFINITY else min(size, hard), hard))
+
+
+def _held() -> int:
+    """Return what counts for RLIMIT_DATA: private memory that can be written to, bytes (proc_pid_statm(5))."""
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5]) * _PAGE
+
+
+def _size(path: Path) -> int:
+    """Return the bytes of a file, or of the first files of a folder."""
+    if not path.is_dir():
+        return path.stat().st_size
+    total = count = 0
+    for folder, _, names in os.walk(path):
+        for name in names:
+            with contextlib.suppress(OSError):
+                total += os.lstat(os.path.join(folder, name)).st_size  # noqa: PTH118 - a Path for each costs more
+            count += 1
+            if count >= _MOST_FILES:
+                return total
+    return total
