@@ -6,6 +6,7 @@ whose size its header puts beyond what an episode has.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import sys
@@ -24,12 +25,14 @@ if TYPE_CHECKING:
     from xpl.trajectory.nodes import Dataset, File, Group
 
 MOST_DATASETS = 4096
+MOST_ENTRIES = 1 << 16
+"""Names that are gone through, of groups too: links lead to one group from many."""
 DEEPEST = 8
 MOST_STEPS = 1 << 24
 """A week at 25 Hz."""
 MOST_BYTES = 1 << 28
 """Of one row of a dataset, and of one of its chunks."""
-MOST_READ = 1 << 31
+MOST_READ = 1 << 28
 """Bytes that are read at once; a small file can claim any."""
 MOST_FACT = 1 << 20
 """Numbers or texts of what is told of a whole episode."""
@@ -97,22 +100,26 @@ def datasets(root: Group) -> dict[Place, Dataset]:
         TrajectoryError: there are too many, too deep, or one lies in another file.
     """
     found: dict[Place, Dataset] = {}
-    for path, dataset in _below(root, ()):
+    for path, dataset in _below(root, (), itertools.count(1)):
         found[path] = dataset
         if len(found) > MOST_DATASETS:
             raise TrajectoryError(f"{where(root)} has more than {MOST_DATASETS} datasets, no episode has that many")
     return found
 
 
-def _below(node: Group, path: Place) -> Iterator[tuple[Place, Dataset]]:
+def _below(node: Group, path: Place, visits: Iterator[int]) -> Iterator[tuple[Place, Dataset]]:
     library = hdf5()
     if len(path) > DEEPEST:
         raise TrajectoryError(f"{where(node)} lies deeper than {DEEPEST} groups")
     for name in node:
+        if next(visits) > MOST_ENTRIES:
+            raise TrajectoryError(
+                f"{node.file.filename} has more than {MOST_ENTRIES} entries, no episode has that many"
+            )
         place = (*path, str(name))
         entry = _entry(node, name)
         if isinstance(entry, library.Group):
-            yield from _below(entry, place)
+            yield from _below(entry, place, visits)
         elif isinstance(entry, library.Dataset) and entry.shape is not None:  # else it has not even room for values
             _check(entry)
             yield place, entry
@@ -185,6 +192,8 @@ def text(dataset: Dataset, index: object = ()) -> str | list[str]:
     """
     if hdf5().check_string_dtype(dataset.dtype) is None:
         raise TrajectoryError(f"{where(dataset)}: expected text, got {dataset.shape} {dataset.dtype}")
+    if size_of(dataset, index) > MOST_TEXT:  # of fixed width; what has none is counted when it is there
+        raise TrajectoryError(f"{where(dataset)} claims more than {MOST_TEXT} characters of text")
     value = dataset[index]
     values = [value] if isinstance(value, (bytes, str)) else list(np.ravel(value))
     texts = [one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one) for one in values]

@@ -322,4 +322,4 @@ def test_what_is_damaged_is_one_sentence(
         _everything(folder)
     assert all(word in str(caught.value) for word in told), str(caught.value)
     assert "\n" not in str(caught.value)
-    assert caught.value.code == ExitCode.NOT_RUN
+    assert caught.value.code == ExitCode.FINDINGS

@@ -14,8 +14,9 @@ from xpl_cli.commands.options import JSON
 @ends(
     clean="converted",
     usage="usage, or the target is there already",
+    findings="they are damaged",
     not_found="no demonstrations there",
-    not_run="they are damaged, the format cannot hold them, or a library is missing",
+    not_run="the format cannot hold them, or a library is missing",
 )
 def convert(
     demonstrations: Path = SET,

@@ -12,7 +12,7 @@ from xpl_cli.commands.options import JSON
 SET = typer.Argument(..., metavar="SET", help="File or folder of demonstrations; its format is found by looking.")
 
 
-@ends(clean="listed", not_found="no demonstrations there", not_run="they are damaged, or a library is missing")
+@ends(clean="listed", findings="they are damaged", not_found="no demonstrations there", not_run="a library is missing")
 def list_(
     demonstrations: Path = SET,
     as_json: bool = JSON,

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 @ends(
     clean="measured, however much stays unknown",
+    findings="they are damaged",
     not_found="no demonstrations there",
-    not_run="they are damaged, or a library is missing",
+    not_run="a library is missing",
 )
 def probe(
     demonstrations: Path = SET,

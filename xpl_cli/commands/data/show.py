@@ -13,8 +13,9 @@ from xpl_cli.commands.options import JSON
 
 @ends(
     clean="written",
+    findings="they are damaged",
     not_found="no demonstrations or no episode there",
-    not_run="they are damaged, or a library is missing",
+    not_run="a library is missing",
 )
 def show(
     demonstrations: Path = SET,

@@ -5,6 +5,11 @@ Source: Diffusion Policy's common/replay_buffer.py; zarr's format 2. It has no p
 
 from __future__ import annotations
 
+import contextlib
+import math
+import re
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +18,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl.images import PIXELS
+from xpl_cli.basics import files
 from xpl_cli.data.formats import libraries
+from xpl_cli.data.sets import documents
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
@@ -24,7 +31,33 @@ if TYPE_CHECKING:
 NAME: Final = "diffusion-policy"
 ENDS: Final = "meta/episode_ends"
 _SMALLEST = 8
-_MOST_CHUNK: Final = 1 << 30
+_MOST_CHUNK: Final = 1 << 27
+_MOST_EPISODES: Final = 1 << 22
+_MOST_ARRAYS: Final = 1024
+_MOST_DECLARED: Final = 1 << 20
+_ARRAY: Final = ".zarray"
+_READ: Final = re.compile(r"(?:.*/)?(?:meta/episode_ends|data/[^/]+)/\.zarray")
+_SIZES: Final = {"type": "array", "minItems": 1, "maxItems": 8, "items": {"type": "integer", "minimum": 0}}
+_CODEC: Final = {
+    "type": ["object", "null"],
+    "required": ["id"],
+    "properties": {"id": {"enum": ["blosc", "bz2", "delta", "gzip", "lz4", "lzma", "shuffle", "zlib", "zstd"]}},
+}
+"""Those of numcodecs that compress numbers; others may unpickle, or are another library's."""
+_ARRAY_SCHEMA: Final = documents.of(
+    {
+        "type": "object",
+        "required": ["zarr_format", "shape", "chunks", "dtype", "compressor", "filters"],
+        "properties": {
+            "zarr_format": {"const": 2},
+            "shape": _SIZES,
+            "chunks": _SIZES,
+            "dtype": {"type": "string", "pattern": "^[<>|][biuf](1|2|4|8)$"},
+            "compressor": _CODEC,
+            "filters": {"type": ["array", "null"], "maxItems": 4, "items": _CODEC},
+        },
+    }
+)
 
 
 def recognises(path: Path) -> bool:
@@ -112,13 +145,49 @@ class DiffusionEpisode(OutlinedEpisode):
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     zarr = libraries.zarr()
+    for name, text in _declarations(path):
+        _check(documents.parsed(text, f"{path}: {name}"), f"{path}: {name}")
     try:
         store = zarr.storage.ZipStore(path, mode="r") if path.suffix == ".zip" else str(path)
-        yield zarr.open_group(store, mode="r")
+        yield zarr.open_group(store, mode="r", zarr_format=2, use_consolidated=False)
     except DataError:
         raise
     except Exception as error:  # noqa: BLE001 - zarr and its codecs raise almost anything on damaged stores
         raise DataError(f"{path} cannot be read as zarr: {str(error)[:200]}") from None
+
+
+def _declarations(path: Path) -> Iterator[tuple[str, bytes]]:
+    """Yield what the arrays that are read say of themselves, each with its name in the store."""
+    if path.is_dir():
+        found = [path / ENDS / _ARRAY, *sorted(path.glob(f"data/*/{_ARRAY}"))]
+        for file in found[:_MOST_ARRAYS]:
+            with contextlib.suppress(FileNotFoundError):
+                yield file.relative_to(path).as_posix(), files.content(file, _MOST_DECLARED)
+        return
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for entry in archive.infolist():
+                if _READ.fullmatch(entry.filename):
+                    with archive.open(entry) as stream:
+                        yield entry.filename, stream.read(_MOST_DECLARED)
+                elif entry.file_size > _MOST_CHUNK:
+                    raise DataError(f"{path}: {entry.filename} claims {entry.file_size} bytes, over {_MOST_CHUNK}")
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, zlib.error, EOFError) as error:
+        raise DataError(f"{path} is no ZIP file that can be read: {str(error)[:200]}") from None
+
+
+def _check(declared: Any, where: str) -> None:
+    """Refuse an array before a chunk of it is read: codecs may execute what they decode, and chunks claim any size.
+
+    Raises:
+        DataError: it names a codec or type that is not known to be harmless, or has too large chunks.
+    """
+    documents.checked(declared, _ARRAY_SCHEMA, where)
+    size = math.prod(declared["chunks"]) * int(declared["dtype"][2:])
+    if size > _MOST_CHUNK:
+        raise DataError(f"{where} has chunks of {size} bytes, more than {_MOST_CHUNK}")
+    if where.endswith(f"{ENDS}/{_ARRAY}") and math.prod(declared["shape"]) > _MOST_EPISODES:
+        raise DataError(f"{where} claims {math.prod(declared['shape'])} episodes, more than {_MOST_EPISODES}")
 
 
 def _told(name: str, array: Any) -> Column | Camera:
@@ -126,9 +195,6 @@ def _told(name: str, array: Any) -> Column | Camera:
     shape, dtype = array.shape, np.dtype(array.dtype)
     if dtype.kind not in "biuf":
         raise DataError(f"{name} holds {dtype}, which is not read: texts and objects need pickle")
-    chunk = int(np.prod(array.chunks or (1,), dtype=np.int64)) * dtype.itemsize
-    if chunk > _MOST_CHUNK:
-        raise DataError(f"{name} has chunks of {chunk} bytes, more than {_MOST_CHUNK}")
     if len(shape) == 4 and shape[3] == 3 and min(shape[1:3]) >= _SMALLEST and shape[1] * shape[2] <= PIXELS:
         return Camera(shape[1], shape[2], encoding="raw" if dtype == np.uint8 else dtype.name)
     return Column(tuple(shape[1:]), dtype.name)

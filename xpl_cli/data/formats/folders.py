@@ -59,7 +59,7 @@ class FolderSet(Demonstrations):
         told = self[0].extras.get(CONVERTED) if self._files else None
         try:
             return {CONVERTED: json.loads(told) if isinstance(told, str) else told} if told else {}
-        except ValueError:
+        except (ValueError, RecursionError):
             return {}
 
     def __len__(self) -> int:
@@ -97,7 +97,7 @@ def sentences(value: object) -> tuple[str, ...]:
         if value[:1] == "[":
             try:
                 return sentences(json.loads(value))
-            except ValueError:
+            except (ValueError, RecursionError):
                 pass
         return (value,) if value.strip() else ()
     if isinstance(value, list):

@@ -173,7 +173,7 @@ class Hdf5Episode(OutlinedEpisode):
                     cameras[name] = Camera(picture.height, picture.width, picture.kind, picture.encoding, **beside)
                 elif is_steps and (column := _column(dataset)) is not None:
                     columns[name] = column
-                elif dataset.size <= storage.MOST_FACT:
+                elif dataset.size <= storage.MOST_FACT and storage.size_of(dataset, ()) <= storage.MOST_TEXT:
                     extras[name] = storage.plain(dataset[()])
         return Outline(length, self._sentences(extras), columns, cameras, extras)
 

@@ -8,7 +8,7 @@ from typing import Final
 
 from xpl_cli.basics.extras import how_to_install
 from xpl_cli.data.sets import bounds
-from xpl_cli.data.sets.errors import DataError
+from xpl_cli.data.sets.errors import LibraryMissingError
 
 _EXTRA: Final = "data"
 
@@ -43,7 +43,7 @@ def _imported(name: str, what: str) -> ModuleType:
         with bounds.importing():
             return importlib.import_module(name)
     except ImportError as error:
-        raise DataError(
+        raise LibraryMissingError(
             f"{what} need the library {name.partition('.')[0]}, which cannot be imported here: {error}",
             hint=how_to_install(_EXTRA),
         ) from None

@@ -14,7 +14,7 @@ import numpy as np
 
 from xpl.images import PIXELS, size_of
 from xpl_cli.data.sets import bounds
-from xpl_cli.data.sets.errors import DataError
+from xpl_cli.data.sets.errors import DataError, LibraryMissingError
 from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
@@ -65,7 +65,7 @@ class RldsSet(Demonstrations):
             with bounds.importing(_TENSORFLOW_BYTES):
                 import tensorflow_datasets as tfds
         except ImportError as error:
-            raise DataError(
+            raise LibraryMissingError(
                 f"{path} is RLDS, which is read through tensorflow-datasets, and that cannot be imported: {error}",
                 hint="pip install tensorflow-datasets tensorflow importlib_resources",
             ) from None

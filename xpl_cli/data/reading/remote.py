@@ -108,13 +108,13 @@ class _Reader:
         except ProcessLostError as error:
             self._process = None
             within = f"{self._bounds.memory >> 20} MB and {self._bounds.seconds:.0f} s of processor time"
-            raise DataError(f"{self._path} cannot be read within {within}: {error}") from None
+            raise DataError(f"{self._path} cannot be read within {within}: {error}", code=ExitCode.FINDINGS) from None
         if "entry_point" in head:
             raise EntryPointError(head["entry_point"])
         if "error" in head:
             told = head["error"]
             message = told["message"] if told["code"] is not None else f"{self._path} cannot be read: {told['message']}"
-            code = ExitCode.NOT_RUN if told["code"] is None else ExitCode(told["code"])
+            code = ExitCode.FINDINGS if told["code"] is None else ExitCode(told["code"])
             raise DataError(message, hint=told["hint"], code=code)
         return packed.decode(buffers[0])
 
@@ -171,13 +171,14 @@ class _RemoteEpisode(OutlinedEpisode):
 
     def outline(self) -> Outline:
         """Return what the file says without rows and images."""
-        told = self._reader.ask("outline", self._index)
-        columns = {
-            name: Column(tuple(one["shape"]), one["dtype"], tuple(one["names"]))
-            for name, one in told["columns"].items()
-        }
-        cameras = {name: Camera(**one) for name, one in told["cameras"].items()}
-        return Outline(told["length"], tuple(told["instructions"]), columns, cameras, told["extras"])
+        length, instructions, columns, cameras, extras = self._reader.ask("outline", self._index)
+        return Outline(
+            length,
+            tuple(instructions),
+            {name: Column(tuple(one["shape"]), one["dtype"], tuple(one["names"])) for name, one in columns.items()},
+            {name: Camera(**one) for name, one in cameras.items()},
+            extras,
+        )
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""

@@ -16,6 +16,7 @@ from xpl.wire import packed
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.data.formats.detection import open_here
 from xpl_cli.data.sets.bounds import Bounds
+from xpl_cli.data.sets.errors import LibraryMissingError
 
 if TYPE_CHECKING:
     from xpl.process.link import Head
@@ -42,22 +43,27 @@ class _Service:
 
     def handle(self, head: Head, _buffers: Sequence[memoryview]) -> tuple[Head, list[Data]]:
         """Return the answer to a message: a packed value, or an error."""
-        arguments = list(head["arguments"])
         try:
             if head["do"] != "open":
                 self._bounds.begin()
-            value = getattr(self, f"_{head['do']}")(*arguments)
+            value = getattr(self, f"_{head['do']}")(*head["arguments"])
             return {}, [b"".join(packed.encode(value))]
-        except EntryPointError as error:
-            return {"entry_point": str(error)}, []
-        except UserError as error:
-            return _error(str(error), error.hint, error.code), []
-        except MemoryError:
-            return _error(f"it takes more than {self._bounds.memory >> 20} MB of memory to be read"), []
-        except KeyError as error:
-            return _error(f"it lacks {str(error)[:200]}"), []
         except Exception as error:  # noqa: BLE001 - libraries raise almost anything on damaged files
-            return _error(f"it is damaged, or not what its format says: {type(error).__name__}: {str(error)[:200]}"), []
+            return self._told(error), []
+
+    def _told(self, error: Exception) -> Head:
+        """Return the head of an answer that says what went wrong."""
+        if isinstance(error, EntryPointError):
+            return {"entry_point": str(error)}
+        if isinstance(error, UserError):
+            # What reads a set raises as where a check could not run; that the set is damaged is a finding.
+            is_damaged = error.code == ExitCode.NOT_RUN and not isinstance(error, LibraryMissingError)
+            return _error(str(error), error.hint, ExitCode.FINDINGS if is_damaged else error.code)
+        if isinstance(error, MemoryError):
+            return _error(f"it takes more than {self._bounds.memory >> 20} MB of memory to be read")
+        if isinstance(error, KeyError):
+            return _error(f"it lacks {str(error)[:200]}")
+        return _error(f"it is damaged, or not what its format says: {type(error).__name__}: {str(error)[:200]}")
 
     def _open(self, path: str, memory: int, seconds: float) -> dict[str, Any]:
         self._bounds = Bounds(memory, seconds)
@@ -73,16 +79,12 @@ class _Service:
     def _key(self, index: int) -> str:
         return self._opened[index].key
 
-    def _outline(self, index: int) -> dict[str, Any]:
+    def _outline(self, index: int) -> list[Any]:
+        """Return length, instructions, columns, cameras and extras."""
         episode = self._opened[index]
-        return {
-            "key": episode.key,
-            "length": episode.length,
-            "instructions": list(episode.instructions),
-            "columns": {name: asdict(column) for name, column in episode.columns.items()},
-            "cameras": {name: vars(camera) for name, camera in episode.cameras.items()},
-            "extras": dict(episode.extras),
-        }
+        columns = {name: asdict(column) for name, column in episode.columns.items()}
+        cameras = {name: vars(camera) for name, camera in episode.cameras.items()}
+        return [episode.length, list(episode.instructions), columns, cameras, dict(episode.extras)]
 
     def _read(self, index: int, column: str, start: int, stop: int | None) -> np.ndarray | list[str]:
         rows = self._opened[index].read(column, start, stop)

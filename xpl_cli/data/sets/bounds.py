@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.data.sets.errors import DataError
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -21,7 +24,7 @@ _MEMORY_OF_SIZE: Final = 3
 _SECONDS: Final = 8.0
 _BYTES_A_SECOND: Final = 2 << 20
 _WAIT_FACTOR: Final = 12.0
-_MOST_FILES: Final = 10_000
+_MOST_MEASURED: Final = 10_000
 _PAGE: Final = resource.getpagesize()
 
 
@@ -39,7 +42,11 @@ class Bounds:
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        """Return the bounds for a file or folder: what any needs, and more for a large one."""
+        """Return the bounds for a file or folder: what any needs, and more for a large one.
+
+        Raises:
+            DataError: it is, or holds, something else than files and folders, such as a pipe that waits for a writer.
+        """
         size = _size(path)
         return cls(_MEMORY + _MEMORY_OF_SIZE * size, _SECONDS + size / _BYTES_A_SECOND)
 
@@ -94,13 +101,24 @@ def _held() -> int:
 def _size(path: Path) -> int:
     """Return the bytes of a file, or of the first files of a folder."""
     if not path.is_dir():
+        _refuse_unless_file(path)
         return path.stat().st_size
     total = count = 0
-    for folder, _, names in os.walk(path):
-        for name in names:
-            with contextlib.suppress(OSError):
-                total += os.lstat(os.path.join(folder, name)).st_size  # noqa: PTH118 - a Path for each costs more
-            count += 1
-            if count >= _MOST_FILES:
-                return total
+    folders = [os.fspath(path)]
+    while folders:
+        with contextlib.suppress(OSError), os.scandir(folders.pop()) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(entry.path)
+                elif not entry.is_file():
+                    _refuse_unless_file(Path(entry.path))
+                elif count < _MOST_MEASURED:
+                    total += entry.stat().st_size
+                    count += 1
     return total
+
+
+def _refuse_unless_file(path: Path) -> None:
+    """Refuse what is no file, folder or broken link."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise DataError(f"{path} is neither file nor folder; a set has only these", code=ExitCode.FINDINGS)

@@ -13,3 +13,7 @@ class DataError(UserError, ValueError):
 
     def __init__(self, message: str, *, hint: str | None = None, code: ExitCode = ExitCode.NOT_RUN) -> None:
         super().__init__(message, hint=hint, code=code)
+
+
+class LibraryMissingError(DataError):
+    """What reads a format is not installed here."""

@@ -5,7 +5,6 @@ Source: LeRobot 0.3 (v2.1) and 0.4 (v3.0), lerobot/datasets/utils.py and lerobot
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.basics import files
 from xpl_cli.data.formats import libraries
+from xpl_cli.data.sets import documents
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
@@ -43,6 +43,53 @@ _MOST_META: Final = 512 << 20
 _POINTERS: Final = ("data/", "meta/", "videos/", "stats/")
 _NAMED: Final = ("codebase_version", "features", "fps", "robot_type", "data_path", "video_path")
 _COUNTS: Final = ("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb", "splits")
+_COUNT: Final = {"type": "integer", "minimum": 0, "maximum": 1 << 40}
+_STEPS: Final = {"type": "integer", "minimum": 1, "maximum": 1 << 31}
+_MAP: Final = {"type": ["object", "null"]}
+_FEATURE: Final = {
+    "type": "object",
+    "required": ["dtype", "shape"],
+    "properties": {
+        "dtype": {"type": "string"},
+        "shape": {"type": "array", "maxItems": 8, "items": _COUNT},
+        "names": {"type": ["array", "object", "null"]},
+        "info": _MAP,
+        "video_info": _MAP,
+    },
+}
+_INFO_SCHEMA: Final = documents.of(
+    {
+        "type": "object",
+        "required": ["features", "fps", "data_path"],
+        "properties": {
+            "features": {"type": "object", "additionalProperties": _FEATURE},
+            "fps": {"type": "number", "exclusiveMinimum": 0, "maximum": 1_000_000},
+            "data_path": {"type": "string"},
+            "video_path": {"type": ["string", "null"]},
+            "chunks_size": {"type": ["integer", "null"], "minimum": 1},
+        },
+    }
+)
+"""What is used of `meta/info.json`; what else it says stays as it is."""
+_EPISODE_SCHEMA: Final = documents.of(
+    {
+        "type": "object",
+        "required": ["episode_index", "length"],
+        "properties": {"episode_index": _COUNT, "length": _STEPS, "tasks": {"type": ["array", "null"]}},
+    }
+)
+_ROW_SCHEMA: Final = documents.of(
+    {
+        "type": "object",
+        "required": ["episode_index", "length", "dataset_from_index"],
+        "properties": {
+            "episode_index": _COUNT,
+            "length": _STEPS,
+            "dataset_from_index": _COUNT,
+            "tasks": {"type": ["array", "null"]},
+        },
+    }
+)
 _KNOWN: Final = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index")
 
 
@@ -126,40 +173,31 @@ def information(root: Path) -> Info:
     Raises:
         DataError: it cannot be read, or says something that cannot be.
     """
-    info = _json(root / INFO)
-    if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
-        raise DataError(f"{root / INFO} has no map `features`")
-    rate = info.get("fps")
-    if not isinstance(rate, (int, float)) or not rate > 0:
-        raise DataError(f"{root / INFO} has no fps above 0, got {rate!r}")
-    if not isinstance(info.get("data_path"), str):
-        raise DataError(f"{root / INFO} has no data_path")
+    path = root / INFO
+    info = documents.checked(documents.parsed(_text(path), str(path)), _INFO_SCHEMA, str(path))
     kept = info.get(EXTRAS)
     known = (*_NAMED, *_COUNTS, EXTRAS)
     rest = {key: value for key, value in info.items() if key not in known and not key.startswith("total_")}
     return Info(
         version=_version(root, str(info.get("codebase_version"))),
-        rate_hz=float(rate),
+        rate_hz=float(info["fps"]),
         robot=str(info.get("robot_type") or "") or None,
-        features={name: _feature(root, name, entry) for name, entry in info["features"].items()},
+        features={name: _feature(entry) for name, entry in info["features"].items()},
         data_path=info["data_path"],
         video_path=str(info.get("video_path") or ""),
-        chunk=int(info.get("chunks_size") or CHUNKS_SIZE),
+        chunk=info.get("chunks_size") or CHUNKS_SIZE,
         rest={**(kept if isinstance(kept, dict) else {}), **rest},
     )
 
 
-def _feature(root: Path, name: str, entry: Any) -> Feature:
-    shape = entry.get("shape") if isinstance(entry, dict) else None
-    if not isinstance(shape, list) or not all(isinstance(size, int) and size >= 0 for size in shape):
-        raise DataError(f"{root / INFO}: the feature {name} has no shape of whole numbers")
+def _feature(entry: Mapping[str, Any]) -> Feature:
     names = entry.get("names")
     if isinstance(names, dict):  # lists in a map such as `motors`
         names = [one for value in names.values() if isinstance(value, list) for one in value]
-    about = entry.get("info") or entry.get("video_info")
-    codec = about.get("video.codec") if isinstance(about, dict) else None
+    about = entry.get("info") or entry.get("video_info") or {}
+    codec = about.get("video.codec")
     listed = tuple(map(str, names)) if isinstance(names, list) else ()
-    return Feature(str(entry.get("dtype")), tuple(shape), listed, str(codec or ""))
+    return Feature(entry["dtype"], tuple(entry["shape"]), listed, str(codec or ""))
 
 
 def _version(root: Path, told: str) -> str:
@@ -233,12 +271,10 @@ def lines(path: Path) -> Iterator[dict[str, Any]]:
     for number, line in enumerate(_text(path).splitlines(), 1):
         if not line.strip():
             continue
-        try:
-            value = json.loads(line)
-        except ValueError:
-            value = None
+        where = f"{path}, line {number}"
+        value = documents.parsed(line, where)
         if not isinstance(value, dict):
-            raise DataError(f"{path}, line {number}: expected an object of JSON")
+            raise DataError(f"{where}: expected an object of JSON")
         yield value
 
 
@@ -248,22 +284,21 @@ def object_of(text: str, where: str) -> dict[str, Any]:
     Raises:
         DataError: it is none.
     """
-    try:
-        value = json.loads(text)
-    except ValueError:
-        value = None
+    value = documents.parsed(text, f"{where}: {EXTRAS}")
     if not isinstance(value, dict):
         raise DataError(f"{where}: {EXTRAS} is no object of JSON")
     return value
 
 
 def _of_lines(root: Path, info: Info) -> Iterator[Entry]:
-    for line in lines(root / "meta/episodes.jsonl"):
-        index = int(line["episode_index"])
+    path = root / "meta/episodes.jsonl"
+    for number, line in enumerate(lines(path), 1):
+        documents.checked(line, _EPISODE_SCHEMA, f"{path}, episode {number}")
+        index = line["episode_index"]
         places = {"episode_index": index, "episode_chunk": index // info.chunk}
         yield Entry(
             index,
-            int(line["length"]),
+            line["length"],
             tuple(map(str, line.get("tasks") or ())),
             filled(info.data_path, places),
             0,
@@ -273,7 +308,8 @@ def _of_lines(root: Path, info: Info) -> Iterator[Entry]:
 
 
 def _of_tables(root: Path, info: Info) -> Iterator[Entry]:
-    rows = sorted(_rows(root), key=lambda row: int(row["episode_index"]))
+    found = (documents.checked(row, _ROW_SCHEMA, f"{root / EPISODES}, row {number}") for number, row in _counted(root))
+    rows = sorted(found, key=lambda row: int(row["episode_index"]))
     begins: dict[str, int] = {}
     for row in rows:
         path = filled(info.data_path, _pointer(row, "data"))
@@ -298,6 +334,10 @@ def _of_tables(root: Path, info: Info) -> Iterator[Entry]:
         )
 
 
+def _counted(root: Path) -> Iterator[tuple[int, dict[str, Any]]]:
+    return enumerate(_rows(root), 1)
+
+
 def _pointer(row: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     return {name: int(row[f"{prefix}/{name}"]) for name in ("chunk_index", "file_index")}
 
@@ -318,15 +358,6 @@ def _rows(root: Path, statistics: str = "") -> Iterator[dict[str, Any]]:
                     yield from batch.to_pylist()
         except (OSError, libraries.arrow().ArrowException) as error:
             raise DataError(f"{path} cannot be read: {str(error)[:200]}") from None
-
-
-def _json(path: Path) -> Any:
-    try:
-        return json.loads(_text(path))
-    except ValueError as error:
-        if isinstance(error, DataError):
-            raise
-        raise DataError(f"{path} is no JSON: {error}") from None
 
 
 def _text(path: Path) -> str:

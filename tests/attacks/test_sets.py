@@ -1,0 +1,287 @@
+"""Sets of demonstrations that were made to execute, to hang or to take all memory: each is one error, soon."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import pickle
+import resource
+import shutil
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from tests.data import made
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.data.reading import open_set
+from xpl_cli.data.sets.bounds import Bounds
+from xpl_cli.data.sets.errors import DataError
+
+Make = Callable[[Path], Any]
+DEEP = "[" * 100_000
+PICKLE = {"id": "pickle", "protocol": 4}
+
+
+class _Execute:
+    def __init__(self, mark: Path) -> None:
+        self._mark = mark
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self._mark,)
+
+
+def everything(path: Path) -> None:
+    """Open a set, and read all that it has, as commands do."""
+    found = open_set(path)
+    _ = found.rate_hz, found.robot, found.extras
+    for index in range(len(found)):
+        episode = found[index]
+        _ = episode.length, episode.instructions, episode.extras
+        for column in episode.columns:
+            episode.read(column)
+        for camera in episode.cameras:
+            for _ in episode.frames(camera):
+                pass
+
+
+# -- zarr --------------------------------------------------------------------------------------------------------------
+
+
+def _array(folder: Path, chunk: bytes | None = None, **declared: Any) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    told = {"zarr_format": 2, "compressor": None, "filters": None, "order": "C", "fill_value": 0, **declared}
+    (folder / ".zarray").write_text(json.dumps(told))
+    if chunk is not None:
+        (folder / ".".join("0" * len(told["shape"]))).write_bytes(chunk)
+
+
+def _ends(path: Path, chunk: bytes | None = None, **declared: Any) -> Path:
+    """Write a store that is right but for its episode_ends, which every reader touches first."""
+    for folder in (path, path / "data", path / "meta"):
+        folder.mkdir(parents=True)
+        (folder / ".zgroup").write_text('{"zarr_format": 2}')
+    _array(path / "data" / "action", np.zeros((9, 2), "f4").tobytes(), shape=[9, 2], chunks=[9, 2], dtype="<f4")
+    _array(path / "meta" / "episode_ends", chunk, **{"shape": [1], "chunks": [1], "dtype": "<i8", **declared})
+    return path
+
+
+def _executes(path: Path, *, is_zipped: bool = False, **declared: Any) -> Path:
+    chunk = pickle.dumps([_Execute(path.parent / "executed")])
+    packed = zlib.compress(chunk) if (declared.get("compressor") or {}).get("id") == "zlib" else chunk
+    _ends(path, packed, **declared)
+    return Path(shutil.make_archive(str(path), "zip", path)) if is_zipped else path
+
+
+@pytest.mark.parametrize(
+    "declared",
+    [
+        {"dtype": "|O", "filters": [PICKLE]},
+        {"dtype": "|O", "filters": [PICKLE], "compressor": {"id": "zlib", "level": 1}},
+        {"dtype": "|O", "filters": [{"id": "delta", "dtype": "<i8"}, PICKLE]},
+        {"compressor": PICKLE},
+        {"filters": [PICKLE]},
+        {"filters": [{"id": "delta", "dtype": "<i8"}, PICKLE]},
+        {"dtype": "|O", "filters": [PICKLE], "is_zipped": True},
+        {"compressor": PICKLE, "is_zipped": True},
+    ],
+)
+def test_no_codec_of_a_store_executes_anything(tmp_path: Path, declared: dict[str, Any]) -> None:
+    """Whatever the library would do: what an array says of itself is read before its chunks."""
+    path = _executes(tmp_path / "store", **declared)
+    with pytest.raises(DataError, match=r"episode_ends/\.zarray: (dtype|compressor|filters)") as caught:
+        everything(path)
+    assert caught.value.code == ExitCode.FINDINGS
+    assert not (tmp_path / "executed").exists()
+
+
+ZARR: dict[str, Make] = {
+    "claims a petabyte of ends": lambda path: _ends(path, shape=[1 << 50], chunks=[1 << 20]),
+    "one chunk is a bomb": lambda path: _ends(
+        path, zlib.compress(bytes(1 << 26)), shape=[1 << 20], chunks=[1 << 20], compressor={"id": "zlib", "level": 1}
+    ),
+    "chunks of two gigabytes": lambda path: _ends(path, shape=[1 << 20], chunks=[1 << 28]),
+    "a deep declaration": lambda path: (_ends(path) / "meta/episode_ends/.zarray").write_text(DEEP),
+    "deep attributes": lambda path: (_ends(path) / ".zattrs").write_text(DEEP),
+    "no shape": lambda path: (_ends(path) / "meta/episode_ends/.zarray").write_text("{}"),
+    "falls": lambda path: _ends(path, np.array([5, 3]).tobytes(), shape=[2], chunks=[2]),
+    "beyond its rows": lambda path: _ends(path, np.array([1 << 40]).tobytes()),
+}
+
+# -- HDF5 --------------------------------------------------------------------------------------------------------------
+
+
+def _hdf5(change: Callable[[h5py.File], Any]) -> Make:
+    """Return what writes ALOHA's form with a change."""
+
+    def make(path: Path) -> None:
+        path.mkdir()
+        with h5py.File(path / "episode_0.hdf5", "w") as file:
+            file["action"] = file["observations/qpos"] = np.zeros((5, 14), "f4")
+            change(file)
+
+    return make
+
+
+def _web(links: int, levels: int) -> Callable[[h5py.File], None]:
+    """Return what makes groups of which each has many links to the next."""
+
+    def change(file: h5py.File) -> None:
+        groups = [file.create_group(f"web{number}") for number in range(levels)]
+        for (one, other), number in itertools.product(itertools.pairwise(groups), range(links)):
+            one[f"to{number}"] = other
+
+    return change
+
+
+def _fixed(width: int, count: int) -> Callable[[h5py.File], None]:
+    """Return what claims texts of fixed width, of which none is stored."""
+
+    def change(file: h5py.File) -> None:
+        kind = h5py.h5t.C_S1.copy()
+        kind.set_size(width)
+        created = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        created.set_chunk((1,))
+        h5py.h5d.create(file.id, b"instruction", kind, h5py.h5s.create_simple((count,)), created)
+
+    return change
+
+
+def _zeros(file: h5py.File) -> None:
+    del file["action"], file["observations/qpos"]
+    for name in ("action", "observations/qpos"):
+        file.create_dataset(name, (1 << 20, 512), "f4", chunks=(1 << 10, 512), compression="gzip")
+
+
+HDF5: dict[str, Make] = {
+    "10 links by 12 levels": _hdf5(_web(10, 12)),
+    "12 links by 8 levels": _hdf5(_web(12, 8)),
+    "a group in itself": _hdf5(lambda file: file.create_group("own").__setitem__("own", file["own"])),
+    "texts of a petabyte": _hdf5(_fixed((1 << 31) - 1, 1 << 19)),
+    "a text for each step of 2 GB": _hdf5(_fixed((1 << 31) - 1, 5)),
+    "rows of nothing": _hdf5(_zeros),
+    "no steps": _hdf5(lambda file: file.__delitem__("action")),
+}
+
+# -- LeRobot -----------------------------------------------------------------------------------------------------------
+
+
+def _info(**values: Any) -> Make:
+    def make(path: Path) -> None:
+        info = made.lerobot_v21(path) / "meta" / "info.json"
+        info.write_text(json.dumps({**json.loads(info.read_text()), **values}))
+
+    return make
+
+
+def _episode(**values: Any) -> Make:
+    def make(path: Path) -> None:
+        listed = made.lerobot_v21(path) / "meta" / "episodes.jsonl"
+        first, *others = listed.read_text().splitlines()
+        listed.write_text("\n".join([json.dumps({**json.loads(first), **values}), *others]))
+
+    return make
+
+
+def _piped(which: str, write: Make) -> Make:
+    """Return what puts a pipe in the place of a file, which nobody will write to."""
+
+    def make(path: Path) -> None:
+        write(path)
+        file = min(path.glob(which))
+        file.unlink()
+        os.mkfifo(file)
+
+    return make
+
+
+def _without_a_column(path: Path) -> None:
+    file = min(made.lerobot_v21(path).glob("data/*/*.parquet"))
+    pq.write_table(pq.read_table(file).drop(["action"]), file)
+
+
+def _text(name: str, text: str) -> Make:
+    return lambda path: (made.lerobot_v21(path) / "meta" / name).write_text(text)
+
+
+CAMERA = "observation.images.front"
+LEROBOT: dict[str, Make] = {
+    "half a chunk": _info(chunks_size=0.5),
+    "no chunk": _info(chunks_size=-1),
+    "fps beyond floats": _info(fps=10**400),
+    "fps of infinity": _info(fps=float("inf")),
+    "features are none": _info(features=5),
+    "a feature is none": _info(features={"action": 5}),
+    "info of a feature": _info(features={CAMERA: {"dtype": "video", "shape": [4, 4, 3], "info": 5}}),
+    "a shape beyond numbers": _info(features={"action": {"dtype": "float32", "shape": [10**30]}}),
+    "a deep info": _text("info.json", '{"features":' + DEEP),
+    "a deep episode": _text("episodes.jsonl", DEEP + "\n"),
+    "an endless episode": _episode(length=float("inf")),
+    "an empty episode": _episode(length=0),
+    "a huge episode": _episode(length=10**30),
+    "a long episode": _episode(length=1 << 30),
+    "a far episode": _episode(episode_index=10**30),
+    "tasks are none": _episode(tasks=5),
+    "a column is missing": _without_a_column,
+    "a pipe of numbers": _piped("data/*/*.parquet", made.lerobot_v21),
+    "a pipe of episodes": _piped("meta/episodes/*/*.parquet", made.lerobot_v30),
+    "a pipe of images": _piped("videos/**/*.mp4", made.lerobot_v21),
+}
+HARMLESS: dict[str, Make] = {
+    "texts of 10 GB": _hdf5(_fixed(10_000, 1_000_000)),
+    "a deep sentence": _hdf5(lambda file: file.attrs.__setitem__("instruction", DEEP[:60_000])),
+    "a deep list of sentences": _hdf5(lambda file: file.create_dataset("instructions", data=DEEP)),
+}
+CASES = {**ZARR, **HDF5, **LEROBOT}
+
+
+@pytest.mark.sampled(9)
+@pytest.mark.parametrize("name", CASES)
+def test_a_set_that_lies_is_one_error_in_bounded_memory(tmp_path: Path, name: str) -> None:
+    """Its text names the set; neither this process nor the one that reads comes near a gigabyte."""
+    path = tmp_path / "set"
+    CASES[name](path)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(DataError, match=str(path)) as caught:
+        everything(path)
+    assert caught.value.code == ExitCode.FINDINGS
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500 << 10  # kB
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 700 << 10
+
+
+@pytest.mark.parametrize("name", HARMLESS)
+def test_what_is_large_beside_the_steps_is_left_out_or_taken_as_text(tmp_path: Path, name: str) -> None:
+    HARMLESS[name](tmp_path / "set")
+    everything(tmp_path / "set")
+
+
+@pytest.mark.parametrize(
+    ("take", "told"),
+    [
+        ("hog = bytearray(1 << 30)", "Memory"),
+        ("while True: pass", "SIGXCPU"),
+        ("import os; os.abort()", "SIGABRT"),
+        ("path.with_suffix('.left').write_text('left')", "File too large"),
+    ],
+)
+def test_a_reader_is_held_to_its_bounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, take: str, told: str) -> None:
+    """Whatever a library does: it is ended, and the error says at what."""
+    (tmp_path / "site").mkdir()
+    code = f"def recognises(path):\n    return True\n\ndef opened(path):\n    {take}\n"
+    (tmp_path / "site" / "greedy.py").write_text(code)
+    folder = tmp_path / "site" / "greedy-1.0.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Name: greedy\nVersion: 1.0\n")
+    (folder / "entry_points.txt").write_text("[xpl.formats]\ndata.greedy = greedy\n")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    monkeypatch.setattr(Bounds, "of", classmethod(lambda cls, _path: cls(64 << 20, 0.5)))
+    (tmp_path / "set").mkdir()
+    with pytest.raises((DataError, RuntimeError), match=told):
+        open_set(tmp_path / "set")
+    assert not any(file.read_text() for file in tmp_path.glob("*.left"))
