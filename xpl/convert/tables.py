@@ -113,5 +113,5 @@ def _safetensors(path: Path) -> dict[str, np.ndarray]:
             for name, entry in header.items()
             if name != "__metadata__" and entry["dtype"] in _KINDS
         }
-    except (AttributeError, ValueError, KeyError, TypeError, RecursionError, struct.error) as error:
+    except (AttributeError, OverflowError, ValueError, KeyError, TypeError, RecursionError, struct.error) as error:
         raise NativeError(f"{path} is not a safetensors file: {error}") from None

@@ -6,9 +6,12 @@ import re
 from collections.abc import Iterable
 from typing import Final
 
+from xpl_cli.basics.errors import UserError
+
 _AXES: Final = ("x", "y", "z")
 _TURNED: Final = {3: ["axis_angle1", "axis_angle2", "axis_angle3"], 4: ["qx", "qy", "qz", "qw"]}
 """Of robosuite, GR00T's simulations and LIBERO: three numbers are an axis with its angle, four end with w."""
+_MOST: Final = 10_000
 _ARM: Final = re.compile(r"arm|joint|qpos")
 _GRIPPER: Final = re.compile(r"grip|finger|claw|jaw")
 _HAND: Final = re.compile(r"hand")
@@ -21,8 +24,15 @@ def of_groups(groups: Iterable[tuple[str, int]]) -> list[str]:
 
     Args:
         groups: name and count of each, in the order of the vector.
+
+    Raises:
+        UserError: there are more than any vector has.
     """
-    return [name for group, count in groups for name in _of(group, count)]
+    listed = list(groups)
+    if sum(max(count, 0) for _, count in listed) > _MOST:
+        told = ", ".join(f"{group} has {count}" for group, count in listed[:9])
+        raise UserError(f"expected a vector of at most {_MOST} numbers: {told[:200]}")
+    return [name for group, count in listed for name in _of(group, count)]
 
 
 def _of(group: str, count: int) -> list[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -31,6 +32,8 @@ _LISTED: Final = 40
 _ENTRIES: Final = 20_000
 """Entries of a folder that are looked through."""
 _MOST_NUMBERS: Final = 10_000
+_LARGEST: Final = 1e15
+"""No count, size or statistic of a checkpoint is larger."""
 _KINDS: Final = {"F64": "<f8", "F32": "<f4", "F16": "<f2", "I64": "<i8", "I32": "<i4", "U8": "u1", "BOOL": "?"}
 _TOKEN: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\]:,]')
 _WORDS: Final = {dict: "a map", list: "a list", str: "a text", int: "a whole number", float: "a number", bool: "a flag"}
@@ -69,9 +72,11 @@ class Document:
         found = self.at(*path)
         if found is None and default is not _MISSING:
             return default  # type: ignore[no-any-return]
+        is_number = isinstance(found, (int, float)) and not isinstance(found, bool)
         fits = isinstance(found, kind) and (kind is bool or not isinstance(found, bool))
-        if kind is float and isinstance(found, int) and not isinstance(found, bool):
-            return float(found)  # type: ignore[return-value]
+        if kind in {int, float} and is_number:
+            fits = (fits or kind is float) and _is_sane(found)
+            found = float(found) if fits and kind is float else found
         if not fits:
             came = "nothing" if found is None else f"{str(found)[:60]!r}"
             place = "/".join(map(str, path)) or "the document"
@@ -101,7 +106,7 @@ class Document:
             return None
         flat = list(_flat(found, 0))
         if len(flat) > _MOST_NUMBERS or not all(
-            isinstance(one, (int, float)) and not isinstance(one, bool) and math.isfinite(one) for one in flat
+            isinstance(one, (int, float)) and not isinstance(one, bool) and _is_sane(one) for one in flat
         ):
             raise UserError(f"{self.place(*path)}: expected a list of finite numbers at {'/'.join(map(str, path))}")
         return [float(one) for one in flat]
@@ -346,19 +351,26 @@ class Folder:
 
 def _header(stream: IO[bytes]) -> dict[str, tuple[str, list[int], int, int]]:
     (size,) = struct.unpack("<Q", stream.read(8))
-    header = json.loads(stream.read(size)) if 2 <= size <= _HEADER else None
+    whole = os.fstat(stream.fileno()).st_size
+    header = json.loads(stream.read(size)) if 2 <= size <= min(_HEADER, whole) else None
     if not isinstance(header, dict):
         raise ValueError(f"its header has {size} bytes and is no map")  # noqa: TRY004 - a file, no argument
-    return {key: _tensor(key, entry, size) for key, entry in header.items() if key != "__metadata__"}
+    return {key: _tensor(key, entry, size, whole) for key, entry in header.items() if key != "__metadata__"}
 
 
-def _tensor(key: str, entry: Any, size: int) -> tuple[str, list[int], int, int]:
+def _tensor(key: str, entry: Any, size: int, whole: int) -> tuple[str, list[int], int, int]:
     shape, offsets = (entry.get(name) if isinstance(entry, dict) else None for name in ("shape", "data_offsets"))
     if not (isinstance(shape, list) and isinstance(offsets, list) and len(offsets) == 2):
         raise ValueError(f"{key} has no shape and offsets")
     if not all(isinstance(one, int) and one >= 0 for one in (*shape, *offsets)) or offsets[1] < offsets[0]:
         raise ValueError(f"{key} has a shape or offsets that are no such numbers")
+    if 8 + size + offsets[1] > whole:
+        raise ValueError(f"{key} ends at {8 + size + offsets[1]}, the file at {whole}")
     return str(entry.get("dtype")), shape, 8 + size + offsets[0], 8 + size + offsets[1]
+
+
+def _is_sane(number: float) -> bool:
+    return -_LARGEST <= number <= _LARGEST
 
 
 def _flat(value: object, depth: int) -> Iterator[Any]:

@@ -91,7 +91,12 @@ def read(paths: Sequence[Path], key: str | None = None) -> tuple[Trained, Folder
         what = f"{len(found)} checkpoints" if found else "a data set or code, and no checkpoint"
         raise UserError(f"--from was given {what}: expected one checkpoint, and its data set where you have it")
     maker, folder = found[0]
-    return maker.read(folder, Beside(data, code, key)), folder
+    try:
+        return maker.read(folder, Beside(data, code, key)), folder
+    except UserError as error:
+        if str(folder.path) in str(error):
+            raise
+        raise UserError(f"{folder.path}: {error}", hint=error.hint, code=error.code) from None
 
 
 def recognised(folder: Folder) -> tuple[Maker, Folder] | None:

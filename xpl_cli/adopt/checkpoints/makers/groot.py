@@ -153,7 +153,13 @@ class _Held:
         return Vector(self._numbers([group], "state", where), certain(f"state.{group}", where), self._normal())
 
     def answer(self, groups: list[str], where: Evidence) -> Vector:
-        """Return all groups of an action, one after the other."""
+        """Return all groups of an action, one after the other.
+
+        Raises:
+            UserError: there are none.
+        """
+        if not groups:
+            raise UserError(f"{where.file}: expected the groups of an action, got none")
         return Vector(self._numbers(groups, "action", where), None, self._normal())
 
     def _normal(self) -> Told:
