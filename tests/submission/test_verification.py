@@ -21,6 +21,7 @@ from xpl_cli.audit.engine.engine import audit
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.fingerprints import Checkpoint
@@ -29,7 +30,7 @@ from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.lifecycle.checkpoints import fetch, specification
 from xpl_cli.packages import package
 from xpl_cli.standard.validate import validate
-from xpl_cli.submission import archive, bundle, prepare, replay, verify
+from xpl_cli.submission import archive, bundle, inspection, prepare, replay, unproven, verify
 from xpl_cli.submission.replaying import Player
 
 if TYPE_CHECKING:
@@ -126,6 +127,17 @@ def test_a_sound_bundle_lacks_only_what_was_left_out(packed: Path) -> None:
     assert str(report.verdict).startswith("PARTIAL static only: nothing wrong")
 
 
+def test_a_bundle_of_fewer_than_all_evaluation_seeds_is_named_a_subset(packed: Path) -> None:
+    """A board counts all of them; the others may be those that went wrong."""
+    found = inspection.inspect(bundle.opened(packed, packed.parent / "opened", limit=10**8), Progress())[1]
+    told = inspection.parts(found)
+    assert told is not None
+    assert [vars(part) for part in told] == [{"task": "lift_cube", "setting": "clean", "seeds": 2, "of": 100}]
+    whole = [replace(part, seeds=100) for part in told]
+    reports = [verify.Report("", "", (), (), parts=parts) for parts in (told, whole, None)]
+    assert ["subset" in " ".join(unproven.sentences(report)) for report in reports] == [True, False, False]
+
+
 @pytest.mark.slow
 def test_curves_come_along_where_they_are_wanted(played: Run, report: TargetReport, tmp_path: Path) -> None:
     """They are held against the records, whose digests they have to have."""
@@ -152,11 +164,16 @@ def test_changed_files_are_found(
     assert any(said in problem for problem in found[where])
 
 
-def _seeds_of_its_own(lines: list[Line]) -> None:
-    lines[0]["cells"][0].update(seeds=[1, 2], frozen=True)
-    lines[0].update(renamed(lines[0]))
-    for line, seed in zip(lines[-2:], (1, 2), strict=True):
-        line["seed"] = seed
+def _seeds(first: int, second: int, *, frozen: bool = True) -> Callable[[Path], None]:
+    """Return what gives the two episodes other seeds, in the plan too."""
+
+    def change(lines: list[Line]) -> None:
+        lines[0]["cells"][0].update(seeds=[first, second], frozen=frozen)
+        lines[0].update(renamed(lines[0]))
+        for line, seed in zip(lines[-2:], (first, second), strict=True):
+            line["seed"] = seed
+
+    return _records(change)
 
 
 def _documents(change: Callable[..., Any], *names: str) -> Callable[[Path], None]:
@@ -200,7 +217,11 @@ _OTHER_WEIGHTS = {"loaded": "0" * 64, "name": None, "declared": []}
         (_records(lambda lines: lines[-1].update(end_reason="max_steps")), "records", "but ended with max_steps"),
         (_records(lambda lines: lines[-1].update(score=0.0)), "records", "with a score of 0"),
         (_records(lambda lines: lines.pop()), "records", "were not played"),
-        (_records(_seeds_of_its_own), "plan", "has frozen"),
+        (_seeds(1, 2), "plan", "the seeds of lift_cube (clean) are not those"),
+        (_seeds(1, 2, frozen=False), "plan", "are not those that mujoco"),
+        (_seeds(100_000, 100_001, frozen=False), "plan", "mujoco has frozen"),
+        (_seeds(100_000, 100_007), "plan", "the seeds of lift_cube (clean) were chosen"),
+        (_seeds(100_007, 100_003), "plan", "were chosen: expected evaluation seeds"),
         (lambda folder: (folder / "policy/scripted_expert/moves.py").write_text(""), "adapter", "have the digest"),
         (_documents(lambda told: told.update(_OTHER_WEIGHTS), bundle.CHECKPOINTS), "checkpoint", "loaded another"),
         (_audited(lambda gate: gate["results"][0].update(outcome="fail")), "audit", "make it red (XPL101 fail)"),

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import NotFoundError, UserError
-from xpl_cli.environments import check
 from xpl_cli.evaluation.records import fingerprints, records
+from xpl_cli.evaluation.runs import protocol
 from xpl_cli.lifecycle.checkpoints import specification
 from xpl_cli.packages import environments, package, robots
 from xpl_cli.submission import bundle, claims, consistency
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.basics.progress import Progress
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.runs.protocol import Part
     from xpl_cli.submission.bundle import Bundle
 
 _Look = Callable[["Bundle", list["Run"]], Iterator[str]]
@@ -141,25 +142,41 @@ def _audit(found: Bundle, _: Sequence[Run]) -> Iterator[str]:
         yield f"{bundle.MANIFEST} says otherwise what is proven than {bundle.AUDIT}"
 
 
+def parts(runs: Sequence[Run]) -> list[Part] | None:
+    """Return what runs play of their environments' evaluation seeds; None where one is not here in that version."""
+    found: list[Part] = []
+    for run in runs:
+        folder = _environment(run)
+        if folder is None:
+            return None
+        found += protocol.parts(folder, run.plan.cells)
+    return found
+
+
+def _environment(run: Run) -> Path | None:
+    """Return the folder of a run's environment; None where it is not here, or in another version."""
+    try:
+        folder = claims.environment(run)
+    except NotFoundError:
+        return None
+    return folder if fingerprints.package_digest(folder) == run.plan.environment.digest else None
+
+
 def _plan(_: Bundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where a plan claims what the environment here does not offer; nothing where it has another version."""
     for run in runs:
-        try:
-            folder = claims.environment(run)
-        except NotFoundError:
-            continue
-        if fingerprints.package_digest(folder) == run.plan.environment.digest:
+        if (folder := _environment(run)) is not None:
             yield from _unlike(folder, run)
 
 
 def _unlike(folder: Path, run: Run) -> Iterator[str]:
-    """Yield where a plan has tasks or frozen seeds that its environment has not."""
+    """Yield where a plan has tasks that its environment has not, or other seeds than an evaluation plays."""
     tasks = environments.manifest(folder).tasks
     for cell in run.plan.cells:
         if cell.task not in tasks:
             yield f"{folder.name} has no task {cell.task}"
-        elif cell.frozen and not set(cell.seeds) <= set(check.seeds(folder, cell.task, cell.setting)):
-            yield f"the seeds of {cell.task} ({cell.setting}) are not those that {folder.name} has frozen"
+        elif (fault := protocol.fault(folder, cell)) is not None:
+            yield fault
 
 
 def _extras(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from xpl_cli.submission.verify import Report
+
+_LISTED: Final = 4
 
 
 def sentences(report: Report) -> Iterator[str]:
@@ -25,5 +27,9 @@ def sentences(report: Report) -> Iterator[str]:
         )
     elif played < judged:
         yield f"that the other {judged - played} of {judged} episodes come out as recorded: --sample {judged} plays all"
+    missing = [part for part in report.parts or () if not part.is_whole]
+    if missing:
+        told = [*map(str, missing[:_LISTED]), *([f"{len(missing) - _LISTED} more"] if missing[_LISTED:] else [])]
+        yield f"how the policy does in the whole protocol: this is a subset, with {', '.join(told)}"
     yield "who made the bundle: anybody can"
     yield "how the policy came about: on which data it was trained, and how many others were tried before it"

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.runs.protocol import Part
     from xpl_cli.submission.bundle import Bundle
     from xpl_cli.submission.claims import Claim
     from xpl_cli.submission.inspection import Check
@@ -69,6 +70,7 @@ class Report:
         pairs: run and episode, as recorded and as played here.
         finding: what the sample says; None if none was asked for.
         unplayed: why nothing was played although it was asked for.
+        parts: what its runs play of the evaluation seeds; None where that cannot be told here.
     """
 
     digest: str
@@ -80,6 +82,7 @@ class Report:
     pairs: tuple[tuple[str, replay.Pair], ...] = ()
     finding: replay.Finding | None = None
     unplayed: str | None = None
+    parts: Sequence[Part] | None = None
 
     @property
     def code(self) -> ExitCode:
@@ -104,6 +107,7 @@ class Report:
             "audit": None if self.verdict is None else self.verdict.as_json(),
             "checks": [{"name": check.name, "problems": list(check.problems)} for check in self.checks],
             "replay": played,
+            "coverage": None if self.parts is None else [asdict(part) for part in self.parts],
             "unplayed": self.unplayed,
             "exit_code": int(self.code),
         }
@@ -122,9 +126,12 @@ def verify(request: Request) -> Report:
         checks, runs = inspection.inspect(found, request.progress)
         told = found.manifest
         report = Report(found.digest, told.policy.name, tuple(told.runs), checks, inspection.verdict(found, checks))
+        is_sound = not any(check.problems for check in checks)
+        if is_sound:
+            report = replace(report, parts=inspection.parts(runs))
         if not request.sample:
             return report
-        if any(check.problems for check in checks):
+        if not is_sound:
             return replace(report, unplayed="what is wrong above comes first")
         return _replayed(request, found, report, runs)
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from tests.support.places import ROOT
 from tests.support.recordings.runs import Faults, renamed, synthetic
+from xpl_cli.environments import check
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.packages import environments, package
 from xpl_cli.submission import archive, bundle, claims, prepare
@@ -57,12 +58,15 @@ def archived(path: Path, files: Mapping[str, bytes], told: Mapping[str, Any]) ->
 def recorded(folder: Path) -> records.Run:
     """Record a run of the adapter, of two episodes that succeeded, which nobody played."""
     faults = Faults(policy=0.0, retried=0.0)
-    synthetic(folder, ("lift_cube",), ("clean",), episodes=2, rate=1.0, policy=ADAPTER.name, faults=faults)
+    first = check.seeds(environments.find("mujoco"), "lift_cube", "clean")[0]
+    told: dict[str, Any] = {"episodes": 2, "rate": 1.0, "policy": ADAPTER.name, "faults": faults, "first_seed": first}
+    synthetic(folder, ("lift_cube",), ("clean",), **told)
     file = folder / records.FILE
     plan, *others = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     adapter = package.load(ADAPTER)
     plan["policy"] |= {"digest": fingerprints.package_digest(ADAPTER), "checkpoint": None}
     plan["policy"]["spec"] = adapter.manifest.spec
+    plan["cells"][0]["frozen"] = True
     plan["environment"]["digest"] = fingerprints.package_digest(environments.find("mujoco"))
     lines = [renamed(plan), *others]
     file.write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")

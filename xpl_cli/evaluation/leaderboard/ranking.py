@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from xpl.vector import INFRASTRUCTURE
-from xpl_cli.basics.errors import one_of
+from xpl_cli.basics.errors import UserError, one_of
+from xpl_cli.evaluation.runs import protocol
 from xpl_cli.evaluation.statistics import cautions, intervals
 from xpl_cli.evaluation.statistics.comparison import IncomparableError, compare
 from xpl_cli.evaluation.statistics.documents import Document
 from xpl_cli.evaluation.statistics.summary import summarise
+from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -157,7 +159,19 @@ def rank(field: Field, by: str = SUCCESS) -> Ranking:
     )
     skipped = cautions.of_skipped([line for run in field.runs for line in run.skipped])
     asked = [] if by == SUCCESS else [f"Ranked by {by}; the comparison with the first is of success."]
-    return replace(result, notes=[*asked, *skipped, *field.sentences(), *refusals, *_notes(result)])
+    return replace(result, notes=[*asked, *skipped, *_subsets(field), *field.sentences(), *refusals, *_notes(result)])
+
+
+def _subsets(field: Field) -> Iterator[str]:
+    """Yield a sentence on the first run's part of the protocol, where it is not all of it; alike runs have the same."""
+    try:
+        folder = environments.find(field.runs[0].plan.environment.name)
+        missing = [part for part in protocol.parts(folder, field.runs[0].plan.cells) if not part.is_whole]
+    except UserError:  # the environment is not here, or has no such task any more
+        return
+    if missing:
+        more = " and others" if len(missing) > 1 else ""
+        yield f"A subset of the protocol was played, {missing[0]}{more}: this is no board."
 
 
 def _named(names: Iterable[str | None]) -> list[str]:

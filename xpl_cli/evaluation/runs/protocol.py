@@ -1,0 +1,74 @@
+"""Which part of an environment's protocol a run plays: all evaluation seeds of a task in a setting, or a subset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from xpl_cli.environments import check
+from xpl_cli.packages import environments
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from xpl_cli.evaluation.records.model import PlannedCell
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a plan plays of the evaluation seeds of one task in one setting.
+
+    Attributes:
+        task, setting: which.
+        seeds: how many are planned.
+        of: how many the environment has frozen.
+    """
+
+    task: str
+    setting: str
+    seeds: int
+    of: int
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether these are all."""
+        return self.seeds == self.of
+
+    def __str__(self) -> str:
+        """Return a phrase for a list."""
+        return f"{self.seeds} of {self.of} evaluation seeds of {self.task} ({self.setting})"
+
+
+def parts(folder: Path, cells: Sequence[PlannedCell]) -> list[Part]:
+    """Return what a plan plays of the protocol, task by task; nothing of environments that have no evaluation seeds.
+
+    Args:
+        folder: of the environment package.
+        cells: of the plan, with tasks that the environment has.
+    """
+    if not check.has_seeds(folder):
+        return []
+    facts = environments.manifest(folder)
+    return [
+        Part(cell.task, cell.setting, len(cell.seeds), len(check.seeds(folder, cell.task, cell.setting, facts)))
+        for cell in cells
+    ]
+
+
+def fault(folder: Path, cell: PlannedCell) -> str | None:
+    """Return why the seeds of a cell are not what an evaluation plays; None where they are.
+
+    An evaluation plays evaluation seeds one after the other, from a place that `--seed` names: a choice among them
+    could be of those that went well.
+    """
+    if not check.has_seeds(folder):
+        return None
+    known, seeds = check.seeds(folder, cell.task, cell.setting), list(cell.seeds)
+    name = f"{cell.task} ({cell.setting})"
+    if not cell.frozen or not set(seeds) <= set(known):
+        return f"the seeds of {name} are not those that {folder.name} has frozen"
+    first = known.index(seeds[0]) if seeds else 0
+    if known[first : first + len(seeds)] != seeds:
+        return f"the seeds of {name} were chosen: expected evaluation seeds of {folder.name} that follow each other"
+    return None
