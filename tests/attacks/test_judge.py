@@ -109,10 +109,14 @@ def test_an_exit_in_deploy_py_is_no_verdict(room: Path, where: str, end: str) ->
 
 
 REACHES = """
-    import glob, os, signal
+    import ctypes, glob, os, signal
 
     def eval_one_episode(TASK_ENV, model_client):
         own = os.getpid()
+        libc = ctypes.CDLL(None)
+        libc.umount2(b"/proc", 2)  # as root, what lies below it is the machine's
+        if libc.unshare(1 << 28 | 1 << 17) == 0:
+            libc.umount2(b"/proc", 2)
         for pid in [os.getppid(), *(int(path.split("/")[2]) for path in glob.glob("/proc/[0-9]*"))]:
             if pid not in (0, 1, own):
                 open(f"/proc/{pid}/mem", "r+b").close()

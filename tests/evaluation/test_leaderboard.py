@@ -11,16 +11,22 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.support.commands import xpl
-from tests.support.recordings.runs import Faults, synthetic
+from tests.support.places import ROOT
+from tests.support.recordings.runs import Faults, rewritten, synthetic
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.leaderboard import board, export, field, ranking
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.evaluation.statistics.summary import summarise
+from xpl_cli.packages import package
 from xpl_cli.standard.validate import validate
+from xpl_cli.submission import prepare
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+
+EXPERT = ROOT / "policy" / "scripted_expert"
 
 
 def _run(folder: Path, policy: str, **wishes: Any) -> records.Run:
@@ -62,6 +68,24 @@ def test_equal_runs_share_a_rank_and_have_names_of_their_own(tmp_path: Path) -> 
     found = _rank(*same, _run(tmp_path, "Worse", rate=0.1))
     assert [row.rank for row in found.rows] == [1, 1, 3]
     assert found.labels[:2] == [f"Foo ({tmp_path / name})" for name in ("a", "b")]
+
+
+def test_a_run_whose_adapter_could_reach_its_judge_is_neither_ranked_nor_submitted(tmp_path: Path) -> None:
+    """One episode is enough; where none is, and where nobody said, a run is ranked."""
+    kept = {"containment": "apart"}
+    runs = [
+        records.read(rewritten(synthetic(tmp_path / name, policy=name), lambda lines, last=last: [
+            *({**line, **kept} for line in lines[:-1]), {**lines[-1], **last}]))
+        for name, last in (("Kept", kept), ("Trusted", {"containment": "trusted"}), ("Unsaid", {}))
+    ]  # fmt: skip
+    found = _rank(*runs)
+    assert {row.policy for row in found.rows} == {"Kept", "Unsaid"}
+    assert any("Trusted is not ranked: in 1 of its 80 episodes" in note for note in found.notes)
+    with pytest.raises(UserError, match="no run can be ranked") as caught:
+        _rank(runs[1])
+    assert caught.value.code == ExitCode.NOT_RUN
+    with pytest.raises(UserError, match="Trusted is not submitted: in 1 of its 80 episodes"):
+        prepare.submit(prepare.Request(package.load(EXPERT), (runs[1].folder,), tmp_path / "bundle.zip"))
 
 
 def test_a_run_of_which_too_much_was_spoilt_is_not_ranked(tmp_path: Path) -> None:

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from xpl_cli.isolation.sandbox import Isolation
 
 
+ISOLATED, APART, TRUSTED = "isolated", "apart", "trusted"
+"""How far an adapter is kept from what judges it."""
+
+
 @dataclass(frozen=True)
 class Bounds:
     """What is asked for; nothing by default. May travel to another process.
@@ -42,6 +46,11 @@ class Bounds:
             UserError: if it is to be and cannot be; exit code 4.
         """
         return _here(place, isolate)
+
+    @property
+    def name(self) -> str:
+        """How episodes say it: `isolated`, `apart`, or `trusted` where neither can be had."""
+        return ISOLATED if self.isolate else APART if self.apart else TRUSTED
 
     @property
     def flags(self) -> tuple[str, ...]:

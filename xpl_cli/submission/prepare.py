@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli.audit.rules.verdict import judged
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.progress import Progress
-from xpl_cli.evaluation.records import fingerprints, manner, records, stand_ins
+from xpl_cli.evaluation.records import containment, fingerprints, manner, records, stand_ins
 from xpl_cli.lifecycle.checkpoints import specification
 from xpl_cli.packages import environments
 from xpl_cli.packages import package as packages
@@ -85,6 +85,8 @@ def submit(request: Request) -> Answer:
     runs = [records.read(path) for path in request.runs]
     for run in runs:
         stand_ins.refuse(run, "submitted")
+        if (said := containment.sentence(run)) is not None:
+            raise UserError(f"{run.folder} is not submitted: {said}", code=ExitCode.NOT_RUN)
         if unusual := manner.of(run.plan).sentence:
             raise UserError(f"{run.folder} was played {unusual}: nobody could play its episodes again, one by one")
     request.progress.step(f"{len(runs)} runs, {sum(len(run.finals) for run in runs)} episodes: looking them through")

@@ -103,7 +103,8 @@ class Lane:
         started, clock = now(), time.perf_counter()
         watch, endings = self._played(jobs, url)
         took = round(time.perf_counter() - clock, 3)
-        conduct = Conduct(started=started, wall_seconds=took, worker=self._worker)
+        kept = self._orders.bounds.name
+        conduct = Conduct(started=started, wall_seconds=took, worker=self._worker, containment=kept)
         server = self._server()  # None where its connection was let go of
         outcomes = []
         for job, ending in zip(jobs, endings, strict=True):

@@ -6,7 +6,7 @@ They refuse by an answer and not by an exception: what an actor raises reaches t
 from __future__ import annotations
 
 import platform
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from xpl_cli.evaluation.lanes.lane import Lane
 from xpl_cli.evaluation.lanes.orders import Access, Orders
 from xpl_cli.evaluation.lanes.servers import Server, ServerLostError, ServerOrders
 from xpl_cli.evaluation.records.fingerprints import checkpoint_of, machine_facts, package_digest
+from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ class PolicyServer:
 
     def __init__(self, version: str, orders: ServerOrders, clients: int, token: str | None) -> None:
         self._version = version
-        self._orders = orders
+        self._orders = orders = replace(orders, bounds=_kept(orders))
         self._server = Server(orders, clients, () if token is None else ("--host", _address()), token)
         self.token = self._server.token
         self._is_checked = False
@@ -126,7 +127,7 @@ class Player:
         self, version: str, orders: Orders, own_server: ServerOrders | None, number: int, token: str | None
     ) -> None:
         self._version = version
-        self._orders = orders
+        self._orders = orders = replace(orders, bounds=_kept(orders))
         self._worker = f"{platform.node()}/{number}"
         self._server = None if own_server is None else PolicyServer(version, own_server, 1, None)
         self._token = token if self._server is None else self._server.token
@@ -175,6 +176,12 @@ def _check_files(what: str, folder: str, digest: str) -> None:
             hint=_SAME_PLACE,
             code=ExitCode.NOT_RUN,
         )
+
+
+def _kept(orders: Orders | ServerOrders) -> Bounds:
+    """Return what the adapter is kept from on this machine."""
+    asked = orders.bounds
+    return asked if asked.isolate else Bounds.here(Path(orders.policy).parent, isolate=False)
 
 
 def _check_checkpoint(orders: ServerOrders) -> None:

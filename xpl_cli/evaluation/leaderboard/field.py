@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.records import stand_ins
+from xpl_cli.evaluation.records import containment, stand_ins
 from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction
 from xpl_cli.evaluation.statistics.matching import Difference, differences
@@ -67,8 +67,9 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
     for run in runs:
         stand_ins.refuse(run, "ranked")
         _refuse_contradictions(run)
-    unranked = tuple(sentence for run in runs if (sentence := _spoilt(run)) is not None)
-    runs = [run for run in runs if _spoilt(run) is None]
+    reasons = [_spoilt(run) or _trusted(run) for run in runs]
+    unranked = tuple(filter(None, reasons))
+    runs = [run for run, reason in zip(runs, reasons, strict=True) if reason is None]
     if not runs:
         raise UserError(f"no run can be ranked. {' '.join(unranked)}", code=ExitCode.NOT_RUN)
     played = tuple(_restricted(runs)) if common else tuple(runs)
@@ -101,6 +102,12 @@ def _spoilt(run: Run) -> str | None:
         f"{run.folder} is not ranked: the infrastructure spoilt {run.spoilt} of its {len(run.finals)} episodes, more "
         f"than {MOST_SPOILT:.0%}."
     )
+
+
+def _trusted(run: Run) -> str | None:
+    """Return why a run is not ranked whose adapter could reach what judged it, or None."""
+    said = containment.sentence(run)
+    return None if said is None else f"{run.folder} is not ranked: {said}"
 
 
 def is_barrier(what: str) -> bool:

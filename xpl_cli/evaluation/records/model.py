@@ -262,6 +262,8 @@ class Conduct:
         wall_seconds: how long it took.
         worker: host and number of who played it.
         server: instance of the policy server.
+        containment: how far the adapter was kept from what judges it: `isolated`, `apart`, or `trusted` where the
+            system could do neither.
         inference: round trips to that.
     """
 
@@ -269,6 +271,7 @@ class Conduct:
     wall_seconds: float
     worker: str | None = None
     server: str | None = None
+    containment: str | None = None
     inference: Inference | None = None
 
 
