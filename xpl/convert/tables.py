@@ -5,7 +5,6 @@ Files may be a stranger's: what is read of one is limited before it takes memory
 
 from __future__ import annotations
 
-import json
 import struct
 import zipfile
 import zlib
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from xpl import json_text
 from xpl.convert.errors import NativeError
 
 SIZE_LIMIT = 64 * 2**20
@@ -87,9 +87,9 @@ def _npz(path: Path, words: Sequence[str]) -> np.ndarray:
 
 def _document(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise NativeError(f"{path} is not JSON: {error}") from None
+        return json_text.parse(path.read_bytes())
+    except json_text.JsonError as error:
+        raise NativeError(f"{path}: {error}") from None
 
 
 def _entry(document: object, words: Sequence[str], path: Path) -> Any:
@@ -106,7 +106,7 @@ def _safetensors(path: Path) -> dict[str, np.ndarray]:
     data = path.read_bytes()
     try:
         (size,) = struct.unpack_from("<Q", data)
-        header = json.loads(data[8 : 8 + size])
+        header = json_text.parse(data[8 : 8 + size])
         body = memoryview(data)[8 + size :]
         return {
             name: np.frombuffer(body[slice(*entry["data_offsets"])], _KINDS[entry["dtype"]]).reshape(entry["shape"])

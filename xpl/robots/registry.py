@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl import registry
+from xpl import json_text, registry
 from xpl.robots import shipped
 from xpl.robots.entry import faults, inherit
 
@@ -112,7 +112,10 @@ def load(path: str | Path) -> str:
     if len(content) > _MOST_BYTES:
         raise RobotError(f"{path}: expected at most {_MOST_BYTES} bytes")
     if path.suffix == ".json":
-        return offer(_map(json.loads(content), str(path)), str(path))
+        try:
+            return offer(_map(json_text.parse(content), str(path)), str(path))
+        except json_text.JsonError as error:
+            raise RobotError(f"{path}: {error}") from None
     try:
         import yaml
     except ImportError:
@@ -173,7 +176,7 @@ def _listen() -> None:
         return
     _heard[:] = [handed]
     try:
-        told = json.loads(handed)
+        told = json_text.parse(handed)
     except ValueError:
         raise RobotError(f"{HANDED_ON} is not what the tool writes; unset it") from None
     for where, entry in told:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+from xpl import json_text
 
 
 def entries() -> dict[str, dict[str, Any]]:
@@ -20,5 +21,5 @@ def words() -> dict[str, Any]:
 
 @cache
 def _all() -> dict[str, dict[str, Any]]:
-    parts: dict[str, dict[str, Any]] = json.loads(Path(__file__).with_name("robots.json").read_bytes())
+    parts: dict[str, dict[str, Any]] = json_text.parse(Path(__file__).with_name("robots.json").read_bytes())
     return parts

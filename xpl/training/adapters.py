@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import copy
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl import variants
+from xpl import json_text, variants
 from xpl.manifest import Manifest
 from xpl.policy import Policy
 from xpl.worker.loading import load_model_class
@@ -81,7 +80,7 @@ def manifest_of(folder: str | os.PathLike[str], config: Config) -> Mapping[str, 
 def _manifest(folder: Path, variant: str | None) -> Mapping[str, Any]:
     given = os.environ.get(MANIFEST_VARIABLE)
     if given is not None:
-        manifest: Mapping[str, Any] = json.loads(given)
+        manifest: Mapping[str, Any] = json_text.parse(given)
         return manifest
     path = folder / spec.File.POLICY_YML
     try:

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 
 from xpl import _spec as spec
+from xpl import json_text
 from xpl.training.adapters import without_model
 from xpl.training.numbers import ACTION, statistics
 from xpl.training.reading import windows
@@ -262,7 +263,7 @@ def _calibrate(policy: Any, data: Data) -> None:
 
 
 def _config() -> dict[str, Any]:
-    config: dict[str, Any] = json.loads(os.environ["XPL_CONFIG"])
+    config: dict[str, Any] = json_text.parse(os.environ["XPL_CONFIG"])
     return config
 
 
@@ -289,7 +290,7 @@ def _tensors(numbers: Mapping[str, np.ndarray]) -> dict[str, Any]:
 def _curve(path: Path, step: int) -> TextIO:
     """Open the curve, without what a killed run told after it was saved for the last time."""
     told = path.read_text().splitlines(keepends=True) if path.exists() else []
-    kept = [line for line in told if line.endswith("\n") and json.loads(line)["step"] <= step]
+    kept = [line for line in told if line.endswith("\n") and json_text.parse(line)["step"] <= step]
     _whole(path, lambda part: part.write_text("".join(kept)))
     return path.open("a")
 

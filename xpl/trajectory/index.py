@@ -10,6 +10,8 @@ import json
 import os
 from typing import TYPE_CHECKING, NamedTuple
 
+from xpl import json_text
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
@@ -52,8 +54,8 @@ def lines(folder: Path) -> dict[str, Line]:
         return found
     for raw in content.split(b"\n"):
         try:
-            told = json.loads(raw)
-        except (ValueError, RecursionError):
+            told = json_text.parse(raw)
+        except json_text.JsonError:
             continue
         if isinstance(told, dict) and isinstance(told.get("file"), str) and isinstance(told.get("steps"), int):
             found[told["file"]] = Line(told.get("bytes"), told["steps"])

@@ -7,7 +7,6 @@ whose size its header puts beyond what an episode has.
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import sys
 from collections.abc import Iterator, Mapping
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from xpl import json_text
 from xpl.trajectory.errors import TrajectoryError
 
 if TYPE_CHECKING:
@@ -212,8 +212,8 @@ def document(dataset: Dataset) -> Any:
     if isinstance(told, list):
         return told
     try:
-        return json.loads(told)
-    except (ValueError, RecursionError):
+        return json_text.parse(told)
+    except json_text.JsonError:
         raise TrajectoryError(f"{where(dataset)}: expected a JSON text, got {told[:60]!r}") from None
 
 

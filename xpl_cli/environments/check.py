@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl import json_text
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.parallel import in_processes
 from xpl_cli.environments import play
@@ -73,7 +73,7 @@ def seeds(folder: Path, task: str, setting: str, facts: EnvManifest | None = Non
     file = folder / SEEDS / f"{task}.json"
     if not file.is_file():
         raise NotFoundError(f"task {task} has no frozen seeds: {file} is missing")
-    known = json.loads(file.read_text(encoding="utf-8"))
+    known = json_text.parse(file.read_bytes())
     if setting not in known:
         raise NotFoundError(f"{file} has no seeds for the setting {setting!r}; it has {', '.join(known)}")
     chosen: list[int] = known[setting]

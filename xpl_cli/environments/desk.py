@@ -20,6 +20,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl import json_text
 from xpl.arms.people import ANSWER, DESK, QUESTION, understood
 from xpl_cli.basics import console
 from xpl_cli.basics.strangers import one_line
@@ -65,7 +66,7 @@ def waiting(folder: Path) -> dict[str, dict[str, Any]]:
         if (folder / f"{number}{ANSWER}").exists():
             continue
         with contextlib.suppress(OSError, ValueError):
-            told = json.loads(path.read_bytes()[:_MOST_BYTES])
+            told = json_text.parse(path.read_bytes()[:_MOST_BYTES])
             found[number] = {"text": one_line(str(told["text"])), "answers": [str(word) for word in told["answers"]]}
     return found
 

@@ -46,7 +46,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 def main(arguments: Sequence[str]) -> NoReturn:
     """Confine, then become or start the command."""
     split = arguments.index("--")
-    plan, command = json.loads(arguments[0]), list(arguments[split + 1 :])
+    plan, command = json.loads(arguments[0]), list(arguments[split + 1 :])  # noqa: TID251 - the parent wrote it
     try:
         if "inside" in plan:  # the last step, behind bubblewrap
             _write_only_below(plan["inside"])

@@ -7,7 +7,6 @@ asked for and is not there is an error.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -15,6 +14,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from xpl import json_text
 from xpl_cli.basics import console, content
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.lifecycle.python_env.installers import CONDAS
@@ -100,7 +100,7 @@ def _conda_prefix(name: str) -> Path:
     if conda is None:
         raise UserError(f"conda environment {name!r} was asked for, but conda is not on PATH", code=ExitCode.NOT_RUN)
     listed = subprocess.run([conda, "env", "list", "--json"], capture_output=True, text=True, check=False, timeout=60)
-    prefixes = [Path(prefix) for prefix in json.loads(listed.stdout or "{}").get("envs", [])]
+    prefixes = [Path(prefix) for prefix in json_text.parse(listed.stdout or "{}").get("envs", [])]
     for prefix in prefixes:
         if name in (prefix.name, str(prefix)):
             return prefix

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import _spec as sdk
+from xpl import json_text
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 from xpl_cli.basics import files
 from xpl_cli.basics.atomic import write_file
@@ -204,13 +205,13 @@ def read(package: Path) -> Pairs:
     path = package / names.PAIRS
     again = f"`xpl native record {package}` writes it"
     try:
-        document = json.loads(files.content(path, names.PAIRS_BYTES), parse_constant=_refuse)
+        document = json_text.parse(files.content(path, names.PAIRS_BYTES), finite=True)
     except FileNotFoundError:
         raise PairsError(f"{path} is missing", hint=again) from None
     except OSError as error:
         raise PairsError(f"{path} cannot be read: {error.strerror or error}") from None
-    except (ValueError, RecursionError) as error:
-        raise PairsError(f"{path} is no JSON: {error}", hint=again) from None
+    except json_text.JsonError as error:
+        raise PairsError(f"{path}: {error}", hint=again) from None
     for problem in validate(document, _SCHEMA):
         raise PairsError(f"{path}: {problem}", hint=again)
     if document["script"] != script.VERSION:
@@ -318,10 +319,6 @@ def _unpacked(entry: Entry, call: int) -> np.ndarray:
     if not np.isfinite(values).all():
         raise ValueError(f"call {call} has an answer with a number that is not finite")
     return values
-
-
-def _refuse(name: str) -> Any:
-    raise ValueError(f"it holds {name}, which is no JSON")
 
 
 def stacked(chunks: Sequence[Chunk]) -> dict[str, np.ndarray]:

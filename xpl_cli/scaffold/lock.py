@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from xpl import json_text
 from xpl_cli.basics.errors import UserError
 from xpl_cli.scaffold.template import as_yaml
 from xpl_cli.standard import spec
@@ -114,7 +115,7 @@ def parse_rendered(content: bytes | str) -> dict[str, bytes]:
     Raises:
         ValueError, AttributeError: if it is another document.
     """
-    return {str(name): text.encode() for name, text in json.loads(content).items()}
+    return {str(name): text.encode() for name, text in json_text.parse(content).items()}
 
 
 def rendered_text(files: Mapping[str, bytes]) -> bytes:

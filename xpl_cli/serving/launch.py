@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self
 
+from xpl import json_text
 from xpl.process import spawn
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.serving import nursery
@@ -177,7 +178,7 @@ def _wait_ready(server: RunningServer, process: Hosted, timeout: float, reader: 
         if not selector.select(timeout):
             raise ServerStartError(f"the model was not ready within {timeout:g} s", list(server.log))
     line = process.stdout.readline()
-    told = json.loads(line) if line else {}
+    told = json_text.parse(line) if line else {}
     if "url" not in told:
         process.wait()
         reader.join()

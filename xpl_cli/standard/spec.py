@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from xpl import json_text
 from xpl_cli.basics.content import room
 from xpl_cli.basics.yaml import text as yaml_text
 
@@ -59,7 +59,7 @@ def data(name: str) -> dict[str, Any]:
 @cache
 def schema(name: str) -> dict[str, Any]:
     """Return the JSON Schema `<name>.schema.json`."""
-    parsed: dict[str, Any] = json.loads((folder() / f"{name}.schema.json").read_bytes())
+    parsed: dict[str, Any] = json_text.parse((folder() / f"{name}.schema.json").read_bytes())
     return parsed
 
 

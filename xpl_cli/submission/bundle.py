@@ -7,8 +7,9 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, Self
 
+from xpl import json_text
 from xpl_cli import __version__
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -188,10 +189,6 @@ def opened(path: Path, folder: Path, *, limit: int) -> Bundle:
 
 def _json(path: Path, name: str) -> Any:
     try:
-        return json.loads(files.content(path, _MOST_BYTES), parse_constant=_refuse)
-    except (OSError, ValueError, RecursionError) as error:
+        return json_text.parse(files.content(path, _MOST_BYTES), finite=True)
+    except (OSError, json_text.JsonError) as error:
         raise UserError(f"{name} of the bundle cannot be read: {error}", code=ExitCode.FINDINGS) from None
-
-
-def _refuse(name: str) -> NoReturn:
-    raise ValueError(f"it holds {name}, which is no JSON")

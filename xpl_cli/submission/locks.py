@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xpl import json_text
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.lifecycle.python_env import installers
@@ -44,7 +44,7 @@ def _installed(python: str) -> dict[str, Any]:
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=_LIMIT_S)
     except (OSError, subprocess.SubprocessError) as error:
         raise UserError(f"{python} does not say which packages it has: {error}", code=ExitCode.NOT_RUN) from None
-    told: dict[str, Any] = json.loads(done.stdout)
+    told: dict[str, Any] = json_text.parse(done.stdout)
     return told
 
 

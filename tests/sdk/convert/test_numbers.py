@@ -138,7 +138,7 @@ def test_numbers_are_read_from_files(file: str, tmp_path: Path) -> None:
         ({"file": "stats.json", "key": "norm_stats/state"}, "at 'low' there is q01, q99"),
         ({"file": "stats.npz", "key": "state"}, "has no state/low; it has norm_stats.state.q01"),
         ({"file": "broken.json"}, "is not JSON"),
-        ({"file": "deep.json"}, "is not JSON"),
+        ({"file": "deep.json"}, "nested"),
         ({"file": "broken.npz"}, "is not a file of numpy arrays"),
         ({"file": "large.npz"}, "low unpacks to"),
         ({"file": "broken.safetensors"}, "is not a safetensors file"),

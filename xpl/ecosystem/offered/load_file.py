@@ -10,7 +10,7 @@ from typing import Any
 
 def load_json(path: Any) -> Any:
     """Return what a JSON file holds."""
-    return json.loads(Path(path).read_text(encoding="utf-8"))
+    return json.loads(Path(path).read_text(encoding="utf-8"))  # noqa: TID251 - the policy's own, as upstream reads it
 
 
 def load_yaml(path: Any) -> Any:

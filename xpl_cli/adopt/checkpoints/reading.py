@@ -16,6 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import IO, Any, Final, TypeVar
 
+from xpl import json_text
 from xpl_cli.adopt.facts import Evidence
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import UserError
@@ -230,9 +231,9 @@ class Folder:
         """
         text = self._text(name)
         try:
-            return Document(self._name(name), json.loads(text), text, self.path / name)
-        except (ValueError, RecursionError) as error:
-            raise UserError(f"{self.path / name} is not JSON: {_short(error)}") from None
+            return Document(self._name(name), json_text.parse(text), text, self.path / name)
+        except json_text.JsonError as error:
+            raise UserError(f"{self.path / name}: {error}") from None
 
     def yaml(self, name: str) -> Document:
         """Return a YAML document of plain values; tags that name classes are refused.
@@ -352,7 +353,7 @@ class Folder:
 def _header(stream: IO[bytes]) -> dict[str, tuple[str, list[int], int, int]]:
     (size,) = struct.unpack("<Q", stream.read(8))
     whole = os.fstat(stream.fileno()).st_size
-    header = json.loads(stream.read(size)) if 2 <= size <= min(_HEADER, whole) else None
+    header = json_text.parse(stream.read(size)) if 2 <= size <= min(_HEADER, whole) else None
     if not isinstance(header, dict):
         raise ValueError(f"its header has {size} bytes and is no map")  # noqa: TRY004 - a file, no argument
     return {key: _tensor(key, entry, size, whole) for key, entry in header.items() if key != "__metadata__"}
@@ -383,7 +384,7 @@ def _flat(value: object, depth: int) -> Iterator[Any]:
 
 def _unquoted(text: str) -> str:
     try:
-        return str(json.loads(text))
+        return str(json_text.parse(text))
     except ValueError:
         return text[1:-1]
 

@@ -14,6 +14,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xpl import json_text
 from xpl_cli import __version__
 from xpl_cli.agents.skills import places
 from xpl_cli.agents.skills.bundle import STAMP, Bundle, contents
@@ -71,7 +72,7 @@ def condition(place: Path, bundle: Bundle) -> Condition:
 def stamp(place: Path) -> dict[str, Any] | None:
     """Return what `xpl skills install` noted when it wrote a bundle, or None if it did not."""
     try:
-        noted = json.loads((place / STAMP).read_text(encoding="utf-8"))
+        noted = json_text.parse((place / STAMP).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     ours = isinstance(noted, dict) and noted.get("schema") == _SCHEMA and isinstance(noted.get("files"), dict)

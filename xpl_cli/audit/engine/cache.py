@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
+from xpl import json_text
 from xpl.robots import HANDED_ON
 from xpl_cli import __version__
 from xpl_cli.audit.rules.model import NotRun, Outcome, Result
@@ -131,7 +132,7 @@ class Shelf:
     def _load(self) -> None:
         """Read what is kept; a record that is broken, or of other deeper files, counts as none."""
         with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
-            told: dict[str, Any] = json.loads(self.file.read_bytes())
+            told: dict[str, Any] = json_text.parse(self.file.read_bytes())
             files = {str(name): str(digest) for name, digest in told["files"].items()}
             passes = {str(code): [str(part) for part in kept] for code, kept in told["passes"].items()}
             if told["format"] != _FORMAT or any(len(kept) != _PARTS for kept in passes.values()):

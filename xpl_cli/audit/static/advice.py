@@ -7,7 +7,6 @@ are applied to. Neither executes what it reads. Their words depend on their vers
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -18,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from xpl import json_text
 from xpl_cli.audit.rules.model import Edit, Finding, Fix, NotApplicable, NotRun
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def ruff(source: Source) -> tuple[Remark, ...]:
     with _copied(source) as (folder, names):
         told = _answer("ruff", [*_RUFF, "--", *names], folder)
         try:
-            return _sorted(_of_ruff(entry, folder) for entry in json.loads(told) if entry["code"])
+            return _sorted(_of_ruff(entry, folder) for entry in json_text.parse(told) if entry["code"])
         except (ValueError, KeyError, TypeError) as error:
             raise NotRun(f"ruff answers in a form that is not known here: {error}") from None
 
@@ -123,7 +123,7 @@ def mypy(source: Source) -> tuple[Remark, ...]:
         files = {f"{package}/{name}": name for name in names}
         told = _answer("mypy", [*_MYPY, "--", *files], folder.parent)
         try:
-            entries = [json.loads(line) for line in told.splitlines() if line.strip()]
+            entries = [json_text.parse(line) for line in told.splitlines() if line.strip()]
             known = (entry for entry in entries if entry["severity"] == "error" and entry["file"] in files)
             return _sorted(_of_mypy(entry, files[entry["file"]]) for entry in known)
         except (ValueError, KeyError, TypeError) as error:

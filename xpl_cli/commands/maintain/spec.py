@@ -119,8 +119,7 @@ def schemas(
     as_json: bool = JSON,
 ) -> None:
     """Write JSON Schemas into packages, by which editors complete and check deploy.yml, policy.yml and env.yml."""
-    import json
-
+    from xpl import json_text
     from xpl_cli.basics import console
     from xpl_cli.standard import spec
     from xpl_cli.standard.schemas import render, write
@@ -133,7 +132,7 @@ def schemas(
     for folder in folders or ():
         written += [str(folder / file) for file in write(folder)]
     if as_json:
-        told = {"written": written, "document": None if document is None else json.loads(document)}
+        told = {"written": written, "document": None if document is None else json_text.parse(document)}
         console.answer("xpl.spec-schemas/1", told)
     elif document is not None:
         console.data(document.decode())

@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl import json_text
 from xpl_cli.basics import parallel
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import ExitCode
@@ -273,7 +274,7 @@ def _digest(job: Job, plan: Plan) -> str:
 
 def _told(path: Path) -> str | None:
     try:
-        digest: str | None = json.loads(path.read_bytes()).get("digest")
+        digest: str | None = json_text.parse(path.read_bytes()).get("digest")
     except (OSError, ValueError):
         return None
     return digest
@@ -284,7 +285,7 @@ def _done(staging: Path, count: int) -> set[int]:
 
 
 def _piece(staging: Path, index: int) -> Piece:
-    return Piece(**json.loads((staging / _PIECES / f"{index:06d}.json").read_bytes()))
+    return Piece(**json_text.parse((staging / _PIECES / f"{index:06d}.json").read_bytes()))
 
 
 def _lossy(job: Job, pieces: list[Piece]) -> dict[str, str]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
+from xpl import json_text
 from xpl_cli.data.formats.hdf5 import Hdf5Episode
 from xpl_cli.data.formats.writing import CONVERTED
 from xpl_cli.data.sets.interface import Demonstrations, Extras
@@ -58,8 +58,8 @@ class FolderSet(Demonstrations):
         """Of what the set was made, as the first file says it; each file speaks for itself."""
         told = self[0].extras.get(CONVERTED) if self._files else None
         try:
-            return {CONVERTED: json.loads(told) if isinstance(told, str) else told} if told else {}
-        except (ValueError, RecursionError):
+            return {CONVERTED: json_text.parse(told) if isinstance(told, str) else told} if told else {}
+        except json_text.JsonError:
             return {}
 
     def __len__(self) -> int:
@@ -96,8 +96,8 @@ def sentences(value: object) -> tuple[str, ...]:
     if isinstance(value, str):
         if value[:1] == "[":
             try:
-                return sentences(json.loads(value))
-            except (ValueError, RecursionError):
+                return sentences(json_text.parse(value))
+            except json_text.JsonError:
                 pass
         return (value,) if value.strip() else ()
     if isinstance(value, list):

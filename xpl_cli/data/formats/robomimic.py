@@ -6,11 +6,11 @@ Source: robomimic's documentation of its datasets; LIBERO's scripts/create_datas
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl import json_text
 from xpl.trajectory import TrajectoryError, storage
 from xpl_cli.data.formats import hdf5
 from xpl_cli.data.formats.hdf5 import Hdf5Episode, natural
@@ -118,7 +118,7 @@ def _json(value: object) -> Any:
     """Return what a text of JSON says; any other value as it is."""
     if isinstance(value, str) and value[:1] in "{[":
         try:
-            return json.loads(value)
-        except ValueError:
+            return json_text.parse(value)
+        except json_text.JsonError:
             return value
     return value

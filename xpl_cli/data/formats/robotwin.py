@@ -6,7 +6,6 @@ given to an encoder that expects BGR.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -14,6 +13,7 @@ from xpl_cli.basics import files as bounded
 from xpl_cli.data.formats import hdf5
 from xpl_cli.data.formats.folders import FolderSet, sentences
 from xpl_cli.data.formats.hdf5 import Hdf5Episode
+from xpl_cli.data.sets import documents
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
@@ -42,11 +42,11 @@ class _Episode(Hdf5Episode):
         del extras
         path = self._path.parent.parent / "instructions" / f"{self._path.stem}.json"
         try:
-            told = json.loads(bounded.content(path, _MOST))
+            told = documents.parsed(bounded.content(path, _MOST), str(path))
         except FileNotFoundError:
             return ()
-        except (OSError, ValueError) as error:
-            raise DataError(f"{path} cannot be read as JSON: {error}") from None
+        except OSError as error:
+            raise DataError(f"{path} cannot be read: {error}") from None
         if isinstance(told, dict):  # by whether training sees them
             told = [sentence for key in ("seen", "unseen") for sentence in told.get(key) or []]
         return sentences(told)

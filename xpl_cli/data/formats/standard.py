@@ -6,7 +6,6 @@ Source: spec/v1/trajectory.schema.json.
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, cast
 import numpy as np
 
 from xpl import _spec as spec
-from xpl import images, trajectory
+from xpl import images, json_text, trajectory
 from xpl.trajectory import TrajectoryError, names
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.formats import hdf5, libraries, pictures
@@ -261,7 +260,7 @@ def _beside_images(episode: Episode) -> dict[str, Any]:
 def _subtasks(value: object) -> list[Any] | None:
     """Return annotations of an episode, which a file has as JSON."""
     try:
-        told = json.loads(value) if isinstance(value, str) else value
-    except ValueError:
+        told = json_text.parse(value) if isinstance(value, str) else value
+    except json_text.JsonError:
         return None
     return told if isinstance(told, list) else None

@@ -6,6 +6,7 @@ import functools
 import json
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl import json_text
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
@@ -18,14 +19,12 @@ def parsed(text: str | bytes, where: str) -> Any:
     """Return what a text of JSON holds.
 
     Raises:
-        DataError: it is none, or lists and maps lie too deep in each other.
+        DataError: it is none that is taken (`json_text.parse`).
     """
     try:
-        return json.loads(text)
-    except RecursionError:
-        raise DataError(f"{where} is nested too deeply to be read") from None
-    except ValueError as error:
-        raise DataError(f"{where} is no JSON: {str(error)[:_MOST_TOLD]}") from None
+        return json_text.parse(text)
+    except json_text.JsonError as error:
+        raise DataError(f"{where}: {error}") from None
 
 
 def checked(value: Any, schema: str, where: str) -> Any:
@@ -58,4 +57,4 @@ def of(schema: Mapping[str, Any]) -> str:
 def _validator(schema: str) -> Any:
     import jsonschema_rs
 
-    return jsonschema_rs.validator_for(json.loads(schema))
+    return jsonschema_rs.validator_for(json_text.parse(schema))

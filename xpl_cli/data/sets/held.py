@@ -5,14 +5,13 @@ Only headers are read, and of encoded images the first, the middle and the last 
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl import images, trajectory
+from xpl import images, json_text, trajectory
 from xpl.observation import ObservationError
 from xpl.trajectory import names, pictures, storage
 from xpl_cli.data.sets.errors import DataError
@@ -112,6 +111,6 @@ def _stood_for(path: names.Place, dataset: Dataset) -> Any:
 
 def _parsed(told: str) -> Any:
     try:
-        return json.loads(told)
-    except (ValueError, RecursionError):
+        return json_text.parse(told)
+    except json_text.JsonError:
         return told

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 
 import xpl
 from xpl import _spec as sdk
-from xpl import get_embodiment
+from xpl import get_embodiment, json_text
 from xpl.manifest import PythonEnvironment
 from xpl_cli.basics import atomic, files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
@@ -158,10 +158,10 @@ def _run_id(request: Request) -> str:
 def _kept(file: Path) -> str:
     """Return the name of a run that was not completed."""
     try:
-        told = json.loads(files.content(file, _MOST_BYTES))["run_id"]
+        told = json_text.parse(files.content(file, _MOST_BYTES))["run_id"]
     except OSError:
         raise NotFoundError(f"{file.parent} holds no run that was handed over") from None
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (json_text.JsonError, KeyError, TypeError):
         told = None
     if not isinstance(told, str) or not _SAFE.fullmatch(told) or ".." in told:
         raise UserError(f"{file} names no run", code=ExitCode.NOT_RUN)

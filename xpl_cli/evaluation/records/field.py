@@ -8,12 +8,12 @@ RoboTwin-Platform/RoboTwin, scripts/eval_policy_xpolicylab.py at cf47ab5.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, Final
 
+from xpl import json_text
 from xpl_cli.basics import files
 
 if TYPE_CHECKING:
@@ -65,9 +65,9 @@ def told(path: Path) -> Told:
     """
     content = _content(path)
     try:
-        found = json.loads(content, parse_constant=_refused)
-    except (ValueError, RecursionError):
-        raise FieldResultError("it is not JSON") from None
+        found = json_text.parse(content, finite=True)
+    except json_text.JsonError as error:
+        raise FieldResultError(str(error)) from None
     if not isinstance(found, dict):
         raise FieldResultError("it is no map")
     details = found.get("details")
@@ -129,7 +129,3 @@ def _share(value: object, name: str) -> float:
     if not 0.0 <= share <= 1.0:
         raise FieldResultError(f"its {name} is {share:g}, expected 0 to 1")
     return share
-
-
-def _refused(name: str) -> NoReturn:
-    raise ValueError(name)

@@ -7,11 +7,11 @@ validator with the better sentences reads only what that one refuses.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl import json_text
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ MOST_BYTES: Final = 4 << 20
 Line = Mapping[str, Any]
 """A line of a record, as the schema has it."""
 _SCHEMA: Final = "record"
-_DEPTH: Final = 64
 _EACH: Final = "*"
 _LONGEST: Final = 300
 
@@ -50,20 +49,11 @@ def parsed(raw: bytes) -> Line:
     if len(raw) > MOST_BYTES:
         raise LineError(f"it has {len(raw)} bytes, more than the {MOST_BYTES} that a line may have")
     try:
-        text = raw.decode()
-        line: Any = _READER.decode(text)
-    except LineError:
-        raise
-    except (json.JSONDecodeError, UnicodeDecodeError):
+        line: Any = json_text.parse(raw, finite=True)
+    except json_text.NotJsonError:
         raise NotJsonError("it is not JSON") from None
-    except RecursionError:
-        raise LineError("it is nested too deeply") from None
-    except ValueError:
-        raise LineError("it holds an integer with too many digits") from None
-    if text.count("[") + text.count("{") > _DEPTH and _is_deeper(line, _DEPTH):
-        raise LineError(f"it is nested more than {_DEPTH} levels deep")
-    if "\\u" in text and not _is_text(line):
-        raise LineError("it holds half of a surrogate pair, which is no text")
+    except json_text.JsonError as error:
+        raise LineError(str(error)) from None
     kind = line.get("kind") if isinstance(line, dict) else None
     if not isinstance(kind, str) or kind not in KINDS:
         raise LineError(f"expected a map whose kind is one of {', '.join(KINDS)}, got {_shown(kind or line)}")
@@ -76,32 +66,6 @@ def parsed(raw: bytes) -> Line:
 def definition(kind: str) -> str:
     """Return the schema of a kind of line, as `standard.validate` takes it."""
     return f"{_SCHEMA}#/$defs/{kind}"
-
-
-def _finite(text: str) -> float:
-    """Return a number; JSON has neither infinity nor NaN, but its readers make them of 1e999 and of these names."""
-    value = float(text)
-    if not math.isfinite(value):
-        raise LineError(f"it holds {_shown(text)}, which is no finite number")
-    return value
-
-
-_READER: Final = json.JSONDecoder(parse_float=_finite, parse_constant=_finite)
-
-
-def _is_deeper(value: object, levels: int) -> bool:
-    if not isinstance(value, (dict, list)):
-        return False
-    inner = value.values() if isinstance(value, dict) else value
-    return levels == 0 or any(_is_deeper(entry, levels - 1) for entry in inner)
-
-
-def _is_text(line: object) -> bool:
-    try:
-        json.dumps(line, ensure_ascii=False).encode()
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 @cache

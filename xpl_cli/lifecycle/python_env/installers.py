@@ -5,7 +5,6 @@ Each of them runs as a program of its own, in the policy's environment, with wha
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -13,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xpl import json_text
 from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.lifecycle.python_env import pythons
@@ -127,7 +127,7 @@ def _consistent(plan: Plan, command: Sequence[str]) -> None:
 def _examined(plan: Plan, python: Path) -> dict[str, Any]:
     """Return what an environment has, and raise if it cannot run a worker."""
     told = _output(plan, [str(python), "-I", "-c", LISTING], "its interpreter does not run")
-    found: dict[str, Any] = json.loads(told)
+    found: dict[str, Any] = json_text.parse(told)
     if tuple(map(int, found["python"].split(".")[:2])) < OLDEST_PYTHON:
         raise UserError(f"{plan.package} needs Python 3.9 or newer, got {found['python']}", code=ExitCode.NOT_RUN)
     if plan.python is not None and not pythons.specifier(plan.python).contains(found["python"], prereleases=True):

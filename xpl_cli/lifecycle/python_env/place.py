@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from xpl import json_text
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.lifecycle.python_env import installers
@@ -69,7 +70,7 @@ def condition(plan: Plan) -> Condition:
 def read_record(folder: Path) -> dict[str, Any] | None:
     """Return what an environment was made from, None if nobody wrote that down."""
     try:
-        record: dict[str, Any] = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        record: dict[str, Any] = json_text.parse((folder / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     return record

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from xpl import robots
+from xpl import json_text, robots
 from xpl_cli.standard import spec
 from xpl_cli.standard.problems import Problem, explain
 from xpl_cli.standard.zoo import policies as zoo
@@ -60,7 +59,7 @@ def _read(path: Path) -> Any:
     if path.suffix == ".yml" and path.parent.name == "policies":
         return spec.read_yaml(path)
     if path.suffix == ".json" and path.parent.name == "proofs":
-        return json.loads(path.read_bytes())
+        return json_text.parse(path.read_bytes())
     raise ValueError("no part of the zoo")
 
 

@@ -7,12 +7,12 @@ spec/zoo/words.yml           what levels and families are called, and mean
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, NotRequired, TypedDict
 
+from xpl import json_text
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import UnknownTargetError, no_such
 from xpl_cli.standard import spec
@@ -209,7 +209,7 @@ def levels() -> tuple[Level, ...]:
 @cache
 def schema(name: str) -> dict[str, Any]:
     """Return the schema of a file of the zoo: `policy` or `proof`."""
-    read: dict[str, Any] = json.loads((folder() / f"{name}.schema.json").read_bytes())
+    read: dict[str, Any] = json_text.parse((folder() / f"{name}.schema.json").read_bytes())
     return read
 
 
@@ -260,7 +260,7 @@ def _words() -> dict[str, Any]:
 def _policy(name: str) -> Policy:
     told = spec.read_yaml(folder() / "policies" / f"{name}.yml")
     path = proof_path(name)
-    proof: Proof | None = json.loads(path.read_bytes()) if path.is_file() else None
+    proof: Proof | None = json_text.parse(path.read_bytes()) if path.is_file() else None
     facts = {key: Fact(**told[key]) if key in told else Fact(unknown=told["otherwise"]) for key in fact_names()}
     for key, manifest_key in _READ.items():
         read = None if proof is None else proof["read"].get(manifest_key)

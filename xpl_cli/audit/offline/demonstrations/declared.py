@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
+from xpl import json_text
 from xpl_cli.basics import content, files
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -106,4 +107,4 @@ def _validator() -> Any:
     import jsonschema_rs
 
     path = content.room("spec") / "demonstrations" / "demonstrations.schema.json"
-    return jsonschema_rs.validator_for(json.loads(path.read_bytes()))
+    return jsonschema_rs.validator_for(json_text.parse(path.read_bytes()))

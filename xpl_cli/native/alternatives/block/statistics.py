@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from xpl import json_text
 from xpl.convert import NativeError, tables
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ def entries(file: str, folders: Sequence[Path], names: Sequence[str]) -> list[st
     if path is None or path.suffix != ".json" or path.stat().st_size > _SIZE_LIMIT:
         return []
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        document = json_text.parse(path.read_bytes())
+    except (OSError, json_text.JsonError):
         return []
     found = []
     for key in _walk(document, (), names):

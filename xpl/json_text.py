@@ -1,0 +1,75 @@
+"""JSON that others wrote, within bounds: every file, line and attribute of a third party is parsed here."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+MOST_LEVELS = 64
+"""Lists and maps in each other, which no honest document comes near, and what walks through values can hold."""
+_LONGEST = 200
+
+
+class JsonError(ValueError):
+    """A text that is no JSON, or none that is taken; says why in one sentence."""
+
+
+class NotJsonError(JsonError):
+    """A text that is no JSON at all."""
+
+
+def parse(text: str | bytes, *, finite: bool = False) -> Any:
+    """Return the value of a JSON text.
+
+    Args:
+        text: the whole document; bytes are UTF-8, with or without a byte-order mark.
+        finite: refuse NaN, infinities and numbers beyond float64: RFC 8259 has none, and Python's reader makes them.
+
+    Raises:
+        NotJsonError: the text is no JSON, or its bytes are no UTF-8.
+        JsonError: it is nested more than 64 levels deep, has an integer of too many digits or half of a surrogate
+            pair, or, with `finite`, a number that is not finite.
+    """
+    try:
+        decoded = text if isinstance(text, str) else text.decode("utf-8-sig")
+        value = _FINITE.decode(decoded) if finite else json.loads(decoded)  # noqa: TID251 - bounded here
+    except JsonError:
+        raise
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise NotJsonError(f"it is not JSON: {str(error)[:_LONGEST]}") from None
+    except RecursionError:
+        raise JsonError(f"it is nested more than {MOST_LEVELS} levels deep") from None
+    except ValueError:
+        raise JsonError("it holds an integer with too many digits") from None
+    if decoded.count("[") + decoded.count("{") > MOST_LEVELS and _is_deeper(value, MOST_LEVELS):
+        raise JsonError(f"it is nested more than {MOST_LEVELS} levels deep")
+    if ("\\u" in decoded or (isinstance(text, str) and not decoded.isascii())) and not _is_text(value):
+        raise JsonError("it holds half of a surrogate pair, which is no text")
+    return value
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise JsonError(f"it holds {text[:40]}, which is no finite number")
+    return value
+
+
+_FINITE = json.JSONDecoder(parse_float=_number, parse_constant=_number)
+
+
+def _is_deeper(value: object, levels: int) -> bool:
+    if not isinstance(value, (Mapping, list)):
+        return False
+    inner = value.values() if isinstance(value, Mapping) else value
+    return levels == 0 or any(_is_deeper(entry, levels - 1) for entry in inner)
+
+
+def _is_text(value: object) -> bool:
+    try:
+        json.dumps(value, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
