@@ -42,6 +42,8 @@ _ENVIRONMENT: Final = {
     "GIT_TERMINAL_PROMPT": "0",
     "LC_ALL": "C",
 }
+_LONGEST_S: Final = 60.0
+"""Patterns of stars are matched in exponential time, and whoever changes a package may write some."""
 _READING: Final = frozenset(("rev-parse", "merge-base", "ls-tree", "ls-files", "cat-file", "config"))
 
 
@@ -65,7 +67,7 @@ class Git:
         """Return what a command answers to what it is asked on its standard input.
 
         Raises:
-            UserError: if it fails, or there is no git.
+            UserError: if it fails, takes a minute, or there is no git.
             ValueError: if it is none of the commands that only read.
         """
         if command not in _READING:
@@ -74,10 +76,21 @@ class Git:
         line = ["git", "--no-pager", "--literal-pathspecs", *overruled, command, *arguments]
         try:
             done = subprocess.run(
-                line, cwd=self.root, env=self._environment(), capture_output=True, check=False, input=asked
+                line,
+                cwd=self.root,
+                env=self._environment(),
+                capture_output=True,
+                check=False,
+                input=asked,
+                timeout=_LONGEST_S,
             )
         except FileNotFoundError:
             raise UserError("what changed needs git, which is not on PATH") from None
+        except subprocess.TimeoutExpired:
+            raise UserError(
+                f"git {command} did not end within {_LONGEST_S:.0f} s, as a pattern of a .gitignore can make it",
+                hint=f"look at the patterns in {self.root}",
+            ) from None
         except ValueError:  # a NUL in an argument
             raise UserError("what is asked of git holds a NUL, which no name in git has") from None
         if done.returncode:
