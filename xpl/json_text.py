@@ -10,6 +10,7 @@ from typing import Any
 MOST_LEVELS = 64
 """Lists and maps in each other, which no honest document comes near, and what walks through values can hold."""
 _LONGEST = 200
+_DIGITS = 20
 
 
 class JsonError(ValueError):
@@ -25,12 +26,13 @@ def parse(text: str | bytes, *, finite: bool = False) -> Any:
 
     Args:
         text: the whole document; bytes are UTF-8, with or without a byte-order mark.
-        finite: refuse NaN, infinities and numbers beyond float64: RFC 8259 has none, and Python's reader makes them.
+        finite: refuse NaN, infinities and numbers beyond float64, of which RFC 8259 has none and Python's reader makes
+            some, and integers beyond 64 bits, with which arithmetic fails later.
 
     Raises:
         NotJsonError: the text is no JSON, or its bytes are no UTF-8.
         JsonError: it is nested more than 64 levels deep, has an integer of too many digits or half of a surrogate
-            pair, or, with `finite`, a number that is not finite.
+            pair, or, with `finite`, a number that is not finite or too large.
     """
     try:
         decoded = text if isinstance(text, str) else text.decode("utf-8-sig")
@@ -57,7 +59,13 @@ def _number(text: str) -> float:
     return value
 
 
-_FINITE = json.JSONDecoder(parse_float=_number, parse_constant=_number)
+def _integer(text: str) -> int:
+    if len(text) > _DIGITS or not -(2**63) <= int(text) < 2**64:
+        raise JsonError(f"it holds {text[:40]}, which no integer of 64 bits is")
+    return int(text)
+
+
+_FINITE = json.JSONDecoder(parse_float=_number, parse_constant=_number, parse_int=_integer)
 
 
 def _is_deeper(value: object, levels: int) -> bool:
