@@ -15,7 +15,6 @@ from tests.support.places import ROOT, tracked
 from xpl_cli.agents.review.change import change_since
 from xpl_cli.audit.engine.changed import select_changed
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.git import command
 from xpl_cli.basics.git.command import Git
 from xpl_cli.basics.git.history import Repository, unrecorded
 from xpl_cli.packages.targets import find_target
@@ -290,9 +289,10 @@ def test_git_is_asked_for_nothing_that_writes_or_compares(repository: Path) -> N
 
 
 def test_a_pattern_that_takes_for_ever_is_given_up(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (repository / ".gitignore").write_text("a*" * 100 + "b\n")
-    (repository / ("a" * 200)).touch()
-    monkeypatch.setattr(command, "_LONGEST_S", 0.5)
+    (repository / ".gitignore").write_text("**/" * 2000 + "x\n")
+    (repository / "a" / "b" / "c" / "d").mkdir(parents=True)
+    (repository / "a" / "b" / "c" / "d" / "file").touch()
+    monkeypatch.setattr("xpl_cli.basics.git.command._LONGEST_S", 0.5)
     with pytest.raises(UserError, match=r"did not end within .*\.gitignore") as caught:
         Repository.of(repository).changed("HEAD")
     assert caught.value.code == ExitCode.USAGE
