@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import copy
 import json
 import struct
@@ -13,7 +14,7 @@ import pytest
 import yaml
 
 from tests.support.adapters import trained
-from xpl_cli.adopt.checkpoints import registry
+from xpl_cli.adopt.checkpoints import block, registry, start
 from xpl_cli.basics.errors import UserError
 
 HOSTILE: tuple[Any, ...] = (
@@ -103,3 +104,69 @@ def test_offsets_of_tensors_lie_in_the_file(tmp_path: Path, entry: Any, told: st
     (folder / name).write_bytes(struct.pack("<Q", len(header)) + header + bytes(64))
     with pytest.raises(UserError, match=rf"{name}.*{told}"):
         registry.read([folder])
+
+
+ENDINGS = (
+    "q)\n        PWNED()\n        # (",
+    'x"""\nPWNED()\n"""',
+    "x\\",
+    "x\u2028pwned: 1\u2028#",
+    "x\r\npwned: 1\n#",
+    "x\x85pwned: 1",
+)
+"""Texts that end the comment, the docstring, the text or the line that they are put into."""
+
+
+def _renamed(document: Any, path: tuple[Any, ...], name: str) -> Any:
+    """Return a document with another last key on a path."""
+    changed = copy.deepcopy(document)
+    place = changed
+    for key in path[:-1]:
+        place = place[key]
+    entries = list(place.items())
+    place.clear()
+    place.update((name if key == path[-1] else key, value) for key, value in entries)
+    return changed
+
+
+def _worded(folder: Path) -> Iterator[tuple[Path, str]]:
+    """Yield a document of a checkpoint, and a text of it in which one text or key tries to end where it is put."""
+    for file in sorted(folder.rglob("*.json")):
+        document = json.loads(file.read_text("utf-8"))
+        for path in _places(document):
+            value = document
+            for key in path:
+                value = value[key]
+            for ending in ENDINGS:
+                if isinstance(value, str):
+                    yield file, json.dumps(_put(document, path, ending))
+                    yield file, json.dumps(_put(document, path, value + ending))
+                if path and isinstance(path[-1], str):
+                    yield file, json.dumps(_renamed(document, path, path[-1] + ending))
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+@pytest.mark.parametrize("part", [pytest.param(41, id="some"), pytest.param(1, id="all", marks=pytest.mark.slow)])
+def test_no_text_of_a_checkpoint_becomes_code_or_a_key(tmp_path: Path, maker: str, part: int) -> None:
+    """What is written from it parses, and names neither a function nor a key that a text tried to add."""
+    folder = MAKERS[maker](tmp_path / "checkpoint")
+    robot = "franka_single" if maker in ("openvla", "openvla-oft", "diffusion policy", "robomimic") else "aloha_agilex"
+    wanted = start.Wanted("Foo", robot, None, block.Choices(gripper=(0.0, 1.0)))
+    assert start.begin([folder], wanted).files
+    for file, text in list(_worded(folder))[::part]:
+        whole = file.read_bytes()
+        file.write_text(text, encoding="utf-8")
+        try:
+            files = start.begin([folder], wanted).files
+        except UserError:
+            continue
+        finally:
+            file.write_bytes(whole)
+        for name, content in files.items():
+            if name.endswith(".py"):
+                tree = ast.parse(content)
+                assert not any(isinstance(node, ast.Name) and node.id == "PWNED" for node in ast.walk(tree)), text
+            elif name.endswith(".yml"):
+                assert "pwned" not in yaml.safe_load(content), text
+            else:
+                assert b"\npwned" not in content, text

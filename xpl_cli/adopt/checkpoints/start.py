@@ -185,8 +185,13 @@ def _shapes(found: Known) -> dict[str, Any]:
 
 
 def _template(maker: str, name: str, said: Mapping[str, Any]) -> bytes:
-    """Return a file of the template of what is begun from a checkpoint."""
+    """Return a file of the template of what is begun from a checkpoint.
+
+    What the checkpoint says is text in comments, whatever it is: only what a template marks as `code` or turns into a
+    literal (`tojson`) may be more.
+    """
     import jinja2
+    import markupsafe
 
     place = room("templates") / "policy" / "from" / maker
     environment = jinja2.Environment(
@@ -196,5 +201,14 @@ def _template(maker: str, name: str, said: Mapping[str, Any]) -> bytes:
         lstrip_blocks=True,
         keep_trailing_newline=True,
         autoescape=False,  # noqa: S701 - Python, not HTML
+        finalize=_plain,
     )
+    environment.filters["code"] = markupsafe.Markup
     return environment.get_template(f"{name}.jinja").render(said).encode()
+
+
+def _plain(value: object) -> object:
+    """Return a value that ends neither a comment nor a docstring of Python."""
+    if not isinstance(value, str) or hasattr(value, "__html__"):
+        return value
+    return "".join(char if char.isprintable() and char not in '"\\' else "?" for char in value)

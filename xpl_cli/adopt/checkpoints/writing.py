@@ -93,7 +93,7 @@ def _comment(tree: Tree) -> str:
 
 def _one_line(words: str) -> str:
     """Return a text that can stand in a comment: one line, and nothing that YAML forbids."""
-    return re.sub(r"[^\x20-\x7e\xa0-\ud7ff\ue000-\ufffd]+", " ", words).strip()[:400]
+    return "".join(char if char.isprintable() else " " for char in words).strip()[:400]
 
 
 def _has_sources(tree: Tree) -> bool:
