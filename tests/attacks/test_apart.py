@@ -37,6 +37,24 @@ def look(when):
         except OSError:
             pass
 
+def steer(when):
+    # What the machine obeys: core_pattern runs programs, control groups freeze and end processes.
+    files = ["/proc/sysrq-trigger", *glob.glob("/proc/sys/kernel/*"), *glob.glob("/sys/kernel/*")]
+    files += glob.glob("/sys/fs/cgroup/**/cgroup.procs", recursive=True)[:50]
+    for path in filter(os.path.isfile, files):
+        try:
+            open(path, "r+b").close()
+            got.append(f"{when}: may write to {path}")
+        except OSError:
+            pass
+    for folder in glob.glob("/sys/fs/cgroup/*/"):
+        try:
+            os.mkdir(folder + "xpl-attack")
+            os.rmdir(folder + "xpl-attack")
+            got.append(f"{when}: may make control groups in {folder}")
+        except OSError:
+            pass
+
 def take_away(when):
     for flags in (0, 2):
         if libc.umount2(b"/proc", flags) == 0:
@@ -45,11 +63,13 @@ def take_away(when):
 first = [line for line in open("/proc/1/status") if line.startswith("CapEff") and int(line.split()[1], 16)]
 got.extend(f"the first process keeps {line.strip()}" for line in first)
 look("at once")
+steer("at once")
 take_away("at once")
 look("without /proc")
 if libc.unshare(1 << 28 | 1 << 17) == 0:
     take_away("in a namespace of its own")
     look("in a namespace of its own")
+    steer("in a namespace of its own")
 print(json.dumps(got))
 """
 

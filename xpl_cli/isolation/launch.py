@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import json
 import os
 import random
@@ -29,8 +30,25 @@ NEW_USER, NEW_MOUNTS, NEW_PIDS = 1 << 28, 1 << 17, 1 << 29
 FAILED = 125
 """Exit code of a process that could not be confined."""
 
-_NOSUID, _NODEV, _NOEXEC = 2, 4, 8
+_RDONLY, _NOSUID, _NODEV, _NOEXEC, _REMOUNT, _BIND = 1, 2, 4, 8, 1 << 5, 1 << 12
 _REC, _SLAVE = 1 << 14, 1 << 19
+_KEPT_FLAGS = {b"nosuid": _NOSUID, b"nodev": _NODEV, b"noexec": _NOEXEC}
+_DETACH = 2
+_OF_THE_KERNEL = frozenset(
+    (
+        "bpf",
+        "cgroup",
+        "cgroup2",
+        "configfs",
+        "debugfs",
+        "efivarfs",
+        "fusectl",
+        "pstore",
+        "securityfs",
+        "sysfs",
+        "tracefs",
+    )
+)
 _SET_PDEATHSIG, _SET_DUMPABLE, _SET_NO_NEW_PRIVS = 1, 4, 38
 _CAPABILITY_BOUND_DROP, _CAPABILITY_AMBIENT, _AMBIENT_CLEAR_ALL = 24, 47, 4
 _CAPABILITY_VERSION_3 = 0x20080522
@@ -54,7 +72,7 @@ def main(arguments: Sequence[str]) -> NoReturn:
         _prctl(_SET_PDEATHSIG, signal.SIGKILL, "die with parent")
         if "isolate" in plan:
             _isolate(plan, command)
-        _keep_apart(command)
+        _keep_apart(command, plan["covered"])
     except OSError as error:
         _give_up(error)
 
@@ -134,7 +152,7 @@ def _write_only_below(folders: Sequence[str]) -> None:
 # -- apart -------------------------------------------------------------------------------------------------------------
 
 
-def _keep_apart(command: Sequence[str]) -> NoReturn:
+def _keep_apart(command: Sequence[str], covered: Sequence[str]) -> NoReturn:
     """Enter a PID namespace, have a child be the first process there, and end as the command ends."""
     user, group = os.getuid(), os.getgid()
     flags = NEW_MOUNTS | NEW_PIDS
@@ -147,7 +165,7 @@ def _keep_apart(command: Sequence[str]) -> NoReturn:
     if first == 0:
         os.close(held)
         try:
-            _first_process(command, alive)
+            _first_process(command, covered, alive)
         except OSError as error:
             _give_up(error)
     os.close(alive)
@@ -156,7 +174,7 @@ def _keep_apart(command: Sequence[str]) -> NoReturn:
     os._exit(_exit_code(os.waitpid(first, 0)[1]))
 
 
-def _first_process(command: Sequence[str], alive: int) -> NoReturn:
+def _first_process(command: Sequence[str], covered: Sequence[str], alive: int) -> NoReturn:
     """Show the processes of the namespace in /proc, start the command, and reap what loses its parent."""
     _follow(alive)
     here = Path.cwd()
@@ -165,6 +183,7 @@ def _first_process(command: Sequence[str], alive: int) -> NoReturn:
     # Numbers that differ from run to run, as they do on the whole machine: a seed made of them must not seem fixed.
     with contextlib.suppress(OSError):
         _write("/proc/sys/kernel/ns_last_pid", str(random.SystemRandom().choice(_PIDS)))
+    _read_only(covered)
     os.chdir(here)  # what is mounted there now
     _drop_capabilities()
     started = os.fork()
@@ -177,6 +196,31 @@ def _first_process(command: Sequence[str], alive: int) -> NoReturn:
         pid, status = os.wait()
         if pid == started:
             os._exit(_exit_code(status))
+
+
+def _read_only(covered: Sequence[str]) -> None:
+    """Let nothing be written that steers the machine: root may without any capability, as its number owns the files.
+
+    A pattern for core dumps names a program that the kernel runs, and control groups freeze and end any process.
+    Another /proc, elsewhere, shows the processes of the machine.
+    """
+    for path in covered:
+        _mount(path, path, _BIND | _REC)
+        _mount("none", path, _REMOUNT | _BIND | _RDONLY | _NOSUID | _NODEV | _NOEXEC)
+    hidden = [os.fsencode(path) for path in ("/proc", *covered)]
+    for line in reversed(Path("/proc/self/mountinfo").read_bytes().splitlines()):  # what came last lies on top
+        before, _, after = line.partition(b" - ")
+        written, options, kind = before.split()[4], before.split()[5].split(b","), after.split()[0].decode()
+        target = written.decode("unicode_escape").encode("latin-1")  # spaces and line breaks are written in octal
+        try:
+            if kind == "proc" and target not in hidden:
+                _check(_libc.umount2(target, _DETACH), f"unmount {target!r}")
+            elif kind in _OF_THE_KERNEL:
+                kept = sum(flag for name, flag in _KEPT_FLAGS.items() if name in options)
+                _mount("none", target, _REMOUNT | _BIND | _RDONLY | kept)
+        except OSError as error:  # what lies below another mount is reached by nobody
+            if error.errno not in (errno.EINVAL, errno.ENOENT):
+                raise
 
 
 def _follow(alive: int) -> None:
@@ -218,9 +262,9 @@ def _drop_capabilities() -> None:
     _check(_libc.capset(header, none), "capset")
 
 
-def _mount(source: str, target: str, flags: int, kind: str | None = None) -> None:
+def _mount(source: str, target: str | bytes, flags: int, kind: str | None = None) -> None:
     given = [None if text is None else os.fsencode(text) for text in (source, target, kind)]
-    _check(_libc.mount(*given, ctypes.c_ulong(flags), None), f"mount {target}")
+    _check(_libc.mount(*given, ctypes.c_ulong(flags), None), f"mount {target!r}")
 
 
 def _write(path: str, text: str) -> None:

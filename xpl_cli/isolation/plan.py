@@ -59,14 +59,16 @@ def isolated(program: str, *, checkout: Path, folder: Path) -> list[str]:
 
 def apart_by_namespaces() -> list[str]:
     """Return what is put before a command so that it sees no process but its own, and has no capability."""
-    return _launch({})
+    return _launch({"covered": _covered()})
 
 
 def apart_by_bubblewrap(program: str) -> list[str]:
     """Return the same by bubblewrap, which may do what our own code may not."""
     options = ["--unshare-pid", "--die-with-parent", "--new-session", "--cap-drop", "ALL"]
     options += [] if os.geteuid() == 0 else ["--unshare-user"]
-    return [program, *options, "--dev-bind", "/", "/", "--proc", "/proc", "--"]
+    system = ["--ro-bind", "/sys", "/sys"] if Path("/sys").is_dir() else []
+    covered = [word for path in _covered() for word in ("--ro-bind", path, path)]
+    return [program, *options, "--dev-bind", "/", "/", *system, "--proc", "/proc", *covered, "--"]
 
 
 def _launch(plan: dict[str, object]) -> list[str]:

@@ -230,6 +230,9 @@ if any(int(line.split()[1], 16) for line in open("/proc/self/status") if line.st
     sys.exit("it keeps capabilities")
 if ctypes.CDLL(None).umount2(b"/proc", 2) == 0:
     sys.exit("it can take /proc away, and see the processes of the machine below")
+for path in ("/sys", "/proc/sys"):
+    if os.path.isdir(path) and not os.statvfs(path).f_flag & os.ST_RDONLY:
+        sys.exit(f"it may write below {path}, which steers the machine")
 """
 
 
