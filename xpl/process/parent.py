@@ -5,12 +5,15 @@ The process leads a group of its own and ends with whoever started it, however t
 
 from __future__ import annotations
 
+import codecs
+import contextlib
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from xpl.process import child, link, spawn
 from xpl.wire.frame import BODY_LIMIT, PackingError
@@ -68,7 +71,8 @@ class Process:
                         python or sys.executable, child.SDK_START + start, str(theirs.fileno()), prefix=prefix
                     ),
                     stdin=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL if is_silent else None,
+                    stdout=subprocess.DEVNULL if is_silent else subprocess.PIPE,
+                    stderr=subprocess.STDOUT,
                     pass_fds=[theirs.fileno()],
                     env=spawn.variables(environment),
                     start_new_session=True,
@@ -77,6 +81,8 @@ class Process:
                 self._channel.close()
                 raise
         self.pid = self._process.pid
+        self._output = threading.Thread(target=_show, args=(self._process.stdout,), daemon=True)
+        self._output.start()
         self._is_launched = bool(prefix)
         self._inbox = link.Inbox(largest)
         self._ready: list[Data] = []
@@ -140,6 +146,7 @@ class Process:
         self._channel.close()
         spawn.end_group(self.pid)
         self._process.wait()
+        self._output.join(_LOOK_S)  # of one that left the group, the pipe may stay open
 
     def _late(self) -> str:
         return f"{self.name} did not answer within {self._limit_s:g} s"
@@ -158,3 +165,17 @@ class Process:
     def _lost(self, reason: str) -> ProcessLostError:
         self.kill()
         return self.lost_error(reason)
+
+
+def _show(output: IO[bytes] | None) -> None:
+    """Copy what a process prints to standard error, which it must not hold itself.
+
+    A terminal can be read from and set by whoever has it open, and a log file be opened again and emptied.
+    """
+    if output is None:
+        return
+    text = codecs.getincrementaldecoder("utf-8")(errors="replace")
+    with output, contextlib.suppress(OSError, ValueError):
+        while chunk := output.read1(1 << 15):  # type: ignore[attr-defined]
+            sys.stderr.write(text.decode(chunk))
+            sys.stderr.flush()
