@@ -221,16 +221,17 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_table(room: Pat
     """No process survives a kill; each episode is final once, and table and traces are those of a whole run.
 
     A moment is a random time after a random number of episodes that the run has told of, so that busy machines get as
-    far as quick ones; the first moments are before the first episode.
+    far as quick ones; the first moments are before the first episode. XPL_KILLS says how often.
     """
+    kills = int(os.environ.get("XPL_KILLS", "5"))
     command = [sys.executable, "-m", "xpl_cli", "eval", "Drilled", "--env", "drill", "--task", "all", "--horizon", "2"]
-    command += ["--episodes", "8", "--workers", "2", "--out"]
+    command += ["--episodes", str(3 + kills), "--workers", "2", "--out"]
     draw, mark = random.Random(20261121), uuid.uuid4().hex  # noqa: S311 - moments, not secrets
 
     def going_on() -> list[str]:
         return [*command, "killed", *(["--resume"] if (room / "killed" / records.FILE).exists() else [])]
 
-    for _ in range(5):
+    for _ in range(kills):
         with subprocess.Popen(
             going_on(), cwd=room, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, env={**os.environ, MARK: mark}
         ) as process:
