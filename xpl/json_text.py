@@ -27,12 +27,13 @@ def parse(text: str | bytes, *, finite: bool = False) -> Any:
     Args:
         text: the whole document; bytes are UTF-8, with or without a byte-order mark.
         finite: refuse NaN, infinities and numbers beyond float64, of which RFC 8259 has none and Python's reader makes
-            some, and integers beyond 64 bits, with which arithmetic fails later.
+            some, integers beyond 64 bits, with which arithmetic fails later, and keys that a map has twice, of which
+            one reader takes the first and another the last.
 
     Raises:
         NotJsonError: the text is no JSON, or its bytes are no UTF-8.
         JsonError: it is nested more than 64 levels deep, has an integer of too many digits or half of a surrogate
-            pair, or, with `finite`, a number that is not finite or too large.
+            pair, or, with `finite`, a number that is not finite or too large, or a key twice in one map.
     """
     try:
         decoded = text if isinstance(text, str) else text.decode("utf-8-sig")
@@ -65,7 +66,16 @@ def _integer(text: str) -> int:
     return int(text)
 
 
-_FINITE = json.JSONDecoder(parse_float=_number, parse_constant=_number, parse_int=_integer)
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    value = dict(pairs)
+    if len(value) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in value if keys.count(key) > 1)
+        raise JsonError(f"it has the key {json.dumps(twice[:40])} twice in one map")
+    return value
+
+
+_FINITE = json.JSONDecoder(parse_float=_number, parse_constant=_number, parse_int=_integer, object_pairs_hook=_unique)
 
 
 def _is_deeper(value: object, levels: int) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 from tests.support.commands import problem, xpl
 from tests.support.examples import examples
-from tests.support.recordings.runs import synthetic
+from tests.support.recordings.runs import Faults, rewritten, synthetic
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.leaderboard import board, field, ranking
 from xpl_cli.evaluation.records import lines, records
@@ -73,7 +74,7 @@ WRONG: dict[str, list[Any]] = {
     **dict.fromkeys(("index", "attempt", "seed", "steps"), COUNTS),
     **dict.fromkeys(("task", "setting"), NAMES),
     "score": [-0.1, 1.1, "0.5", True, [], {}, NAN, INFINITY, -INFINITY],
-    "wall_seconds": [-1, "1", None, NAN, INFINITY],
+    "wall_seconds": [-1, "1", None, NAN, INFINITY, 1e308],
     "success": [1, 0, "true", [], ""],
     "failure": ["", "other", True, 0, [], {}],
     "final": [1, 0, None, "true"],
@@ -137,6 +138,8 @@ RAW = {
     "a hundred thousand brackets": b"[" * 100_000 + b"]" * 100_000,
     "a hundred thousand maps": b'{"kind":' * 100_000,
     "a line of five million bytes": b'{"kind": "' + b"x" * 5_000_000 + b'"}',
+    "a key twice": b'{"kind": "episode", "success": false, "success": true}',
+    "a key twice, once with escapes": b'{"kind": "episode", "success": false, "s\\u0075ccess": true}',
     "a key of a thousand brackets": b'{"kind": "episode", "a": ' + b"[" * 1000 + b"]" * 1000 + b"}",
 }
 
@@ -158,6 +161,88 @@ def test_bytes_that_are_no_line_are_refused_wherever_they_stand(name: str, sound
     except lines.LineError:
         with pytest.raises(RecordError, match=f"line {len(_lines(sound))}"):
             records.read(last)
+
+
+Lines = list[dict[str, Any]]
+
+
+def _again(lines: Lines, *first: dict[str, Any]) -> Lines:
+    """Return the lines with attempts before the last episode's, which is played again after them."""
+    last = lines[-1]
+    attempts = [{**last, "attempt": number, "final": False, **told} for number, told in enumerate(first, 1)]
+    return [*lines[:-1], *attempts, {**last, "attempt": len(first) + 1}]
+
+
+SPOILT = {"success": None, "score": None, "failure": "infrastructure", "end_reason": "infrastructure", "error": "x"}
+FAILED = {"success": False, "failure": "task", "end_reason": "max_steps"}
+DIED = {"success": False, "failure": "policy", "end_reason": "policy_died", "error": "x"}
+AGAINST: dict[str, tuple[Callable[[Lines], Lines], str]] = {
+    "success and a failed task": (
+        lambda lines: [*lines[:-1], {**lines[-1], "success": True, "failure": "task"}],
+        'success: expected false with failure "task", got true',
+    ),
+    "success and lost infrastructure": (
+        lambda lines: [*lines[:-1], {**lines[-1], **SPOILT, "success": True}],
+        'success: expected null with failure "infrastructure", got true',
+    ),
+    "no success and no failure": (
+        lambda lines: [*lines[:-1], {**lines[-1], "success": False, "failure": None}],
+        "success: expected true or null with failure null, got false",
+    ),
+    "a third attempt alone": (
+        lambda lines: [*lines[:-1], {**lines[-1], "attempt": 3}],
+        "attempt: expected 1 for episode 7, at most 3, got 3",
+    ),
+    "more attempts than the plan allows": (
+        lambda lines: _again(lines, SPOILT, SPOILT, SPOILT),
+        "attempt: expected 4 for episode 7, at most 3, got 4",
+    ),
+    "an honest failure played again": (
+        lambda lines: _again(lines, FAILED),
+        "final: expected true, since nothing spoilt this attempt at episode 7",
+    ),
+    "a failed task that says that a process died": (
+        lambda lines: _again(lines, {**DIED, "failure": "task"}),
+        "final: expected true, since nothing spoilt this attempt at episode 7",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", AGAINST)
+def test_lines_that_contradict_each_other_or_their_plan_are_refused(name: str, tmp_path: Path) -> None:
+    """An episode is played again only where something spoilt it, as often as the plan allows, and ends once."""
+    change, said = AGAINST[name]
+    run = rewritten(synthetic(tmp_path / "run", episodes=2, faults=Faults(retried=0)), change)
+    with pytest.raises(RecordError, match=re.escape(said)):
+        records.read(run)
+    assert said in records.read(run, skip=True).skipped[0]
+
+
+@pytest.mark.parametrize("spoilt", [SPOILT, DIED])
+def test_an_episode_that_something_spoilt_may_be_played_again(spoilt: dict[str, Any], tmp_path: Path) -> None:
+    """Twice, as the plan says."""
+    run = rewritten(
+        synthetic(tmp_path / "run", episodes=2, faults=Faults(retried=0)), lambda lines: _again(lines, spoilt, spoilt)
+    )
+    assert records.read(run).finals[7].attempt == 3
+
+
+def test_a_plan_with_a_cell_twice_is_refused(tmp_path: Path) -> None:
+    """Its episodes would count twice."""
+    run = synthetic(tmp_path / "run", ("a",), ("clean",), episodes=2)
+    cell = json.loads(_lines(run)[0])["cells"][0]
+    rewritten(run, cells=[cell, {**cell, "seeds": [7]}])
+    with pytest.raises(RecordError, match="line 1: cells: expected each task once in each setting"):
+        records.read(run)
+
+
+@pytest.mark.parametrize("told", [{"steps": 0}, {"inference": {"count": 0, "seconds": 0.0}}])
+def test_success_without_a_step_or_a_request_is_not_ranked(told: dict[str, Any], tmp_path: Path) -> None:
+    """Whoever did nothing cannot have succeeded; an environment may say so, but no ranking."""
+    run = synthetic(tmp_path / "run", rate=1.0, faults=Faults(policy=0, retried=0))
+    found = records.read(rewritten(run, lambda lines: [{**lines[0], **told}, *lines[1:]]))
+    with pytest.raises(UserError, match=r"episode 0 succeeded, (after 0 steps|without a request)"):
+        field.gather([found])
 
 
 @pytest.mark.parametrize("kind", ["a pipe", "a device", "a folder", "a loop of links", "no rights", "too large"])

@@ -70,3 +70,10 @@ def test_other_numbers_are_refused_where_that_is_asked(text: str) -> None:
     json_text.parse(text)
     with pytest.raises(json_text.JsonError, match="which"):
         json_text.parse(text, finite=True)
+
+
+@pytest.mark.parametrize("text", ['{"a": 1, "a": 2}', '[{"b": {"a": 1, "\\u0061": 1}}]', '{"": 1, "": null}'])
+def test_a_key_that_comes_twice_is_refused_where_readers_would_differ(text: str) -> None:
+    json_text.parse(text)
+    with pytest.raises(json_text.JsonError, match="twice in one map"):
+        json_text.parse(text, finite=True)

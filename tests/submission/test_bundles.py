@@ -76,12 +76,10 @@ class TestConsistency:
     @pytest.mark.parametrize(
         ("change", "said"),
         [
-            (lambda lines: lines[-1].update(success=True, failure="task"), "has success true with failure"),
             (lambda lines: lines[-1].update(success=None, failure=None), "neither succeeded nor failed"),
             (lambda lines: lines[-1].update(embodiment="piper"), "but its plan says 'arx_x5'"),
             (lambda lines: lines[-1].update(machine="0" * 64), "names a machine"),
             (lambda lines: lines[1]["facts"].update(python="3.12.0"), "does not have the facts"),
-            (lambda lines: lines[-1].update(attempt=4), "has the attempts 4"),
             (lambda lines: lines[-1].update(success=None, failure="infrastructure"), "was given up after 1 attempts"),
             (lambda lines: lines[-1].update(wall_seconds=0.0), "waiting for the policy"),
             (lambda lines: lines[-1]["inference"].update(histogram=[1]), "histogram"),
@@ -91,16 +89,6 @@ class TestConsistency:
     def test_edited_lines_are_found(self, run: Run, change: Callable[[list[Line]], Any], said: str) -> None:
         found = list(consistency.problems(_rewritten(run, change)))
         assert any(said in problem for problem in found), found
-
-    def test_an_episode_is_played_again_only_where_it_was_spoilt(self, run: Run) -> None:
-
-        def play_again(lines: list[Line]) -> None:
-            first = dict(lines[-1], final=False, success=False, failure="task")
-            lines[-1].update(attempt=2)
-            lines.insert(len(lines) - 1, first)
-
-        found = list(consistency.problems(_rewritten(run, play_again)))
-        assert any("although the infrastructure had not spoilt it" in problem for problem in found), found
 
     def test_a_torn_line_is_said(self, run: Run) -> None:
         with (run.folder / records.FILE).open("a", encoding="utf-8") as stream:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
@@ -11,7 +9,7 @@ from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.words import listed
 from xpl_cli.evaluation.records import fingerprints
 from xpl_cli.evaluation.records.cells import cells
-from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction, is_open
+from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,8 +17,6 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.model import Episode
     from xpl_cli.evaluation.records.records import Run
 
-_SUCCESS_OF = {None: (True, None), "task": (False,), "policy": (False, None), INFRASTRUCTURE: (None,)}
-"""What `success` may be for each class of failure."""
 _SHOWN = 8
 _SLACK_S = 0.01
 """Clocks are read at different moments and rounded."""
@@ -29,8 +25,9 @@ _SLACK_S = 0.01
 def problems(run: Run) -> Iterator[str]:
     """Yield what is wrong with the records of a run, one sentence each.
 
-    That lines are as their schema says, that the plan is what the run is named after, that episodes are of the plan and
-    none is final twice, is what `records.read` sees to.
+    That lines are as their schema says, that the plan is what the run is named after, that episodes are of the plan,
+    that success goes with failure, and that none is final twice or played again without need, is what `records.read`
+    sees to.
     """
     if run.torn:
         yield "the last line of its records is torn: an episode was lost in a crash; `xpl eval --resume` plays it"
@@ -56,9 +53,7 @@ def _episode(line: Episode, run: Run) -> Iterator[str]:
         told, planned = getattr(line, key), getattr(run.plan, key)
         if told != planned:
             yield f"{name} has the {key} {told!r}, but its plan says {planned!r}"
-    if line.success not in _SUCCESS_OF[line.failure]:
-        yield f"{name} has success {json.dumps(line.success)} with failure {json.dumps(line.failure)}"
-    elif (said := contradiction(line)) is not None:
+    if (said := contradiction(line)) is not None:
         yield f"{name} {said}"
     if line.machine not in run.machines:
         yield f"{name} names a machine that the records do not tell of"
@@ -72,20 +67,11 @@ def _episode(line: Episode, run: Run) -> Iterator[str]:
 
 
 def _attempts(run: Run) -> Iterator[str]:
-    """Yield where an episode was not played as often as the plan says: again where it was spoilt, and only there."""
-    by_index: dict[int, list[Episode]] = defaultdict(list)
-    for line in run.attempts:
-        by_index[line.index].append(line)
+    """Yield episodes that were not played again as often as the plan allows, although they were spoilt."""
     most = run.plan.control.attempts
-    for index, lines in sorted(by_index.items()):
-        numbers = [line.attempt for line in lines]
-        if numbers != list(range(1, len(lines) + 1)) or len(lines) > most:
-            told = listed([str(number) for number in numbers], _SHOWN)
-            yield f"episode {index} has the attempts {told}: expected 1, 2, ..., at most {most}"
-        if lines[-1].final and lines[-1].failure == INFRASTRUCTURE and len(lines) < most:
-            yield f"episode {index} was given up after {len(lines)} attempts: its plan allows {most}"
-        if not all(is_open(line) for line in lines[:-1]):
-            yield f"episode {index} was played again although the infrastructure had not spoilt it"
+    for index, line in run.finals.items():
+        if line.failure == INFRASTRUCTURE and line.attempt < most:
+            yield f"episode {index} was given up after {line.attempt} attempts: its plan allows {most}"
 
 
 def _unjudged(run: Run) -> Iterator[str]:

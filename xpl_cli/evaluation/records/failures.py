@@ -11,6 +11,7 @@ from xpl_cli.evaluation.records.model import Ending
 
 if TYPE_CHECKING:
     from xpl.contract import Result
+    from xpl_cli.evaluation.records.model import Episode
 
 TASK, POLICY = "task", "policy"
 POLICY_ERROR, POLICY_DIED = "policy_error", "policy_died"
@@ -18,6 +19,8 @@ POLICY_ERROR, POLICY_DIED = "policy_error", "policy_died"
 SUCCESS, MAX_STEPS = "success", "max_steps"
 MOST_SPOILT = 0.1
 """Share of a run's episodes that the infrastructure may spoil; with more of them it is neither ranked nor bundled."""
+SUCCESS_OF = {None: (True, None), TASK: (False,), POLICY: (False, None), INFRASTRUCTURE: (None,)}
+"""What `success` may be for each class of failure."""
 _GUARDED = (FAR_FIRST_ACTION, NON_FINITE)
 _NO_SUCCESS = (None, MAX_STEPS, POLICY_ERROR, POLICY_DIED, INFRASTRUCTURE, *_GUARDED)
 _TOLD = {item.name for item in fields(Ending)} - {"failure", "error"}
@@ -57,10 +60,10 @@ def died(result: Result, reason: str) -> Ending:
 
 def is_open(ending: Ending) -> bool:
     """Tell whether an attempt that ended so may be followed by another one."""
-    return ending.failure == INFRASTRUCTURE or ending.end_reason == POLICY_DIED
+    return ending.failure == INFRASTRUCTURE or (ending.failure == POLICY and ending.end_reason == POLICY_DIED)
 
 
-def contradiction(ending: Ending) -> str | None:
+def contradiction(ending: Episode) -> str | None:
     """Return in what an episode contradicts itself about success, or None."""
     if ending.success is False:
         return "did not succeed, but ended with success" if ending.end_reason == SUCCESS else None
@@ -71,6 +74,8 @@ def contradiction(ending: Ending) -> str | None:
         f"but ended with {ending.end_reason or 'nothing'}": ending.end_reason in _NO_SUCCESS,
         "with a score of 0": ending.score == 0,
         "but reached no stage": ending.stages and not any(ending.stages.values()),
+        "after 0 steps": ending.steps == 0,
+        "without a request to the policy": ending.inference is not None and ending.inference.count == 0,
     }
     found = next((said for said, holds in against.items() if holds), None)
     return None if found is None else f"succeeded, {found}"

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Self
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.evaluation.records.failures import MOST_SPOILT
+from xpl_cli.evaluation.records.failures import MOST_SPOILT, SUCCESS_OF, is_open
 from xpl_cli.evaluation.records.fingerprints import Facts, digest_of
 from xpl_cli.evaluation.records.lines import Line, LineError, NotJsonError, parsed
 from xpl_cli.evaluation.records.model import SCHEMA, Episode, Plan, name_of
@@ -53,6 +53,7 @@ class Run:
         finals: the final line of each episode that has one, by index in ascending order.
         torn: whether the last line was cut short.
         skipped: lines that are none of a record, or not of this run, and why; empty unless they were to be skipped.
+        latest: the latest line of each episode, by index.
     """
 
     folder: Path
@@ -62,6 +63,7 @@ class Run:
     finals: dict[int, Episode] = field(default_factory=dict)
     torn: bool = False
     skipped: tuple[str, ...] = ()
+    latest: dict[int, Episode] = field(default_factory=dict)
 
     @property
     def spoilt(self) -> int:
@@ -84,7 +86,8 @@ def read(path: Path, *, skip: bool = False) -> Run:
 
     Raises:
         NotFoundError: there is none.
-        RecordError: a line is none of a record, contradicts the plan, or makes an episode final again.
+        RecordError: a line is none of a record, contradicts the plan or itself, plays an episode again that nothing
+            spoilt, or makes one final again.
     """
     file = path if path.name == FILE else path / FILE
     bad: list[_BadLineError] = []
@@ -198,7 +201,7 @@ class Writer:
                 f"{self._file} is of another run: {_differences(found.plan.as_json(), plan.as_json())} differ",
                 hint="run the command that began it, or choose another folder with --out",
             )
-        return Run(folder, found.plan, found.machines, found.attempts, found.finals)
+        return replace(found, folder=folder, torn=False)
 
     def _append(self, line: Line) -> None:
         data = json.dumps(line, separators=(",", ":"), ensure_ascii=False).encode() + _NEWLINE
@@ -294,7 +297,10 @@ def _plan(line: Line, where: str) -> Plan:
         raise RecordError(f"{where} must be the plan of a run, of schema {SCHEMA}")
     if line["run"] != name_of(line):
         raise RecordError(f"{where}: the plan is not the one that the run is named after; it was changed")
-    return Plan.parse(line)
+    plan = Plan.parse(line)
+    if len({cell.place for cell in plan.cells}) < len(plan.cells):
+        raise RecordError(f"{where}: cells: expected each task once in each setting")
+    return plan
 
 
 def _add(line: Line, places: Sequence[Slot], run: Run, where: str) -> None:
@@ -325,10 +331,25 @@ def _check(episode: Episode, places: Sequence[Slot], run: Run, where: str) -> No
         raise _BadLineError(f"{where}: episode {index} of the plan is {slot.case}, got {episode.case}")
     if index in run.finals:
         raise _BadLineError(f"{where}: episode {index} has a final line already")
+    before, most = run.latest.get(index), run.plan.control.attempts
+    attempt = 1 if before is None else before.attempt + 1
+    if episode.attempt != attempt or attempt > most:
+        raise _BadLineError(
+            f"{where}: attempt: expected {attempt} for episode {index}, at most {most}, got {episode.attempt}"
+        )
+    if not episode.final and not is_open(episode):
+        raise _BadLineError(f"{where}: final: expected true, since nothing spoilt this attempt at episode {index}")
+    if episode.success not in SUCCESS_OF[episode.failure]:
+        told, allowed = json.dumps(episode.success), SUCCESS_OF[episode.failure]
+        raise _BadLineError(
+            f"{where}: success: expected {' or '.join(map(json.dumps, allowed))} with failure "
+            f"{json.dumps(episode.failure)}, got {told}"
+        )
 
 
 def _take(episode: Episode, run: Run) -> None:
     run.attempts.append(episode)
+    run.latest[episode.index] = episode
     if episode.final:
         run.finals[episode.index] = episode
 
