@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
@@ -21,6 +22,42 @@ _OF_PARTS: Mapping[str, tuple[str, ...]] = {
 _JOINT = sdk.ACTION_TYPES[0]
 _TEXT = sdk.Obs.INSTRUCTION
 """The standard's name for it, which the block and the convention share."""
+
+
+_SAID: Mapping[str, tuple[tuple[str, str, str], ...]] = {
+    "images": (("channels", "image_channels", "channels"), ("layout", "image_range", "layout")),
+    "joints": (("unit", "angle_unit", "angle_unit"),),
+    "hand": (("unit", "angle_unit", "angle_unit"),),
+    "rotation": (("form", "rotation", "form"),),
+}
+"""By kind of entry: a key of it, the convention that it is of, and its definition in the schema."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """A value of the block.
+
+    Attributes:
+        definition: of the schema, that has all values.
+        word: the value.
+    """
+
+    definition: str
+    word: str
+
+
+def declared(native: Native) -> dict[str, list[Value]]:
+    """Return by convention the values that a block gives it, of those that code names by one word."""
+    entries = [("images", image) for image in native.images]
+    for vector in (*native.state, native.action):
+        entries += [(kind, how) for part in _list(vector.get("parts")) for kind, how in part.items()]
+    found: dict[str, list[Value]] = {}
+    for kind, entry in entries:
+        for key, convention, definition in _SAID.get(kind, ()):
+            word = entry.get(key, "rad" if key == "unit" else None)
+            if isinstance(word, str):
+                found.setdefault(convention, []).append(Value(definition, word))
+    return found
 
 
 def applying(manifest: Manifest) -> list[str]:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 
-from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, Proof, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
 from xpl_cli.audit.static.borrowed import standing
-from xpl_cli.audit.static.reading import inside, text
 from xpl_cli.audit.static.source import Source
 from xpl_cli.native import names
+from xpl_cli.native.citations import Citation, contradiction, folders, lookup
 from xpl_cli.native.reading import Place, Reading, read_tree
 from xpl_cli.native.reading import Source as Told
-from xpl_cli.packages.conventions import applying
-
-_FOREIGN = re.compile(r"@|://")
-_LINE = re.compile(r"(?P<path>[^\s:#]+)(?::|#L)(?P<line>[0-9]{1,7})(?:-L?[0-9]{1,7})?(?![\w.])")
+from xpl_cli.packages.conventions import Value, applying, declared
 
 
 @rule(code="XPL195", requirement="XPL-NAT-5", after=("parses",))
@@ -25,8 +21,10 @@ def native_sources(source: Source) -> Iterator[Finding | Proof]:
     ## What it does
     Reads the map `CONVENTIONS` of native.py, without running it. Every convention that applies to the policy (by its
     native block, or by its inputs and actions where it has none) is in it, and names file and line of the authors'
-    code. A file that lies in the package exists, and has that line. Conventions that are assumed are counted in one
-    finding; the verdict counts those that are not named with them.
+    code. A file of the package exists; there, and in what is installed in an environment inside the package, the line
+    is looked up: it is not empty, it has the symbol that the citation names, and it does not say another value than
+    the block (`xyzw` for `quaternion_wxyz`). Conventions that are assumed are counted in one finding; the verdict
+    counts those that are not named with them.
 
     ## Why it matters
     native.py is the second reading that the adapter is held against. A convention that both took from the same guess
@@ -36,8 +34,8 @@ def native_sources(source: Source) -> Iterator[Finding | Proof]:
     `CONVENTIONS = {"gripper": "as usual"}`.
 
     ## Use instead
-    `"gripper": "authors/env.py:88"`, `"github.com/them/policy@4f1c2d0:data/env.py:88"`, or, where nobody says it,
-    `"assumed: the paper does not say which value is open"`.
+    `"gripper": "authors/env.py:88 OPEN_WIDTH"`, `"github.com/them/policy@4f1c2d0:data/env.py:88"`, or, where nobody
+    says it, `"assumed: the paper does not say which value is open"`.
 
     ## Fix safety
     No automatic fix.
@@ -62,9 +60,11 @@ def _findings(source: Source, reading: Reading, applies: Sequence[str]) -> Itera
     if lacking:
         message = f"{names.CODE} does not say where it has {', '.join(lacking)} from"
         yield _finding(source, message, reading.place, "nothing for these")
+    native = source.manifest.native
+    values = {} if native is None else declared(native)
     for name, told in reading.conventions.items():
         if not told.is_assumed:
-            yield from _unfounded(source, name, told)
+            yield from _unfounded(source, name, told, values.get(name, ()))
     if reading.assumed:
         count = len(reading.assumed)
         what = "a convention is" if count == 1 else f"{count} conventions are"
@@ -72,28 +72,23 @@ def _findings(source: Source, reading: Reading, applies: Sequence[str]) -> Itera
         yield _finding(source, f"{what} assumed: {', '.join(reading.assumed)}", first.place, f"{count} times assumed")
 
 
-def _unfounded(source: Source, name: str, told: Told) -> Iterator[Finding]:
-    """Yield a finding for a source that is no line of a file, or a line that is not there."""
-    found = _LINE.search(told.text)
-    if found is None:
+def _unfounded(source: Source, name: str, told: Told, values: Sequence[Value]) -> Iterator[Finding]:
+    """Yield a finding for a source that is no line of a file, or whose line is not there or says otherwise."""
+    cited = Citation.parse(told.text)
+    if cited is None:
         yield _finding(source, f"the source of {name} names no line of a file", told.place, told.text)
-    elif not _FOREIGN.search(told.text[: found.start("line")]):
-        lines = _lines(source, found["path"])
-        if lines is not None and not 1 <= int(found["line"]) <= lines:
-            there = f"has {lines} lines" if lines else "is not there"
-            message = f"the source of {name} cannot be looked up: {found['path']} {there}"
-            yield _finding(source, message, told.place, told.text)
-
-
-def _lines(source: Source, path: str) -> int | None:
-    """Return how many lines a file of the package has, 0 if it is not there; None if it is not the package's."""
+        return
     here = source.path.resolve()
-    if inside(here, path) is None:
-        return 0 if inside(here, path.partition("/")[0]) or (here / path.partition("/")[0]).is_dir() else None
-    try:
-        return len(text(here, path).content.splitlines())
-    except NotRun:  # larger than what is read
-        return None
+    quoted = lookup(cited, folders(here))
+    if quoted is None:
+        if not cited.is_foreign and (here / cited.path.partition("/")[0]).exists():
+            message = f"the source of {name} cannot be looked up: {cited.path} is not there"
+            yield _finding(source, message, told.place, told.text)
+    elif quoted.problem is not None:
+        yield _finding(source, f"the source of {name} cannot be looked up: {quoted.problem}", told.place, told.text)
+    elif (contrary := contradiction(quoted, values)) is not None:
+        message = f"the source of {name} says otherwise: {contrary}"
+        yield _finding(source, message, told.place, f"{cited.path}:{cited.first}: {' '.join(quoted.text)}")
 
 
 def _finding(source: Source, message: str, place: Place | None, got: str) -> Finding:

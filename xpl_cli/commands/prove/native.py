@@ -188,3 +188,36 @@ def kinematics(
             console.data(verdict.sentence)
     good = {witness.AGREES, witness.OPEN}
     raise typer.Exit(ExitCode.CLEAN if all(one.outcome in good for one in found) else ExitCode.FINDINGS)
+
+
+@app.command()
+@ends(clean="all cited lines were found", findings="a line is missing or says otherwise", not_found="no native.py")
+def sources(
+    policy: str = POLICY,
+    python: str | None = PYTHON,
+    policy_env: str | None = POLICY_ENV,
+    as_json: bool = JSON,
+) -> None:
+    """Quote beside each convention the line of the authors' code that native.py cites for it."""
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode, UserError
+    from xpl_cli.lifecycle import interpreter
+    from xpl_cli.native import citations
+    from xpl_cli.packages import package as packages
+
+    adapter = packages.load(policy)
+    try:
+        resolved = interpreter.resolve(adapter.path, adapter.manifest.environment, python=python, env=policy_env)
+    except UserError:
+        if python is not None or policy_env is not None:
+            raise
+        resolved = None  # not installed: what lies in the package is quoted all the same
+    found = citations.quoted(adapter.path, adapter.manifest, resolved)
+    if as_json:
+        document = {"policy": adapter.name, "conventions": [one.document() for one in found]}
+        console.answer("xpl.native-sources/1", document, [])
+    else:
+        for one in found:
+            for line in one.lines():
+                console.data(line)
+    raise typer.Exit(ExitCode.FINDINGS if any(one.problem for one in found) else ExitCode.CLEAN)
