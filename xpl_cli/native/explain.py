@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from xpl_cli.native.patterns import Pattern
 
 _FACTOR = 100.0
-"""A change that makes the difference fall by this much explains it, even if the rest is above the tolerance."""
+"""A change by which the difference falls by this much is consistent with it, if the rest is above the tolerance."""
 _LIKE = 10.0
 """Changes whose rests differ by less than this factor are the same by effect."""
 _CLEAR = 4.0
@@ -53,6 +53,7 @@ class Cause:
         before: largest difference, as a share of the native spread, of the parts.
         after: the same with the change.
         parts: the numbers of an action that it mends.
+        left: those that stay above the tolerance.
     """
 
     words: str
@@ -60,10 +61,14 @@ class Cause:
     before: float
     after: float
     parts: tuple[str, ...]
+    left: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
         """What happens with the change."""
+        if self.left:
+            fall = f"the difference falls from {self.before:.2g} to {self.after:.1g}"
+            return f"consistent with `{self.words}`: {fall}, still above the tolerance in {ranges(self.left)}"
         return f"with `{self.words}` the difference falls from {self.before:.2g} to {self.after:.1g}"
 
 
@@ -74,8 +79,9 @@ class Explanation:
     Attributes:
         before: the largest difference.
         parts: the numbers of an action that differ, the farthest first.
-        cause: the single change that explains the difference, or None.
-        ties: other changes that explain it as well.
+        cause: the single change with which no number differs, or None.
+        near: where there is none: one that leaves a hundredth of the difference or less.
+        ties: other changes that do so as well.
         partial: where no change explains all: changes that each explain some parts, no part twice.
         lowers: where there is none of these: a change that clearly lowers the difference more than any other.
         patterns: what the differences themselves tell.
@@ -84,6 +90,7 @@ class Explanation:
     before: float
     parts: tuple[str, ...]
     cause: Cause | None = None
+    near: Cause | None = None
     ties: tuple[Cause, ...] = ()
     partial: tuple[Cause, ...] = ()
     lowers: Cause | None = None
@@ -92,10 +99,10 @@ class Explanation:
     @property
     def text(self) -> str:
         """The explanation as a finding says it, or "" if there is none."""
-        if self.cause is not None:
+        if (found := self.cause or self.near) is not None:
             others = _listed([f"`{tie.words}`" for tie in self.ties[:3]])
             more = f" (as with {others}: the pairs do not tell them apart)" if others else ""
-            return self.cause.text + more
+            return found.text + more
         told = [f"{one.text} in {ranges(one.parts)}" for one in self.partial]
         if self.lowers is not None:
             told.append(f"{self.lowers.text}, which does not explain all of it")
@@ -104,7 +111,7 @@ class Explanation:
     @property
     def leads(self) -> Cause | Pattern | None:
         """What names a convention: the cause, or what comes nearest to one."""
-        found = (self.cause, *self.partial, *self.patterns, self.lowers)
+        found = (self.cause, self.near, *self.partial, *self.patterns, self.lowers)
         return next((one for one in found if one is not None), None)
 
 
@@ -123,9 +130,12 @@ def explain(before: Differences, tried: Iterable[Tried], tolerance: float) -> Ex
         return start
     changes = [one for one in tried if one.remaining.keys() == before.keys()]
     whole = [cause for one in changes if (cause := _whole(one, before, off, tolerance)) is not None]
+    exact = [cause for cause in whole if not cause.left]
     if whole:
-        best, *ties = _alike(whole, tolerance)
-        return Explanation(largest, tuple(off), cause=best, ties=tuple(ties))
+        best, *ties = _alike(exact or whole, tolerance)
+        return Explanation(
+            largest, tuple(off), cause=best if exact else None, near=None if exact else best, ties=tuple(ties)
+        )
     partial = _partial(changes, before, off, tolerance)
     lowers = None if partial else _lowering(changes, before, off)
     return Explanation(largest, tuple(off), partial=tuple(partial), lowers=lowers)
@@ -135,7 +145,8 @@ def _whole(one: Tried, before: Differences, off: Sequence[str], tolerance: float
     after, largest = max(one.remaining.values()), max(before.values())
     if after > tolerance and after * _FACTOR > largest:
         return None
-    return Cause(one.words, one.convention, largest, after, tuple(off))
+    left = tuple(part for part, value in one.remaining.items() if value > tolerance)
+    return Cause(one.words, one.convention, largest, after, tuple(off), left)
 
 
 def _alike(causes: Sequence[Cause], tolerance: float) -> list[Cause]:

@@ -147,13 +147,16 @@ def _blamed(message: str, cause: Found | None, *, expected: str, got: str, evide
         evidence["cause"] = {"words": best.words, "convention": best.convention, "whole": False}
     elif best is not None:
         where = "in the block `native`" if cause is not None and cause.in_block else "in encode, predict or decode"
-        advice = f"the model means `{best.words}`: if the authors' code says so, mend that {where}"
+        advice = f"the answers would match with `{best.words}`: if the authors' code says so, change that {where}"
+        if explanation is not None and explanation.cause is None:
+            advice = f"`{best.words}` comes nearest: look at what the authors' code says of it, and at the rest"
         evidence["cause"] = {
             "words": best.words,
             "convention": best.convention,
             "before": best.before,
             "after": best.after,
             "whole": explanation is not None and explanation.cause is not None,
+            "left": list(best.left),
             "ties": [] if explanation is None else [tie.words for tie in explanation.ties],
         }
     finding = blame(

@@ -119,7 +119,8 @@ class Search:
             found.append(Found(explanation, in_block=family == self._by_block))
             if explanation.cause is not None:
                 return found[-1]
-        best = next((one for one in found if one.explanation.text), found[0])
+        near = [one for one in found if one.explanation.near is not None]
+        best = next((one for one in (*near, *found) if one.explanation.text), found[0])
         judgement = self._judgement
         told = (
             *self._unseen,
