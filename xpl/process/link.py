@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 Head = dict[str, Any]
 """What a message says besides its buffers, in what JSON knows."""
 
+HEAD_LIMIT = 1 << 23
+"""Bytes of a head: its lists and maps take many times as much memory."""
+
 _SCRATCH = 1 << 16
 _STEP = 1 << 26
 
@@ -46,6 +49,8 @@ def encode(head: object, buffers: Sequence[Data] = ()) -> list[Data]:
         raise PackingError("the value contains itself, or is nested too deeply to be sent") from None
     except (TypeError, ValueError) as error:
         raise PackingError(str(error)) from None
+    if len(text) > HEAD_LIMIT:
+        raise PackingError(f"lists and text of {len(text)} bytes are over the limit of {HEAD_LIMIT}: use arrays")
     body: list[Data] = []
     for buffer in buffers:
         body.append(buffer)
@@ -126,8 +131,11 @@ class Inbox:
         self._kept = 0
         while len(view) >= PREFIX_BYTES:
             header, body = lengths(view)
-            if body > self._largest:
-                raise PackingError(f"a message of {body} bytes was announced, over the {self._largest} it may have")
+            if body > self._largest or header > HEAD_LIMIT + PREFIX_BYTES:
+                raise PackingError(
+                    f"a message of {header} and {body} bytes was announced, over the {HEAD_LIMIT} and {self._largest} "
+                    "that it may have"
+                )
             total = PREFIX_BYTES + header + body
             if total > len(view):
                 if total > _SCRATCH:

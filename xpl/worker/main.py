@@ -148,10 +148,12 @@ class Worker:
         results = self._results(requests) if self._shared is None else self._shared_results(self._shared, requests)
         answers: list[Head | None] = []
         buffers: list[Data] = []
+        left = spec.LIMITS["frame_bytes"]
         for request, result in zip(requests, results):
             if not isinstance(result, BaseException):
                 try:
-                    buffers.append(_packed_answer(request, result))
+                    buffers.append(_packed_answer(request, result, left))
+                    left -= len(buffers[-1])
                 except _FAILURES as error:  # also what a library's own array type raises while it is converted
                     answers.append({**describe(error), **self._lacks(error), "unserialisable": True})
                 else:
@@ -247,15 +249,24 @@ class Worker:
         return argument
 
 
-def _packed_answer(request: Request, result: object) -> bytes:
-    """Return the entries of the answer to a request, packed."""
+def _packed_answer(request: Request, result: object, most: int) -> bytes:
+    """Return the entries of the answer to a request, packed.
+
+    Raises:
+        PackingError: if they cannot travel, or take more than `most` bytes.
+    """
     entries: Any = {}
     if request.method == spec.Method.INFER:
         passes = isinstance(result, Mapping) and spec.Payload.ACTIONS in result
         entries = result if passes else {spec.Payload.ACTIONS: result}
     elif result is not None:
         entries = {spec.Payload.RESULT: result}
-    return b"".join(packed.encode(entries, limits=_ANSWER))
+    answer = b"".join(packed.encode(entries, limits=_ANSWER))
+    if len(answer) > most:
+        raise packed.PackingError(
+            f"an answer of {len(answer)} bytes is over the {most} left of what a batch may return"
+        )
+    return answer
 
 
 def describe(error: BaseException) -> dict[str, str]:

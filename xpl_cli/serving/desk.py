@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
     from xpl_cli.serving.observe import Observer
     from xpl_cli.serving.places import Place
     from xpl_cli.serving.session import Entry
-    from xpl_cli.serving.workers.pool import Raised, Worker
+    from xpl_cli.serving.workers.heads import Raised
+    from xpl_cli.serving.workers.pool import Worker
 
 _BEFORE_AN_EPISODE = frozenset((spec.Method.RESET, *spec.HOOKS))
 _TIMED = frozenset((spec.Message.INFER, spec.Message.CALL))
@@ -201,8 +203,10 @@ class Desk:
 
 
 def _passes(job: Job, result: memoryview) -> bool:
-    """Tell whether an answer is passed on as the worker packed it."""
-    return job.packs and packed.lengths(result)[0] <= spec.LIMITS["packed_header"]
+    """Tell whether an answer is passed on as the worker packed it; what is no packed value is not."""
+    with contextlib.suppress(packed.PackingError):
+        return job.packs and packed.lengths(result)[0] <= spec.LIMITS["packed_header"]
+    return False
 
 
 def acknowledged(frame: codec.Frame, payload: Payload) -> bytes:

@@ -14,7 +14,6 @@ from xpl_cli.serving.session import RequestError
 
 if TYPE_CHECKING:
     from xpl.contract import Announcement, Payload
-    from xpl.process.link import Head
     from xpl.wire import codec
     from xpl_cli.serving.connection import Connection
     from xpl_cli.serving.workers.pool import Worker
@@ -138,12 +137,12 @@ def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any)
     number, shown = next(_segments), segment.answer().hex()
     connection.segment_number = number
 
-    def mapped(answer: Head) -> None:
+    def mapped(error: str | None) -> None:
         segment.close()  # unlinked: whoever dies from now on, the system clears up
         if worker.failed:
             return
-        if "error" in answer:  # no descriptors left, for example
-            log(f"the worker cannot share memory: {answer['error']['message']}")
+        if error is not None:  # no descriptors left, for example
+            log(f"the worker cannot share memory: {error}")
             worker.shares_memory = False
             connection.close(_TRY_AGAIN, "the worker cannot share memory")
         elif not connection.is_open:

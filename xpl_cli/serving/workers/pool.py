@@ -6,14 +6,14 @@ import asyncio
 import collections
 import sys
 import time
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Protocol
 
 from xpl import _spec as spec
 from xpl.wire.frame import PackingError
 from xpl_cli.isolation.stacks import STACKS_S
 from xpl_cli.serving.logbook import log
 from xpl_cli.serving.session import RequestError
+from xpl_cli.serving.workers.heads import HeadError, Raised, answers, outcome
 from xpl_cli.serving.workers.line import Line
 from xpl_cli.serving.workers.worker import WorkerDiedError
 
@@ -31,33 +31,6 @@ if TYPE_CHECKING:
 
 _REPORT_S = 10.0
 """A request that takes longer is reported while it runs, and again whenever it has taken twice as long."""
-
-
-@dataclass(frozen=True)
-class Raised:
-    """What a worker says of an exception (`xpl.worker.main`).
-
-    Attributes:
-        kind: its type.
-        message: one sentence.
-        traceback: with it as the last line.
-        lacks: what the machine lacks, if that is why: `kind` and `name`.
-        refused: the request itself was wrong.
-        unserialisable: it is the result that cannot travel.
-    """
-
-    kind: str
-    message: str
-    traceback: str
-    lacks: Mapping[str, str] | None
-    refused: bool
-    unserialisable: bool
-
-    @classmethod
-    def read(cls, told: Head) -> Self:
-        """Read it from a worker's answer."""
-        flags = bool(told.get("refused")), bool(told.get("unserialisable"))
-        return cls(told["type"], told["message"], told["traceback"], told.get("lacks"), *flags)
 
 
 class Desk(Protocol):
@@ -117,7 +90,7 @@ class Worker:
         self._desk = desk
         self._on_failure = on_failure
         self._loop = asyncio.get_running_loop()
-        self._errands: collections.deque[tuple[Head, Callable[[Head], None]]] = collections.deque()
+        self._errands: collections.deque[tuple[Head, Callable[[str | None], None]]] = collections.deque()
         self._running: list[Job] = []
         self._later: list[tuple[Place, Callable[[], None]]] = []
         self._loading: Head = {}
@@ -138,15 +111,14 @@ class Worker:
         self._loading = {"op": "load", **request, **({"shadow": True} if shadow else {})}
         self._busy, self._started = True, time.monotonic()
         try:
-            answer = await self.process.ask(**self._loading)
-        except (WorkerDiedError, PackingError) as error:
+            offered = outcome(await self.process.ask(**self._loading))
+        except (WorkerDiedError, PackingError, HeadError) as error:
             raise LoadError(f"the model could not be loaded: {error}") from None
-        if "error" in answer:
-            raised = Raised.read(answer["error"])
-            sys.stderr.write(raised.traceback)
-            raise LoadError(f"the model could not be loaded: {raised.kind}: {raised.message}", raised.lacks)
+        if isinstance(offered, Raised):
+            sys.stderr.write(offered.traceback)
+            raise LoadError(f"the model could not be loaded: {offered.kind}: {offered.message}", offered.lacks)
         self._busy = False
-        self.line = Line(shared=bool(answer["ok"]["shared"]), most=manifest.serving.max_batch)
+        self.line = Line(shared=manifest.serving.shared, most=manifest.serving.max_batch)
 
     def renew(self) -> None:
         """Build the model anew before the next request."""
@@ -164,8 +136,8 @@ class Worker:
         self.line.add(job, time.monotonic())
         self.pump()
 
-    def errand(self, message: Head, on_answer: Callable[[Head], None]) -> None:
-        """Send a message that is no request, before the next batch."""
+    def errand(self, message: Head, on_answer: Callable[[str | None], None]) -> None:
+        """Send a message that is no request, before the next batch; `on_answer` is told what went wrong, or None."""
         self._errands.append((message, on_answer))
         self.pump()
 
@@ -210,7 +182,7 @@ class Worker:
         for job in running:
             self._desk.refused(job, first)
         while self._errands:
-            self._errands.popleft()[1]({"error": {"message": reason}})
+            self._errands.popleft()[1](reason)
         for job in self.line.clear():
             self._desk.refused(job, died)
         self._on_failure(self, reason)
@@ -225,17 +197,16 @@ class Worker:
             self._loop.call_soon(self.fail, str(error))
 
     def _jobs_done(self, head: Head, buffers: list[memoryview]) -> None:
+        told = answers(head, buffers, len(self._running))
         jobs, self._running = self._running, []
         self._busy = False
         self.line.finished(jobs, time.monotonic())
-        results = iter(buffers)
-        for job, error in zip(jobs, head["answers"], strict=True):
-            result = next(results) if error is None else None
+        for job, answer in zip(jobs, told, strict=True):
             try:
-                if result is not None:
-                    self._desk.answered(job, result)
+                if isinstance(answer, Raised):
+                    self._desk.raised(job, answer)
                 else:
-                    self._desk.raised(job, Raised.read(error))
+                    self._desk.answered(job, answer)
             except Exception as problem:  # noqa: BLE001 - one job of a batch never costs another its answer
                 self._desk.failed(job, problem)
         later, self._later = self._later, []
@@ -243,15 +214,16 @@ class Worker:
             self.after(place, action)
         self.pump()
 
-    def _errand_done(self, answer: Head) -> None:
+    def _errand_done(self, head: Head) -> None:
+        told = outcome(head)
         self._busy = False
         _, on_answer = self._errands.popleft()
-        on_answer(answer)
+        on_answer(told.message if isinstance(told, Raised) else None)
         self.pump()
 
-    def _renewed(self, answer: Head) -> None:
-        if "error" in answer:
-            self.fail(f"the model could not be built a second time: {answer['error']['message']}")
+    def _renewed(self, error: str | None) -> None:
+        if error is not None:
+            self.fail(f"the model could not be built a second time: {error}")
 
     def _look_again(self, now: float) -> None:
         """Look after what runs when it should have ended: one timer for all, because most requests take no time."""

@@ -11,6 +11,7 @@ import signal
 import sys
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as spec
 from xpl.process import link, spawn
 from xpl.process.child import KEPT_START, SDK_START
 from xpl.process.link import Inbox
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     Answered = Callable[[link.Head, list[memoryview]], None]
 
 _BOOTSTRAP = SDK_START + "from xpl.worker.main import main; main(int(sys.argv[2]))"
+ANSWER_BYTES = spec.LIMITS["frame_bytes"]
+"""Of the results of one batch: the adapter may write to the link itself, and announce anything."""
 _LINE = 500
 """Characters of a printed line that clients are shown while the model loads."""
 
@@ -53,7 +56,7 @@ class WorkerProcess:
         self._wrapped = wrapped
         self._channel = channel
         self._label = label
-        self._inbox = Inbox()
+        self._inbox = Inbox(ANSWER_BYTES)
         self._unsent: collections.deque[memoryview] = collections.deque()
         self._on_answer: Answered | None = None
         self._output = asyncio.create_task(self._copy_output())
@@ -223,6 +226,8 @@ class WorkerProcess:
         on_answer, self._on_answer = self._on_answer, None
         try:
             head, buffers = link.decode(message)
+            if not isinstance(head, dict):
+                raise PackingError(f"expected a map, got {type(head).__name__}: the stream is out of step")
         except PackingError as error:
             self._break(f"the link to the worker broke: {error}")
             return
@@ -231,7 +236,7 @@ class WorkerProcess:
             return
         try:
             on_answer(head, buffers)
-        except (ValueError, LookupError, TypeError, StopIteration) as error:  # the head is not what was agreed on
+        except ValueError as error:  # the head is not what was agreed on
             self._break(f"the link to the worker is out of step: {type(error).__name__}: {error}")
 
     async def _notice_end(self) -> None:
