@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import os
 import re
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -21,7 +25,7 @@ from xpl_cli.evaluation.leaderboard import board, field, ranking
 from xpl_cli.evaluation.records import lines, records
 from xpl_cli.evaluation.records.failures import contradiction
 from xpl_cli.evaluation.records.records import RecordError
-from xpl_cli.evaluation.report import written
+from xpl_cli.evaluation.report import curves, media, written
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 
@@ -291,6 +295,68 @@ def test_every_command_that_reads_records_names_the_line(sound: Path, tmp_path: 
     assert "left out of the record" in (run / "report" / written.MARKDOWN).read_text(encoding="utf-8")
 
 
+def _npy(shape: tuple[int, ...] = (), dtype: str = "<f4", data: bytes = bytes(4)) -> bytes:
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"shape": shape, "fortran_order": False, "descr": dtype})
+    return stream.getvalue() + data
+
+
+def _trace(**arrays: bytes) -> bytes:
+    """Return the bytes of a trace, some arrays of which are other bytes."""
+    usual = {
+        "frequency": _npy(),
+        "chunk_starts": _npy((1,), "<i4"),
+        "state_steps": _npy((1,), "<i4"),
+        "state.a": _npy((1, 1)),
+    }
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in (usual | arrays).items():
+            archive.writestr(f"{name}.npy", content)
+    return stream.getvalue()
+
+
+TRACES: dict[str, Callable[[], tuple[bytes, str]]] = {
+    "inflates to 64 MB": lambda: (_trace(**{"state.a": bytes(64 << 20)}), "it would unpack to 67.1 MB, more than"),
+    "claims 28 TB": lambda: (_trace(**{"state.a": _npy((7 * 10**12, 1))}), "its header says float32"),
+    "claims less than nothing": lambda: (_trace(**{"state.a": _npy((-1, -1))}), "unknown dimension"),
+    "numbers without a size": lambda: (_trace(**{"state.a": _npy((10**12, 1), "|S0", b"")}), "itemsize"),
+    "objects": lambda: (_trace(**{"state.a": _npy((1, 1), "|O", bytes(8))}), "its header says object"),
+    "texts": lambda: (_trace(**{"state.a": _npy((1, 1), "<U1")}), "expected numbers in 2 dimensions"),
+    "a curve without columns": lambda: (_trace(**{"state.a": _npy((1,))}), "expected numbers in 2 dimensions"),
+    "a million curves": lambda: (
+        _trace(**{"state.a": _npy((1, 10**6), data=bytes(4 * 10**6))}),
+        "more than 2000 curves",
+    ),
+    "no frequency to draw by": lambda: (_trace(frequency=_npy(data=b"\0\0\xc0\x7f")), "expected a finite number"),
+    "chunks between steps": lambda: (_trace(chunk_starts=_npy((1,))), "expected numbers in 1 dimensions"),
+    "half a header": lambda: (_trace(frequency=b"\x93NUMPY\1\0"), "header"),
+    "a header of code": lambda: (_trace(frequency=b"\x93NUMPY\1\0\x10\0__import__('os')"), "malformed"),
+    "damage": lambda: (_trace()[:60] + bytes(8) + _trace()[68:], ""),
+}
+
+
+@pytest.mark.parametrize("name", TRACES)
+def test_a_trace_beyond_its_bounds_is_a_sentence_of_the_page(name: str, sound: Path, tmp_path: Path) -> None:
+    """Nothing is made of a header before what it says is there, and a page of the run is written nevertheless."""
+    content, said = TRACES[name]()
+    line = json.loads(_lines(sound)[BAD - 1])
+    line["trace"] = {"path": "a.npz", "digest": hashlib.sha256(content).hexdigest()}
+    run = _changed(sound, tmp_path / "run", line)
+    (run / "a.npz").write_bytes(content)
+    (entry,) = media.shown(records.read(run), 1 << 24, "").values()
+    assert "a.npz holds no curves: " in entry["problem"]
+    assert said in entry["problem"]
+
+
+def test_numbers_as_large_as_may_be_are_drawn(tmp_path: Path) -> None:
+    """Their range is beyond all floats."""
+    most = np.array([-1e308, 1e308, 0.0])
+    found = curves.read(_trace(**{"state.a": _npy((3, 1), "<f8", most.tobytes())}), "a")
+    assert json.dumps(found, allow_nan=False)
+
+
+STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
 HOSTILE = (
     "\0",
     "\x1b[31m\x1b]0;x\x07",
@@ -305,8 +371,8 @@ HOSTILE = (
 @pytest.mark.parametrize("name", HOSTILE, ids=[repr(name) for name in HOSTILE])
 def test_names_of_any_kind_break_neither_reports_nor_boards(name: str, tmp_path: Path) -> None:
     """What the schema allows as the name of a task or setting can be shown in every form."""
-    run = synthetic(tmp_path / "run", tasks=(f"t{name}", name), settings=(f"s{name}",), episodes=2)
-    other = synthetic(tmp_path / "other", tasks=(f"t{name}", name), settings=(f"s{name}",), episodes=2, seed=1)
+    told: dict[str, Any] = {"tasks": (f"t{name}", name), "settings": (f"s{name}",), "episodes": 2, "policy": name}
+    run, other = synthetic(tmp_path / "run", **told), synthetic(tmp_path / "other", **told, seed=1)
     commands: tuple[list[str | Path], ...] = (
         ["report", run],
         ["compare", run, other],
@@ -318,8 +384,11 @@ def test_names_of_any_kind_break_neither_reports_nor_boards(name: str, tmp_path:
             assert ended.code == 0, ended
             assert "\x1b" not in ended.stdout
             assert "\0" not in ended.stdout
-    page = (run / "report" / written.PAGE).read_text(encoding="utf-8")
-    assert "<script>alert(1)" not in page
+    for page in (*(run / "report").iterdir(), *(tmp_path / "board").iterdir()):
+        text = page.read_text(encoding="utf-8")
+        assert STEERING.search(text) is None, page
+        if page.suffix in {".html", ".md"}:
+            assert "<script>alert(1)" not in text, page
 
 
 values = st.recursive(

@@ -124,6 +124,7 @@ def test_a_sentence_in_markdown_links_and_calls_nowhere(text: str) -> None:
     said = strangers.in_markdown(text)
     assert STEERING.search(said) is None
     assert "\n" not in said
+    assert "<" not in said
     assert re.search(r"@\w|#\d|://\w|www\.\w", said, re.IGNORECASE) is None
 
 

@@ -18,7 +18,7 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.model import Conduct, Ending
-from xpl_cli.evaluation.records.records import Writer
+from xpl_cli.evaluation.records.records import RecordError, Writer
 from xpl_cli.evaluation.runs import runner
 from xpl_cli.evaluation.runs.schedule import Schedule
 
@@ -99,6 +99,39 @@ def test_episodes_are_played_in_the_order_of_the_plan(plan: Plan, tmp_path: Path
     run = _play(tmp_path, plan, backend)
     assert [job.index for job in backend.played] == [0, 1, 2, 3, 4, 5] == list(run.finals)
     assert {job.attempt for job in backend.played} == {1}
+
+
+@pytest.mark.parametrize("name", ["traces", "films", records.FILE])
+def test_nothing_is_written_through_a_link_of_a_run(name: str, plan: Plan, tmp_path: Path) -> None:
+    """Whoever began a run that is continued may have put a link to anywhere into it."""
+    run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    Writer(run, plan).close()
+    elsewhere.mkdir()
+    (elsewhere / "0.npz").write_text("somebody's")
+    if name == records.FILE:
+        (run / name).rename(elsewhere / name)
+        (run / name).symlink_to(elsewhere / name)
+    else:
+        (run / name).symlink_to(elsewhere)
+    before = {path: path.read_bytes() for path in elsewhere.iterdir()}
+
+    def answer(job: Job) -> list[Outcome]:
+        return [Outcome(job, GOOD, WHEN, {"processor": "x"}, b"curves", b"film")]
+
+    with pytest.raises(RecordError, match=f"{name}.* cannot be written"):
+        _play(run, plan, Script(1, answer, _first))
+    assert {path: path.read_bytes() for path in elsewhere.iterdir()} == before
+
+
+def test_a_file_of_a_run_that_is_a_link_is_replaced(plan: Plan, tmp_path: Path) -> None:
+    """Not what it leads to."""
+    Writer(tmp_path, plan).close()
+    (tmp_path / "kept").write_text("somebody's")
+    (tmp_path / "traces").mkdir()
+    (tmp_path / "traces" / "0.npz").symlink_to(tmp_path / "kept")
+    _play(tmp_path, plan, Script(1, lambda job: [Outcome(job, GOOD, WHEN, {"processor": "x"}, b"curves")], _first))
+    assert (tmp_path / "kept").read_text() == "somebody's"
+    assert (tmp_path / "traces" / "0.npz").read_bytes() == b"curves"
 
 
 def test_a_spoilt_attempt_is_played_again_after_others_and_within_a_bound(plan: Plan, tmp_path: Path) -> None:

@@ -24,7 +24,9 @@ _BETWEEN: Final = "\N{ZERO WIDTH SPACE}"
 _CALLS: Final = re.compile(r"@|#(?=\d)|(?<=GH-)(?=\d)|(?<=://)|(?<=www\.)|(?<=mailto:)", re.IGNORECASE)
 """Behind these a platform reads whom to notify, what to refer to, where to link to."""
 _MARKUP: Final = re.compile(r"(?<=\])(?=[(\[])|(?<=!)(?=\[)|(?<=<)(?=[\w!/?])")
-_MARKDOWN: Final = re.compile(r"([\\`*_\[\]<>|~&$])")
+_MARKDOWN: Final = re.compile(r"([\\`*_\[\]|~$])")
+_ENTITIES: Final = str.maketrans({"<": "&lt;", ">": "&gt;", "&": "&amp;"})
+"""Every dialect of Markdown reads these; a backslash before `<` only some of them."""
 _MARKDOWN_FIRST: Final = re.compile(r"^(\d*)([#+\-=.)])")
 _WORKFLOW: Final = re.compile(r"^(\s*):(?=:)|#(?=#\[)", re.MULTILINE)
 """What the runner of a workflow takes for a command, in whatever is printed."""
@@ -59,7 +61,7 @@ def inert(text: str) -> str:
 def in_markdown(text: str) -> str:
     """Return a text that Markdown shows as it is, on one line, and that calls nobody by name."""
     called = _CALLS.sub(lambda found: found[0] + _BETWEEN, one_line(text))
-    return _MARKDOWN_FIRST.sub(r"\1\\\2", _MARKDOWN.sub(r"\\\1", called))
+    return _MARKDOWN_FIRST.sub(r"\1\\\2", _MARKDOWN.sub(r"\\\1", called)).translate(_ENTITIES)
 
 
 def in_xml(text: str) -> str:

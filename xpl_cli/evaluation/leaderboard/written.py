@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.basics import atomic, pages
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.strangers import harmless
 from xpl_cli.evaluation.leaderboard import board
 from xpl_cli.evaluation.report import figures
 from xpl_cli.evaluation.statistics import wording
@@ -29,7 +30,7 @@ def write(ranking: Ranking, folder: Path) -> None:
         ".html": page(ranking),
         ".md": board.as_markdown(ranking),
         ".csv": board.as_csv(ranking),
-        ".json": json.dumps(ranking.as_json(), indent=2, ensure_ascii=False) + "\n",
+        ".json": harmless(json.dumps(ranking.as_json(), indent=2, ensure_ascii=False)) + "\n",
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -144,8 +144,8 @@ class Writer:
         self._file = folder / FILE
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            # Not blocking: whoever opens a pipe waits for its other end.
-            flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NONBLOCK
+            # Not blocking: whoever opens a pipe waits for its other end. No link: a run that others began may hold one.
+            flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOFOLLOW
             self._descriptor = os.open(self._file, flags, 0o644)
         except OSError as error:
             raise RecordError(f"{self._file} cannot be written: {error.strerror or error}") from None

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import base64
+import io
+import math
 import zipfile
+import zlib
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.sizes import told_size
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     import numpy as np
 
@@ -21,6 +24,9 @@ STATE = "state"
 MOST_POINTS = 600
 """Points of a curve; of a longer one every n-th is drawn."""
 
+_MOST_BYTES, _MOST_COLUMNS = 32 << 20, 2000
+"""What no trace comes near: one of 10,000 steps with 100 columns has 4 MB."""
+_STEPS = ("chunk_starts", "state_steps")
 _MOST = 65535
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _TITLES = {
@@ -31,8 +37,12 @@ _TITLES = {
 }
 
 
-def read(path: Path) -> Curves:
+def read(content: bytes, name: str) -> Curves:
     """Return the curves of a trace, ready for JSON.
+
+    Args:
+        content: of the .npz.
+        name: of the file, for sentences.
 
     Returns:
         `frequency` in Hz, `chunks` (control steps at which a chunk begins), `at` (control steps of the points of the
@@ -45,29 +55,68 @@ def read(path: Path) -> Curves:
     import numpy as np
 
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+        arrays = _arrays(content)
         frequency = float(arrays.pop(sdk.Obs.FREQUENCY))
-        chunks = arrays.pop("chunk_starts").tolist()
-        steps = {STATE: arrays.pop("state_steps")}
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise UserError(f"{path} holds no curves: {error}", code=ExitCode.NOT_RUN) from None
+        chunks, steps = arrays.pop(_STEPS[0]).tolist(), {STATE: arrays.pop(_STEPS[1])}
+    except KeyError as error:
+        raise UserError(f"{name} holds no curves: it has no array {error}", code=ExitCode.NOT_RUN) from None
+    except (OSError, ValueError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise UserError(f"{name} holds no curves: {error}", code=ExitCode.NOT_RUN) from None
     columns: dict[str, dict[int, dict[str, np.ndarray]]] = {}
     for key, values in sorted(arrays.items()):
-        source, _, name = key.partition(".")
+        source, _, curve = key.partition(".")
         steps.setdefault(source, np.arange(len(values)))
         for place, column in enumerate(values.T):
-            columns.setdefault(name, {}).setdefault(place, {})[source] = _thin(column)
+            columns.setdefault(curve, {}).setdefault(place, {})[source] = _thin(column)
     return {
         sdk.Obs.FREQUENCY: frequency,
         "chunks": chunks,
         "at": {source: _thin(at).tolist() for source, at in steps.items()},
         "panels": [
-            {"title": _title(name, place, len(places)), **_levels(sources)}
-            for name, places in columns.items()
+            {"title": _title(curve, place, len(places)), **_levels(sources)}
+            for curve, places in columns.items()
             for place, sources in places.items()
         ],
     }
+
+
+def _arrays(content: bytes) -> dict[str, np.ndarray]:
+    """Return the arrays of an .npz, of the kinds and within the bounds of a trace.
+
+    Raises:
+        ValueError, zipfile.BadZipFile and what else damaged bytes lead to: it is none.
+    """
+    with zipfile.ZipFile(io.BytesIO(content)) as stored:
+        total = sum(entry.file_size for entry in stored.infolist())
+        if total > _MOST_BYTES:
+            raise ValueError(f"it would unpack to {told_size(total)}, more than {told_size(_MOST_BYTES)}")
+        arrays = {name.removesuffix(".npy"): _array(stored.read(name), name) for name in stored.namelist()}
+    for name, values in arrays.items():
+        depth = 0 if name == sdk.Obs.FREQUENCY else 1 if name in _STEPS else 2
+        if values.ndim != depth or values.dtype.kind not in ("iu" if name in _STEPS else "iuf"):
+            raise ValueError(f"{name!r:.80}: expected numbers in {depth} dimensions, got {values.dtype} {values.shape}")
+    if sum(values.shape[1] for values in arrays.values() if values.ndim > 1) > _MOST_COLUMNS:
+        raise ValueError(f"it has more than {_MOST_COLUMNS} curves")
+    frequency = arrays.get(sdk.Obs.FREQUENCY)
+    if frequency is not None and not math.isfinite(frequency):
+        raise ValueError(f"{sdk.Obs.FREQUENCY}: expected a finite number, got {frequency}")
+    return arrays
+
+
+def _array(content: bytes, name: str) -> np.ndarray:
+    """Return an array of a .npy; what its header says has to be there before anything is made for it."""
+    import numpy as np
+    from numpy.lib import format as npy
+
+    stream = io.BytesIO(content)
+    readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    version = npy.read_magic(stream)
+    if version not in readers:
+        raise ValueError(f"{name!r:.80} is of version {version}")
+    shape, is_fortran, dtype = readers[version](stream)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
+        raise ValueError(f"{name!r:.80}: its header says {dtype} {shape!s:.80}, which is not what it holds")
+    return np.frombuffer(content, dtype, offset=stream.tell()).reshape(shape, order="F" if is_fortran else "C")
 
 
 def _thin(values: np.ndarray) -> np.ndarray:
@@ -85,7 +134,8 @@ def _levels(sources: Mapping[str, np.ndarray]) -> dict[str, Any]:
     scale = _MOST / (high - low) if high > low else 0.0
     drawn = {}
     for source, column in sources.items():
-        levels = np.nan_to_num((column.astype(np.float64) - low) * scale).clip(0, _MOST).astype("<u2")
+        with np.errstate(over="ignore", invalid="ignore"):  # a range beyond all floats is drawn as a line
+            levels = np.nan_to_num((column.astype(np.float64) - low) * scale).clip(0, _MOST).astype("<u2")
         drawn[source] = base64.b64encode(levels.tobytes()).decode()
     return {"low": low, "high": high, **drawn}
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup, escape
 
+from xpl_cli.basics.strangers import harmless
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
@@ -66,9 +68,8 @@ def columns(counts: Sequence[int], label: str) -> Markup:
 
 
 def _svg(kind: str, label: str, parts: Iterable[str]) -> Markup:
-    head = (
-        f'<svg class="{kind}" viewBox="0 0 100 100" preserveAspectRatio="none" role="img" aria-label="{escape(label)}">'
-    )
+    shown = escape(harmless(label))
+    head = f'<svg class="{kind}" viewBox="0 0 100 100" preserveAspectRatio="none" role="img" aria-label="{shown}">'
     return Markup(f"{head}{''.join(parts)}</svg>")  # noqa: S704 - made of numbers, our own classes and an escaped label
 
 

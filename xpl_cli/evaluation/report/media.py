@@ -65,20 +65,25 @@ def shown(run: Run, budget: int, link: str) -> dict[str, Shown]:
         what is shown, by index.
     """
     found: dict[str, Shown] = {}
+    full: set[str] = set()
     for episode in _in_turn(run):
         entry: Shown = {}
         for kind, file in ((FILM, episode.film), (TRACE, episode.trace)):
             if file is None:
                 continue
             try:
-                piece, size = _piece(kind, locate(run.folder, file, kind), file, budget)
+                path = locate(run.folder, file, kind)
+                piece, size = (None, 0) if kind in full else _piece(kind, path, file, budget)
             except OSError as error:
                 entry["problem"] = f"{file.path} cannot be read: {error.strerror}"
                 continue
             except UserError as error:
                 entry["problem"] = str(error)
                 continue
-            budget -= size
+            if piece is not None:
+                budget -= size
+            elif size:  # read in vain: the others of its kind are linked without a look
+                full.add(kind)
             entry |= piece or _linked(kind, f"{link}{file.path}")
         if entry:
             found[str(episode.index)] = entry
@@ -102,19 +107,19 @@ def locate(folder: Path, file: File, kind: str) -> Path:
 
 
 def _piece(kind: str, path: Path, file: File, budget: int) -> tuple[Shown | None, int]:
-    """Return a film or curves to embed and their size; nothing where the budget does not bear them."""
+    """Return a film or curves to embed, None where the budget does not bear them; and their size, 0 without a look."""
     if path.stat().st_size > budget:
         return None, 0
     content = files.content(path)
     if hashlib.sha256(content).hexdigest() != file.digest:
         raise UserError(f"{file.path} is not what was recorded: its digest differs")
     if kind == TRACE:
-        piece: Shown = {"curves": curves.read(path)}
+        piece: Shown = {"curves": curves.read(content, file.path)}
         size = len(json.dumps(piece))
     else:
         address = f"data:{_media_type(path)};base64,{base64.b64encode(content).decode()}"
         piece, size = _linked(FILM, address), len(address)
-    return (None, 0) if size > budget else (piece, size)
+    return None if size > budget else piece, size
 
 
 def _linked(kind: str, address: str) -> Shown:

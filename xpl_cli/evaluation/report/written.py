@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli import __version__
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.strangers import harmless
 from xpl_cli.evaluation.report import episodes, markdown, media, page
 from xpl_cli.evaluation.statistics import wording
 from xpl_cli.evaluation.statistics.summary import summarise
@@ -43,7 +44,7 @@ def write(run: Run, folder: Path, budget: int) -> dict[str, Any]:
     texts = {
         PAGE: page.render(run, summary, media.shown(run, budget, link)),
         MARKDOWN: markdown.render(run, summary),
-        DOCUMENT: json.dumps(found, indent=2, ensure_ascii=False) + "\n",
+        DOCUMENT: harmless(json.dumps(found, indent=2, ensure_ascii=False)) + "\n",
         TABLE: episodes.as_csv(wording.HEADER, wording.table(summary)),
         EPISODES: episodes.table(run),
     }

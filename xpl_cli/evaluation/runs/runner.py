@@ -179,6 +179,8 @@ def _beside(folder: Path, name: str, content: bytes | None) -> File | None:
     if content is None:
         return None
     path = folder / name
+    if path.parent.is_symlink():  # a run that others began may hold one to anywhere
+        raise RecordError(f"{path} cannot be written: expected {path.parent.name} to be a folder, got a link")
     try:
         path.parent.mkdir(exist_ok=True)
         atomic.write_file(path, content)
