@@ -15,10 +15,12 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from tests.data import made
+from xpl.trajectory import TrajectoryError, open_folder
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.bounds import Bounds
@@ -104,7 +106,15 @@ def test_no_codec_of_a_store_executes_anything(tmp_path: Path, declared: dict[st
     assert not (tmp_path / "executed").exists()
 
 
+def _arrays(path: Path) -> None:
+    _ends(path)
+    for number in range(1100):
+        _array(path / "data" / f"column_{number}", shape=[1], chunks=[1], dtype="<f4")
+
+
 ZARR: dict[str, Make] = {
+    "1,100 arrays": _arrays,
+    "an end twice": lambda path: _ends(path, np.array([5, 5]).tobytes(), shape=[2], chunks=[2]),
     "claims a petabyte of ends": lambda path: _ends(path, shape=[1 << 50], chunks=[1 << 20]),
     "one chunk is a bomb": lambda path: _ends(
         path, zlib.compress(bytes(1 << 26)), shape=[1 << 20], chunks=[1 << 20], compressor={"id": "zlib", "level": 1}
@@ -162,7 +172,60 @@ def _zeros(file: h5py.File) -> None:
         file.create_dataset(name, (1 << 20, 512), "f4", chunks=(1 << 10, 512), compression="gzip")
 
 
+def _unwritten(file: h5py.File) -> None:
+    del file["action"], file["observations/qpos"]
+    for name in ("action", "observations/qpos"):
+        file.create_dataset(name, (3 << 20, 14), "f4", chunks=(1 << 14, 14))
+
+
+def _named_again(place: str, count: int) -> Callable[[h5py.File], None]:
+    """Return what gives a dataset many names, each of which costs a few bytes."""
+
+    def change(file: h5py.File) -> None:
+        file["observations/images/top"] = np.zeros((5, 16, 16, 3), "u1")
+        for number in range(count):
+            file[f"{place}_{number}"] = file[place]
+
+    return change
+
+
+def _one_image(path: Path, steps: int = 5000) -> None:
+    """Write an episode whose images, of variable length, are all the first one: references to one place of the heap."""
+    _hdf5(lambda file: file.clear())(path)
+    image = np.frombuffer(made.jpeg(made.picture(0)) + bytes(100_000), np.uint8)
+    with h5py.File(path / "episode_0.hdf5", "a") as file:
+        file["action"] = file["observations/qpos"] = np.zeros((steps, 1), "f4")
+        images = file.create_dataset("observations/images/top", (steps,), h5py.vlen_dtype(np.uint8))
+        images[0] = image
+        file.flush()
+        first = images.id.get_offset()
+    data = bytearray((path / "episode_0.hdf5").read_bytes())
+    data[first : first + 16 * steps] = data[first : first + 16] * steps
+    (path / "episode_0.hdf5").write_bytes(data)
+
+
+def _demos(path: Path) -> None:
+    with h5py.File(made.libero(path), "a") as file:
+        file["data/demo_9"] = file["data/demo_0"]
+
+
+def _rate(rate_hz: float) -> Make:
+    return _hdf5(lambda file: file.attrs.__setitem__("fps", rate_hz))
+
+
 HDF5: dict[str, Make] = {
+    "no step": _hdf5(lambda file: (file.clear(), file.__setitem__("action", np.zeros((0, 14))))),
+    "steps that nobody wrote": _hdf5(_unwritten),
+    "900 cameras that are one": _hdf5(_named_again("observations/images/top", 900)),
+    "2,500 columns that are one": _hdf5(_named_again("action", 2500)),
+    "images that are one": _one_image,
+    "demos that are one": _demos,
+    "endless rate": _rate(float("inf")),
+    "rate beyond clocks": _rate(1e308),
+    "rate of a step a year": _rate(3e-8),
+    "camera of 25 megapixels": _hdf5(
+        lambda file: file.create_dataset("observations/images/top", (5, 5000, 5000, 3), "u1", chunks=(1, 50, 50, 3))
+    ),
     "10 links by 12 levels": _hdf5(_web(10, 12)),
     "12 links by 8 levels": _hdf5(_web(12, 8)),
     "a group in itself": _hdf5(lambda file: file.create_group("own").__setitem__("own", file["own"])),
@@ -209,6 +272,30 @@ def _without_a_column(path: Path) -> None:
     pq.write_table(pq.read_table(file).drop(["action"]), file)
 
 
+def _listed(name: str, value: Callable[[int], int]) -> Make:
+    """Return what changes a column of v3.0's table of episodes."""
+
+    def make(path: Path) -> None:
+        made.lerobot_v30(path)
+        file = min(path.glob("meta/episodes/*/*.parquet"))
+        table = pq.read_table(file)
+        column = pa.array([value(number) for number in range(len(table))])
+        pq.write_table(table.set_column(table.schema.get_field_index(name), name, column), file)
+
+    return make
+
+
+def _endless_list(path: Path) -> None:
+    made.lerobot_v30(path)
+    file = min(path.glob("meta/episodes/*/*.parquet"))
+    pq.write_table(pq.read_table(file).take([0] * 100_000), file)
+
+
+def _twice(path: Path) -> None:
+    listed = made.lerobot_v21(path) / "meta" / "episodes.jsonl"
+    listed.write_text(listed.read_text() * 2)
+
+
 def _text(name: str, text: str) -> Make:
     return lambda path: (made.lerobot_v21(path) / "meta" / name).write_text(text)
 
@@ -231,6 +318,11 @@ LEROBOT: dict[str, Make] = {
     "a long episode": _episode(length=1 << 30),
     "a far episode": _episode(episode_index=10**30),
     "tasks are none": _episode(tasks=5),
+    "episodes listed twice": _twice,
+    "all of one number": _listed("episode_index", lambda _: 0),
+    "all of one row": _listed("dataset_from_index", lambda _: 0),
+    "all of one file": _info(data_path="data/chunk-000/episode_000001.parquet"),
+    "a list of 100,000 in no bytes": _endless_list,
     "a column is missing": _without_a_column,
     "a pipe of numbers": _piped("data/*/*.parquet", made.lerobot_v21),
     "a pipe of episodes": _piped("meta/episodes/*/*.parquet", made.lerobot_v30),
@@ -256,6 +348,31 @@ def test_a_set_that_lies_is_one_error_in_bounded_memory(tmp_path: Path, name: st
     assert caught.value.code == ExitCode.FINDINGS
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500 << 10  # kB
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 700 << 10
+
+
+def test_an_index_beside_the_files_changes_no_length(tmp_path: Path) -> None:
+    """The set tells the true length; whoever believes the index gets an error with the first step."""
+    made.standard(tmp_path / "episode_0.hdf5")
+    line = {"file": "episode_0.hdf5", "bytes": (tmp_path / "episode_0.hdf5").stat().st_size, "steps": 40}
+    (tmp_path / "index.jsonl").write_text(json.dumps(line) + "\n")
+    assert open_set(tmp_path)[0].length == 4
+    with pytest.raises(TrajectoryError, match=r"episode_0\.hdf5 has another number of steps than 40"):
+        open_folder(tmp_path)[0].observation(0)
+
+
+def test_a_video_may_say_what_is_no_text(tmp_path: Path) -> None:
+    path = made.lerobot_v21(tmp_path / "set")
+    for file in path.glob("videos/**/*.mp4"):
+        file.write_bytes(file.read_bytes().replace(b"Lavf", b"\xff\xfeav"))
+    everything(path)
+
+
+def test_sentences_beside_that_are_none_are_one_error(tmp_path: Path) -> None:
+    path = made.robotwin(tmp_path / "set")
+    for told in (5, {"seen": 5}, [5], {"unseen": [[]]}):
+        (path / "instructions" / "episode0.json").write_text(json.dumps(told))
+        with pytest.raises(DataError, match=r"instructions/episode0\.json"):
+            everything(path)
 
 
 @pytest.mark.parametrize("name", HARMLESS)

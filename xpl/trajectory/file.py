@@ -99,6 +99,10 @@ class EpisodeFile:
         """
         if self._found is None:
             self._found = storage.datasets(self.file)
+            told = self._steps
+            if told is not None and told not in self._lengths().values():
+                self.close()
+                raise TrajectoryError(f"{self.path} has another number of steps than {told}, which its index says")
         return self._found
 
     def rows(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
@@ -122,8 +126,11 @@ class EpisodeFile:
             return np.array(storage.text(dataset, index), dtype=str)
         return storage.rows(dataset, index)
 
+    def _lengths(self) -> dict[names.Place, int]:
+        return {path: dataset.shape[0] for path, dataset in self.datasets.items() if self._has_rows(path, dataset)}
+
     def _counted(self) -> int:
-        lengths = {path: dataset.shape[0] for path, dataset in self.datasets.items() if self._has_rows(path, dataset)}
+        lengths = self._lengths()
         if not lengths:
             raise TrajectoryError(f"{self.path} has neither `state` nor `action`: a trajectory has both, step by step")
         first = next(iter(lengths))

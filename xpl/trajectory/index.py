@@ -57,6 +57,10 @@ def lines(folder: Path) -> dict[str, Line]:
             told = json_text.parse(raw)
         except json_text.JsonError:
             continue
-        if isinstance(told, dict) and isinstance(told.get("file"), str) and isinstance(told.get("steps"), int):
+        if isinstance(told, dict) and isinstance(told.get("file"), str) and _is_count(told.get("steps")):
             found[told["file"]] = Line(told.get("bytes"), told["steps"])
     return found
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0

@@ -36,6 +36,7 @@ class Dataset(Protocol):
 class Group(Protocol):
     """A group of a file, or the open file itself."""
 
+    id: object
     name: str
     file: File
     attrs: MutableMapping[str, object]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,8 @@ from xpl.trajectory import names, storage
 from xpl.trajectory.errors import TrajectoryError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from xpl.trajectory.names import Place
     from xpl.trajectory.nodes import Dataset
 
@@ -67,13 +70,32 @@ def found(path: Place, dataset: Dataset) -> Picture | None:
     return picture
 
 
+def series(dataset: Dataset, steps: Iterable[int]) -> Iterator[tuple[int, bytes]]:
+    """Yield steps with their encoded images, as `encoded` returns them.
+
+    Raises:
+        TrajectoryError: one cannot be read, or they are more than the file can hold, because they are one another.
+    """
+    most = storage.FEW_BYTES + storage.EXPANSION * Path(dataset.file.filename).stat().st_size
+    for step in steps:
+        data = encoded(dataset, step)
+        most -= len(data)
+        if most < 0:
+            raise TrajectoryError(f"{storage.where(dataset)}: up to step {step} images claim more than the file holds")
+        yield step, data
+
+
 def decoded(dataset: Dataset, step: int) -> np.ndarray:
     """Return an encoded image, (H, W, 3) uint8 RGB.
 
     Raises:
         TrajectoryError: it cannot be decoded; the text says which.
     """
-    data = encoded(dataset, step)
+    return unpacked(dataset, step, encoded(dataset, step))
+
+
+def unpacked(dataset: Dataset, step: int, data: bytes) -> np.ndarray:
+    """Return the pixels of an encoded image that was read; raises as `decoded`."""
     try:
         return codec.decode(data)
     except (ObservationError, ValueError) as error:

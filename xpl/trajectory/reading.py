@@ -207,8 +207,12 @@ class Trajectory(EpisodeFile):
         if picture is None:
             raise KeyError(f"{self.path} has no images {name}; it has {', '.join(self.pictures) or 'none at all'}")
         dataset = self.datasets[tuple(name.split("/"))]
-        for step in range(*slice(start, stop).indices(len(self))):
-            image = storage.rows(dataset, step) if picture.encoding == "raw" else pictures.decoded(dataset, step)
+        steps = range(*slice(start, stop).indices(len(self)))
+        if picture.encoding != "raw":
+            yield from (pictures.unpacked(dataset, *one) for one in pictures.series(dataset, steps))
+            return
+        for step in steps:
+            image = storage.rows(dataset, step)
             yield image[..., 0] if picture.kind == spec.Camera.DEPTH and image.ndim == 3 else image
 
     def _camera(self, camera: str, leaf: str) -> tuple[names.Place, Dataset]:

@@ -38,6 +38,9 @@ MOST_FACT = 1 << 20
 """Numbers or texts of what is told of a whole episode."""
 MOST_TEXT = 1 << 24
 """Characters of one text."""
+FEW_BYTES = 1 << 25
+EXPANSION = 64
+"""Bytes that are read of one series for each byte of its file, at most, beyond those few: rows may be one another."""
 
 PER_STEP = "per_step"
 """Attribute of a dataset with one row for each step, where neither its name nor its form tells."""
@@ -131,6 +134,11 @@ def _entry(node: Group, name: str) -> Any:
         place = f"{where(node)}/{name}" if node.name != "/" else f"{node.file.filename}: {name}"
         raise TrajectoryError(f"{place} is a link; links are not followed, an episode is one file by itself")
     return node[name]
+
+
+def address(node: Group) -> int:
+    """Return where in its file a group lies, by which one that has several names is known."""
+    return int(hdf5().h5o.get_info(node.id).addr)
 
 
 def where(node: Group | Dataset) -> str:

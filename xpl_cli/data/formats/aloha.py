@@ -22,4 +22,5 @@ def recognises(path: Path) -> bool:
 
 def opened(path: Path) -> FolderSet:
     """Return the set."""
-    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: ToldEpisode(file, "", key, _STEPS))
+    files = hdf5.Files()
+    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: ToldEpisode((file, files), "", key, _STEPS))

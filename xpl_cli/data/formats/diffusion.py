@@ -5,7 +5,6 @@ Source: Diffusion Policy's common/replay_buffer.py; zarr's format 2. It has no p
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 import zipfile
@@ -76,13 +75,15 @@ class DiffusionSet(Demonstrations):
     def __init__(self, path: Path) -> None:
         super().__init__(path, NAME)
         self._path = path
-        with _opened(path) as store:
+        self._store = _opened(path)
+        with _told(path):
+            store = self._store
             ends = store.get(ENDS)
             if ends is None or "data" not in store:
                 raise DataError(f"{path} has no data and {ENDS}, which Diffusion Policy's stores have")
             self._ends: list[int] = np.asarray(ends[:], np.int64).tolist()
             self._extras: Extras = dict(store.attrs)
-            self.contents = {name: _told(name, array) for name, array in sorted(store["data"].arrays())}
+            self.contents = {name: _described(name, array) for name, array in sorted(store["data"].arrays())}
         starts = [0, *self._ends]
         if any(end < start for start, end in zip(starts, self._ends, strict=False)):
             raise DataError(f"{path}: {ENDS} does not rise")
@@ -104,8 +105,8 @@ class DiffusionSet(Demonstrations):
 
     def rows(self, name: str, start: int, stop: int) -> np.ndarray:
         """Return rows of an array, counted over the set."""
-        with _opened(self._path) as store:
-            found: np.ndarray = np.asarray(store["data"][name][start:stop])
+        with _told(self._path):
+            found: np.ndarray = np.asarray(self._store["data"][name][start:stop])
         if len(found) != stop - start:
             raise DataError(f"{self._path}: {name} has {len(found)} of the rows {start} to {stop}")
         return found
@@ -142,14 +143,23 @@ class DiffusionEpisode(OutlinedEpisode):
             yield image if image.dtype == np.uint8 else np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path) -> Any:
+    """Return the store, after what every array of it says of itself was checked."""
     zarr = libraries.zarr()
-    for name, text in _declarations(path):
+    for count, (name, text) in enumerate(_declarations(path), 1):
+        if count > _MOST_ARRAYS:
+            raise DataError(f"{path} has more than {_MOST_ARRAYS} arrays")
         _check(documents.parsed(text, f"{path}: {name}"), f"{path}: {name}")
-    try:
+    with _told(path):
         store = zarr.storage.ZipStore(path, mode="r") if path.suffix == ".zip" else str(path)
-        yield zarr.open_group(store, mode="r", zarr_format=2, use_consolidated=False)
+        return zarr.open_group(store, mode="r", zarr_format=2, use_consolidated=False)
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Say in one sentence what is wrong with a store."""
+    try:
+        yield
     except DataError:
         raise
     except Exception as error:  # noqa: BLE001 - zarr and its codecs raise almost anything on damaged stores
@@ -160,9 +170,13 @@ def _declarations(path: Path) -> Iterator[tuple[str, bytes]]:
     """Yield what the arrays that are read say of themselves, each with its name in the store."""
     if path.is_dir():
         found = [path / ENDS / _ARRAY, *sorted(path.glob(f"data/*/{_ARRAY}"))]
-        for file in found[:_MOST_ARRAYS]:
-            with contextlib.suppress(FileNotFoundError):
+        for file in found:
+            try:
                 yield file.relative_to(path).as_posix(), files.content(file, _MOST_DECLARED)
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                raise DataError(f"{file} cannot be read: {error.strerror}") from None
         return
     try:
         with zipfile.ZipFile(path) as archive:
@@ -190,7 +204,7 @@ def _check(declared: Any, where: str) -> None:
         raise DataError(f"{where} claims {math.prod(declared['shape'])} episodes, more than {_MOST_EPISODES}")
 
 
-def _told(name: str, array: Any) -> Column | Camera:
+def _described(name: str, array: Any) -> Column | Camera:
     """Return what an array is: a camera if its rows are images of bytes, or of floats 0..255 as in Push-T."""
     shape, dtype = array.shape, np.dtype(array.dtype)
     if dtype.kind not in "biuf":

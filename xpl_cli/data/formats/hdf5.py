@@ -92,6 +92,33 @@ def opened(path: Path) -> Iterator[File]:
         yield file
 
 
+class Files:
+    """The file that was read last, open until another one is: opening it takes longer than reading a column."""
+
+    def __init__(self) -> None:
+        self._path: Path | None = None
+        self._file: File | None = None
+
+    @contextmanager
+    def opened(self, path: Path) -> Iterator[File]:
+        """Open a file for reading, where it is not open; raises as `opened`."""
+        libraries.h5py()
+        try:
+            with told(path):
+                if self._file is None or self._path != path:
+                    self._close()
+                    self._path, self._file = path, storage.opened(str(path))
+                yield self._file
+        except DataError:
+            self._close()
+            raise
+
+    def _close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+        self._file = None
+
+
 @contextmanager
 def told(path: str | Path) -> Iterator[None]:
     """Say in one sentence what is wrong with a file.
@@ -116,7 +143,7 @@ class Hdf5Episode(OutlinedEpisode):
     """An episode that is a group of an HDF5 file.
 
     Args:
-        path: the file.
+        file: which one it is, and what keeps one of the set's files open.
         group: the group in it; "" for the whole file.
         key: its name in the set.
         steps: the dataset, or datasets, the first of which that is there says how many steps there are.
@@ -124,32 +151,34 @@ class Hdf5Episode(OutlinedEpisode):
     """
 
     def __init__(
-        self, path: Path, group: str, key: str, steps: tuple[str, ...], instructions: tuple[str, ...] = ()
+        self, file: tuple[Path, Files], group: str, key: str, steps: tuple[str, ...], instructions: tuple[str, ...] = ()
     ) -> None:
         super().__init__(key)
-        self._path, self._group, self._steps, self._told = path, group, steps, instructions
+        self._path, self._files = file
+        self._group, self._steps, self._told = group, steps, instructions
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         known = self.columns[column]
-        with opened(self._path) as file:
+        with self._files.opened(self._path) as file:
             dataset = self._root(file)[column]
             if known.dtype == "str":
                 return np.array(storage.text(dataset, slice(start, stop)), dtype=str)
             return storage.rows(dataset, slice(start, stop))
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
-        """Yield images of a camera."""
+        """Yield images of a camera; their file is open of its own as long as they are read."""
         known = self.cameras[camera]
         with opened(self._path) as file:
             dataset = self._root(file)[camera]
-            for index in range(*slice(start, stop).indices(self.length)):
-                if known.encoding == "raw":
+            steps = range(*slice(start, stop).indices(self.length))
+            if known.encoding == "raw":
+                for index in steps:
                     image = storage.rows(dataset, index)
-                else:
-                    where = f"{self._path}, {self._key}, {camera}, image {index}"
-                    image = pictures.pixels(stored.encoded(dataset, index).rstrip(b"\0"), where)
-                yield image[..., 0] if known.kind == "depth" and image.ndim == 3 else image
+                    yield image[..., 0] if known.kind == "depth" and image.ndim == 3 else image
+                return
+            for index, data in stored.series(dataset, steps):
+                yield pictures.pixels(data.rstrip(b"\0"), f"{self._path}, {self._key}, {camera}, image {index}")
 
     def _root(self, file: File) -> Group:
         return storage.group(file, self._group) if self._group else file
@@ -157,7 +186,7 @@ class Hdf5Episode(OutlinedEpisode):
     def outline(self) -> Outline:
         """Return what the file says without rows and images."""
         where = f"{self._path}, {self._key}"
-        with opened(self._path) as file:
+        with self._files.opened(self._path) as file:
             root = self._root(file)
             found = storage.datasets(root)
             length = self._counted(found, where)

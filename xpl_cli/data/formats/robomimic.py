@@ -90,15 +90,21 @@ class RobomimicSet(Demonstrations):
 
     @functools.cached_property
     def _episodes(self) -> list[Hdf5Episode]:
-        found = []
+        found: list[Hdf5Episode] = []
+        files = hdf5.Files()
         for path in self._files:
             with hdf5.opened(path) as file:
                 group = storage.group(file, "data")
                 told = _language(_json(storage.plain(group.attrs.get("problem_info"))))
+                seen: dict[int, str] = {}
                 for name in sorted(group, key=natural):
-                    meta = _json(storage.plain(storage.group(group, name).attrs.get("ep_meta")))
+                    demo = storage.group(group, name)
+                    first = seen.setdefault(storage.address(demo), name)
+                    if first != name:
+                        raise DataError(f"{path}: data/{name} is data/{first} once more; an episode counts once")
+                    meta = _json(storage.plain(demo.attrs.get("ep_meta")))
                     key = name if len(self._files) == 1 else f"{path.stem}/{name}"
-                    found.append(Hdf5Episode(path, f"data/{name}", key, _STEPS, _language(meta) or told))
+                    found.append(Hdf5Episode((path, files), f"data/{name}", key, _STEPS, _language(meta) or told))
             if len(found) > _MOST_EPISODES:
                 raise DataError(f"{self.path} has more than {_MOST_EPISODES} episodes")
         return found

@@ -22,6 +22,17 @@ if TYPE_CHECKING:
 NAME: Final = "robotwin"
 _STEPS: Final = ("joint_action/vector", "joint_action/left_gripper", "endpose/left_endpose")
 _MOST: Final = 16 << 20
+_SENTENCES: Final = {"type": ["array", "null"], "items": {"type": "string"}}
+_SCHEMA: Final = documents.of(
+    {
+        "anyOf": [
+            {"type": "string"},
+            {"type": "array", "items": {"type": "string"}},
+            {"type": "object", "properties": {"seen": _SENTENCES, "unseen": _SENTENCES}},
+        ]
+    }
+)
+"""Of a file of sentences: one, several, or several by whether training sees them."""
 
 
 def recognises(path: Path) -> bool:
@@ -31,7 +42,8 @@ def recognises(path: Path) -> bool:
 
 def opened(path: Path) -> FolderSet:
     """Return the set."""
-    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _Episode(file, "", key, _STEPS))
+    files = hdf5.Files()
+    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _Episode((file, files), "", key, _STEPS))
 
 
 class _Episode(Hdf5Episode):
@@ -42,7 +54,7 @@ class _Episode(Hdf5Episode):
         del extras
         path = self._path.parent.parent / "instructions" / f"{self._path.stem}.json"
         try:
-            told = documents.parsed(bounded.content(path, _MOST), str(path))
+            told = documents.checked(documents.parsed(bounded.content(path, _MOST), str(path)), _SCHEMA, str(path))
         except FileNotFoundError:
             return ()
         except OSError as error:

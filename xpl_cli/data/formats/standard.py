@@ -53,25 +53,22 @@ def recognises(path: Path) -> bool:
 
 
 def opened(path: Path) -> FolderSet:
-    """Return the set; lengths come from the folder's index where it has them."""
-    files = hdf5.files(path)
-    kept = _Kept(trajectory.open_files(files))
-    places = {file: place for place, file in enumerate(files)}
-    return FolderSet(path, NAME, files, lambda file, key: _Episode(kept, places[file], key))
+    """Return the set; what an index beside the files says of them is not believed."""
+    kept = _Kept()
+    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _Episode(kept, file, key))
 
 
 class _Kept:
     """The file of one episode, open until another one is read: opening it takes longer than reading a column."""
 
-    def __init__(self, folder: trajectory.Folder) -> None:
-        self.folder = folder
-        self._found: tuple[int, Trajectory] | None = None
+    def __init__(self) -> None:
+        self._found: tuple[Path, Trajectory] | None = None
 
-    def at(self, place: int) -> Trajectory:
-        """Return the trajectory at a place of the folder."""
-        if self._found is None or self._found[0] != place:
+    def at(self, path: Path) -> Trajectory:
+        """Return the trajectory in a file."""
+        if self._found is None or self._found[0] != path:
             self.close()
-            self._found = place, self.folder[place]
+            self._found = path, trajectory.Trajectory(str(path))
         return self._found[1]
 
     def close(self) -> None:
@@ -84,9 +81,9 @@ class _Kept:
 class _Episode(OutlinedEpisode):
     """An episode. Its images are read from a file of their own, which is open as long as they are."""
 
-    def __init__(self, kept: _Kept, place: int, key: str) -> None:
+    def __init__(self, kept: _Kept, path: Path, key: str) -> None:
         super().__init__(key)
-        self._kept, self._place = kept, place
+        self._kept, self._path = kept, path
 
     @functools.cached_property
     def length(self) -> int:
@@ -103,13 +100,13 @@ class _Episode(OutlinedEpisode):
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
         """Yield images of a camera; JPEGs are RGB by the standard's rule, with its mark or exchanged without."""
         self.cameras[camera]
-        with self._kept.folder[self._place] as found, hdf5.told(found.path):
+        with trajectory.Trajectory(str(self._path)) as found, hdf5.told(found.path):
             yield from found.frames(camera, start, stop)
 
     @contextmanager
     def _open(self) -> Iterator[Trajectory]:
         libraries.h5py()
-        found = self._kept.at(self._place)
+        found = self._kept.at(self._path)
         try:
             with hdf5.told(found.path):
                 yield found

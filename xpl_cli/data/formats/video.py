@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+_MOST_BETWEEN: Final = 10_000
+"""Frames that are decoded to reach one; encoders make a key frame of each 250th at least."""
 _CODECS: Final = {"libdav1d": "av1", "libsvtav1": "av1", "libaom-av1": "av1", "libx264": "h264"}
 
 
@@ -48,7 +50,9 @@ def frames(path: Path, begins_s: float, rate_hz: float, start: int, stop: int) -
         due = start
         try:
             container.seek(max(0, int((begins_s + start / rate_hz) / stream.time_base) - 1), stream=stream)
-            for frame in container.decode(stream):
+            for count, frame in enumerate(container.decode(stream)):
+                if count > _MOST_BETWEEN and due == start:
+                    raise DataError(f"{path} has no key frame in {_MOST_BETWEEN} frames before frame {start}")
                 place = round((frame.time - begins_s) * rate_hz)
                 if place < due:
                     continue
@@ -71,7 +75,7 @@ def opened(path: Path) -> Iterator[tuple[Any, Any]]:
     """Open a video by the one reader that is meant: others would follow what a file names."""
     av = libraries.av()
     try:
-        container = av.open(str(path), format="mp4")
+        container = av.open(str(path), format="mp4", metadata_errors="replace")
     except FileNotFoundError:
         raise DataError(f"there is no video {path}") from None
     except (av.error.FFmpegError, OSError) as error:

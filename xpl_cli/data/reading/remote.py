@@ -8,6 +8,7 @@ import sys
 import threading
 import weakref
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -97,7 +98,7 @@ class _Reader:
         self._process = process = Process(start, environment={**os.environ, **_FRUGAL}, largest=_MOST_ANSWER)
         self._owner = os.getpid()
         weakref.finalize(self, _end, process, self._owner)
-        self.opened = self._asked("open", str(self._path), self._bounds.memory, self._bounds.seconds)
+        self.opened = self._asked("open", str(self._path), asdict(self._bounds))
 
     def _asked(self, do: str, *arguments: Any) -> Any:
         process = self._process
@@ -115,6 +116,8 @@ class _Reader:
             told = head["error"]
             message = told["message"] if told["code"] is not None else f"{self._path} cannot be read: {told['message']}"
             code = ExitCode.FINDINGS if told["code"] is None else ExitCode(told["code"])
+            if code == ExitCode.FINDINGS and str(self._path) not in message:
+                message = f"{self._path}: {message}"
             raise DataError(message, hint=told["hint"], code=code)
         return packed.decode(buffers[0])
 
@@ -158,20 +161,23 @@ class _RemoteSet(Demonstrations):
 
     def __getitem__(self, index: int) -> _RemoteEpisode:
         """Return an episode, by its place."""
-        place = range(len(self))[index]
-        return _RemoteEpisode(self._reader, place, self._reader.ask("key", place))
+        return _RemoteEpisode(self._reader, range(len(self))[index])
 
 
 class _RemoteEpisode(OutlinedEpisode):
     """An episode that another process reads."""
 
-    def __init__(self, reader: _Reader, index: int, key: str) -> None:
-        super().__init__(key)
+    def __init__(self, reader: _Reader, index: int) -> None:
         self._reader, self._index = reader, index
+
+    @functools.cached_property
+    def key(self) -> str:
+        """Its name in the set."""
+        return self._reader.ask("key", self._index)  # type: ignore[no-any-return]
 
     def outline(self) -> Outline:
         """Return what the file says without rows and images."""
-        length, instructions, columns, cameras, extras = self._reader.ask("outline", self._index)
+        self.key, length, instructions, columns, cameras, extras = self._reader.ask("outline", self._index)
         return Outline(
             length,
             tuple(instructions),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
@@ -16,6 +16,7 @@ from xpl.wire import packed
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.data.formats.detection import open_here
 from xpl_cli.data.sets.bounds import Bounds
+from xpl_cli.data.sets.claims import Claims
 from xpl_cli.data.sets.errors import LibraryMissingError
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ class _Service:
 
     def __init__(self) -> None:
         self._bounds = Bounds(0, 0.0)
+        self._claims = Claims("", 0)
         self._set: Demonstrations | None = None
         self._numbers = itertools.count()
         self._films: dict[int, Iterator[np.ndarray]] = {}
@@ -65,26 +67,30 @@ class _Service:
             return _error(f"it lacks {str(error)[:200]}")
         return _error(f"it is damaged, or not what its format says: {type(error).__name__}: {str(error)[:200]}")
 
-    def _open(self, path: str, memory: int, seconds: float) -> dict[str, Any]:
-        self._bounds = Bounds(memory, seconds)
+    def _open(self, path: str, bounds: Mapping[str, Any]) -> dict[str, Any]:
+        self._bounds = Bounds(**bounds)
         self._bounds.hold()
         self._bounds.begin()
+        self._claims = Claims(path, self._bounds.size)
         self._set = found = open_here(Path(path))
+        self._claims.opened(found)
         return {"path": found.path, "format": found.format, "length": len(found)}
 
     def _about(self) -> dict[str, Any]:
         found = self._opened
+        self._claims.rate(found.rate_hz)
         return {"rate_hz": found.rate_hz, "robot": found.robot, "extras": dict(found.extras)}
 
     def _key(self, index: int) -> str:
         return self._opened[index].key
 
     def _outline(self, index: int) -> list[Any]:
-        """Return length, instructions, columns, cameras and extras."""
+        """Return key, length, instructions, columns, cameras and extras."""
         episode = self._opened[index]
+        self._claims.episode(index, episode)
         columns = {name: asdict(column) for name, column in episode.columns.items()}
         cameras = {name: vars(camera) for name, camera in episode.cameras.items()}
-        return [episode.length, list(episode.instructions), columns, cameras, dict(episode.extras)]
+        return [episode.key, episode.length, list(episode.instructions), columns, cameras, dict(episode.extras)]
 
     def _read(self, index: int, column: str, start: int, stop: int | None) -> np.ndarray | list[str]:
         rows = self._opened[index].read(column, start, stop)

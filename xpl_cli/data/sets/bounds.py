@@ -35,10 +35,12 @@ class Bounds:
     Attributes:
         memory: bytes that it may take beyond what its libraries have taken when they were imported.
         seconds: of processor time for one answer.
+        size: bytes of the set's files.
     """
 
     memory: int
     seconds: float
+    size: int = 0
 
     @classmethod
     def of(cls, path: Path) -> Self:
@@ -47,8 +49,11 @@ class Bounds:
         Raises:
             DataError: it is, or holds, something else than files and folders, such as a pipe that waits for a writer.
         """
-        size = _size(path)
-        return cls(_MEMORY + _MEMORY_OF_SIZE * size, _SECONDS + size / _BYTES_A_SECOND)
+        try:
+            size = _size(path)
+        except OSError as error:
+            raise DataError(f"{path} cannot be read: {error.strerror}", code=ExitCode.FINDINGS) from None
+        return cls(_MEMORY + _MEMORY_OF_SIZE * size, _SECONDS + size / _BYTES_A_SECOND, size)
 
     @property
     def wait_s(self) -> float:
@@ -99,11 +104,11 @@ def _held() -> int:
 
 
 def _size(path: Path) -> int:
-    """Return the bytes of a file, or of the first files of a folder."""
+    """Return the bytes of a file, or of the files of a folder: of many, by the first ones."""
     if not path.is_dir():
         _refuse_unless_file(path)
         return path.stat().st_size
-    total = count = 0
+    total = count = measured = 0
     folders = [os.fspath(path)]
     while folders:
         with contextlib.suppress(OSError), os.scandir(folders.pop()) as entries:
@@ -112,10 +117,12 @@ def _size(path: Path) -> int:
                     folders.append(entry.path)
                 elif not entry.is_file():
                     _refuse_unless_file(Path(entry.path))
-                elif count < _MOST_MEASURED:
-                    total += entry.stat().st_size
+                else:
                     count += 1
-    return total
+                    if measured < _MOST_MEASURED:
+                        total += entry.stat().st_size
+                        measured += 1
+    return total * count // max(measured, 1)
 
 
 def _refuse_unless_file(path: Path) -> None:

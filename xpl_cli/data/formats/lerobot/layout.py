@@ -5,6 +5,8 @@ Source: LeRobot 0.3 (v2.1) and 0.4 (v3.0), lerobot/datasets/utils.py and lerobot
 
 from __future__ import annotations
 
+import collections
+import itertools
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -40,6 +42,9 @@ EXTRAS: Final = "extras"
 """Where what LeRobot has no place for is kept: a key of info.json, and JSON text of each episode."""
 _PLACE: Final = re.compile(r"\{([a-z_]+)(?::0?([0-9])d)?\}")
 _MOST_META: Final = 512 << 20
+_FEW_ROWS: Final = 1000
+_ROW_BYTES: Final = 8
+"""Bytes of a table of episodes for each, at least: where an episode begins is another number in each row."""
 _POINTERS: Final = ("data/", "meta/", "videos/", "stats/")
 _NAMED: Final = ("codebase_version", "features", "fps", "robot_type", "data_path", "video_path")
 _COUNTS: Final = ("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb", "splits")
@@ -221,7 +226,25 @@ def entries(root: Path, info: Info) -> list[Entry]:
         if isinstance(error, DataError):
             raise
         raise DataError(f"{root}: the lists of episodes below meta/ are damaged: {error!r:.200}") from None
+    _refuse_shared_rows(root, found)
     return sorted(found, key=lambda entry: entry.index)
+
+
+def _refuse_shared_rows(root: Path, entries: list[Entry]) -> None:
+    """Refuse a list in which a number stands twice, or a row of a table belongs to two episodes.
+
+    Raises:
+        DataError: it does.
+    """
+    for index, count in collections.Counter(entry.index for entry in entries).items():
+        if count > 1:
+            raise DataError(f"{root}: below meta/ the episode {index} is listed {count} times, expected once")
+    for one, other in itertools.pairwise(sorted(entries, key=lambda entry: (entry.data, entry.first))):
+        if one.data == other.data and one.first + one.length > other.first:
+            raise DataError(
+                f"{root}: below meta/ the episodes {one.index} and {other.index} both have row {other.first} of "
+                f"{one.data}, expected each row in one"
+            )
 
 
 def statistics(root: Path, version: str, feature: str) -> dict[int, dict[str, Any]]:
@@ -351,6 +374,9 @@ def _rows(root: Path, statistics: str = "") -> Iterator[dict[str, Any]]:
     for path in paths:
         try:
             with parquet.ParquetFile(path) as file:
+                count, size = file.metadata.num_rows, path.stat().st_size
+                if count > _FEW_ROWS + size // _ROW_BYTES:
+                    raise DataError(f"{path} claims {count} rows, more than its {size} bytes hold")
                 names = [name for name in file.schema_arrow.names if not name.startswith("stats/")]
                 if statistics:
                     names = ["episode_index"] + [n for n in file.schema_arrow.names if n.startswith(statistics)]

@@ -14,6 +14,7 @@ import numpy as np
 from xpl.images import PIXELS
 from xpl_cli.data.formats import libraries, pictures, video
 from xpl_cli.data.formats.lerobot import layout
+from xpl_cli.data.sets.claims import most_read
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import Camera, Clip, Column, Demonstrations, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
@@ -113,6 +114,7 @@ class LeRobotSet(Demonstrations):
         """Yield the encoded images of a camera that lie in the table, with their places."""
         where = f"{self.root / entry.data}, {camera}"
         due = start
+        most = most_read((self.root / entry.data).stat().st_size)
         with _opened(self.root / entry.data) as file:
             self._require(file, camera, entry.data)
             for number, first, last in _groups(self._sizes(entry.data), entry.first + start, entry.first + stop):
@@ -120,7 +122,11 @@ class LeRobotSet(Demonstrations):
                 for batch in file.iter_batches(batch_size=16, row_groups=[number], columns=[camera]):
                     for value in batch.column(0).to_pylist():
                         if first <= seen < last:
-                            yield due, self._image(value, f"{where}, image {due}")
+                            data = self._image(value, f"{where}, image {due}")
+                            most -= len(data)
+                            if most < 0:
+                                raise DataError(f"{where}: up to image {due} they claim more than the file holds")
+                            yield due, data
                             due += 1
                         seen += 1
         if due != stop:

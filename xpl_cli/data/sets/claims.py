@@ -1,0 +1,95 @@
+"""What a set claims of itself, held against its size: a small file can claim any number of anything.
+
+Bounds of one process (`bounds.py`) end what takes too long for one answer; these end what asks for too many.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from xpl.trajectory import storage
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.data.sets.errors import DataError
+
+if TYPE_CHECKING:
+    from xpl_cli.data.sets.interface import Demonstrations, Episode
+
+MOST_COLUMNS: Final = 512
+MOST_CAMERAS: Final = 64
+MOST_PIXELS: Final = 1 << 24
+"""Of one image, a little over 5K video."""
+SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e6
+_FEW_EPISODES: Final = 1000
+_EPISODE_BYTES: Final = 256
+"""Bytes of a set for each of its episodes, at least: three steps of an arm take as much."""
+
+
+def most_read(size: int) -> int:
+    """Return how many bytes of numbers, or of encoded images of one camera, files of a size hold at most."""
+    return storage.FEW_BYTES + storage.EXPANSION * size
+
+
+@dataclass
+class Claims:
+    """What was claimed so far by a set.
+
+    Args:
+        path: of the set.
+        size: bytes of its files.
+    """
+
+    path: str
+    size: int
+    _seen: set[int] = field(default_factory=set)
+    _numbers: int = 0
+
+    def opened(self, found: Demonstrations) -> None:
+        """Take a set that was opened.
+
+        Raises:
+            DataError: it claims more episodes than its files can hold.
+        """
+        most = _FEW_EPISODES + self.size // _EPISODE_BYTES
+        if len(found) > most:
+            raise self._lie(f"it lists {len(found)} episodes, and files of {self.size} bytes hold {most} at most")
+
+    def rate(self, rate_hz: float | None) -> None:
+        """Take the steps per second that a set says.
+
+        Raises:
+            DataError: no robot has as few or as many.
+        """
+        if rate_hz is not None and not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+            raise self._lie(f"it says {rate_hz:g} steps per second, expected {SLOWEST_HZ:g} to {FASTEST_HZ:g}")
+
+    def episode(self, index: int, episode: Episode) -> None:
+        """Take the outline of an episode.
+
+        Raises:
+            DataError: it has no steps, or the set claims more of anything than its files can hold.
+        """
+        key, columns, cameras = episode.key, episode.columns, episode.cameras
+        if episode.length < 1:
+            raise self._lie(f"{key} has no steps, expected one at least")
+        for word, count, most in (("columns", len(columns), MOST_COLUMNS), ("cameras", len(cameras), MOST_CAMERAS)):
+            if count > most:
+                raise self._lie(f"{key} has {count} {word}, expected {most} at most")
+        for name, camera in cameras.items():
+            if camera.height * camera.width > MOST_PIXELS:
+                told = f"images of {camera.height} x {camera.width} pixels, expected {MOST_PIXELS} in all at most"
+                raise self._lie(f"{key}: {name} has {told}")
+        if index in self._seen:
+            return
+        rows = (math.prod(one.shape) * np.dtype(one.dtype).itemsize for one in columns.values() if one.dtype != "str")
+        self._seen.add(index)
+        self._numbers += episode.length * sum(rows)
+        if self._numbers > most_read(self.size):
+            claimed = f"{self._numbers} bytes of numbers up to {key}"
+            raise self._lie(f"it claims {claimed}, and files of {self.size} bytes hold {most_read(self.size)} at most")
+
+    def _lie(self, what: str) -> DataError:
+        return DataError(f"{self.path}: {what}", code=ExitCode.FINDINGS)
