@@ -172,6 +172,11 @@ def _zeros(file: h5py.File) -> None:
         file.create_dataset(name, (1 << 20, 512), "f4", chunks=(1 << 10, 512), compression="gzip")
 
 
+def _without_steps(file: h5py.File) -> None:
+    del file["action"], file["observations/qpos"]
+    file["action"] = file["observations/qpos"] = np.zeros((0, 14))
+
+
 def _unwritten(file: h5py.File) -> None:
     del file["action"], file["observations/qpos"]
     for name in ("action", "observations/qpos"):
@@ -214,7 +219,7 @@ def _rate(rate_hz: float) -> Make:
 
 
 HDF5: dict[str, Make] = {
-    "no step": _hdf5(lambda file: (file.clear(), file.__setitem__("action", np.zeros((0, 14))))),
+    "no step": _hdf5(_without_steps),
     "steps that nobody wrote": _hdf5(_unwritten),
     "900 cameras that are one": _hdf5(_named_again("observations/images/top", 900)),
     "2,500 columns that are one": _hdf5(_named_again("action", 2500)),

@@ -51,6 +51,8 @@ _TOLD_AGAIN_S: Final = 2.0
 """Seconds between two lines of progress."""
 _WIDEST: Final = 4096
 """Numbers of a row that are still looked at: more is a picture by another name, of which only the form is."""
+_MOST_NUMBERS: Final = 1 << 24
+"""Of one episode: two hours of an arm and its commands at 100 Hz are half of it."""
 
 
 @dataclass(frozen=True)
@@ -222,6 +224,7 @@ def _narrowed(looked: int, count: int, chosen: Sequence[type[Check]]) -> str:
 def _seen(episode: Episode, *, images: bool) -> Seen:
     """Read an episode: its numbers whole, its images one by one."""
     columns, shapes, errors = {}, {}, {}
+    left = _MOST_NUMBERS
     for name, column in episode.columns.items():
         shapes[name] = tuple(column.shape)
         kind = np.dtype(column.dtype) if column.dtype not in {"object", "str", "string"} else None
@@ -229,12 +232,16 @@ def _seen(episode: Episode, *, images: bool) -> Seen:
             continue
         if math.prod(column.shape) > _WIDEST:
             continue
+        left -= episode.length * math.prod(column.shape)
+        if left < 0:
+            errors[name] = f"with it the columns of {episode.key} have more than {_MOST_NUMBERS} numbers"
+            continue
         try:
             rows = np.asarray(episode.read(name))
         except (DataError, OSError, ValueError) as error:
             errors[name] = str(error)
             continue
-        columns[name] = rows.astype(np.float64).reshape(len(rows), -1)
+        columns[name] = rows.astype(np.float64).reshape(len(rows), math.prod(column.shape))
     cameras = {
         name: _shown(episode, name) if images and camera.kind == sdk.Camera.COLOR else Shown(None, None, None)
         for name, camera in episode.cameras.items()

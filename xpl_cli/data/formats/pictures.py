@@ -52,6 +52,15 @@ def encoded(image: NDArray[np.uint8], encoding: str) -> bytes:
     return target.getvalue()
 
 
+def thumbnail(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
+    """Return an image of at most this width, and four times this height."""
+    share = min(1.0, width / image.shape[1], 4 * width / image.shape[0])
+    if share == 1.0:
+        return np.ascontiguousarray(image)
+    wide, high = (max(1, round(size * share)) for size in image.shape[1::-1])
+    return np.asarray(Image.fromarray(np.ascontiguousarray(image)).resize((wide, high), Image.Resampling.BILINEAR))
+
+
 def psnr(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
     """Return the peak signal-to-noise ratio of two images, dB; infinite where they are the same."""
     error = float(np.square(one.astype(np.float32) - other.astype(np.float32)).mean())

@@ -80,7 +80,7 @@ def probe(
     named = robot or (demonstrations.robot if demonstrations.robot in embodiment_names() else None)
     state, command = parts.split(sample.of(STATE)), parts.split(sample.of(COMMAND))
     found = Found([_rate(sample, demonstrations)], state, command, episodes=len(sample.episodes))
-    found.rows = sum(episode.length for episode in sample.episodes)
+    found.rows = sample.steps
     if not sample.episodes:
         return found
     scaled = {role: _normalised(sample, role) for role in (STATE, COMMAND)}

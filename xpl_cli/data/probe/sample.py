@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -99,10 +100,12 @@ class Sample:
     Attributes:
         series: its columns of numbers.
         episodes: the episodes.
+        steps: how many were read of them.
     """
 
     series: tuple[Series, ...]
     episodes: tuple[Episode, ...]
+    steps: int
 
     def of(self, role: str) -> list[Series]:
         """Return the columns of a role."""
@@ -155,15 +158,15 @@ def take(demonstrations: Demonstrations, most: int, told: Callable[[str], None] 
         for name, column in episode.columns.items():
             if not np.issubdtype(np.dtype(column.dtype), np.number) and column.dtype != "bool":
                 continue
-            values = np.asarray(episode.read(name), np.float64).reshape(episode.length, -1)
-            if values.shape[1] <= _WIDEST:
-                rows.setdefault(name, []).append(values)
+            if 0 < (width := math.prod(column.shape)) <= _WIDEST:
+                values = np.asarray(episode.read(name, 0, _ROWS), np.float64)
+                rows.setdefault(name, []).append(values.reshape(len(values), width))
                 names.setdefault(name, column.names)
         episodes.append(episode)
-        read += episode.length
+        read += min(episode.length, _ROWS)
     series = [
         Series(name, role_of(name), tuple(values), names[name])
         for name, values in rows.items()
         if len(values) == len(episodes) and len({entry.shape[1] for entry in values}) == 1
     ]
-    return Sample(tuple(series), tuple(episodes))
+    return Sample(tuple(series), tuple(episodes), read)

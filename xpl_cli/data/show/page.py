@@ -10,7 +10,6 @@ from markupsafe import Markup, escape
 
 from xpl_cli.basics import pages
 from xpl_cli.data.formats import pictures
-from xpl_cli.data.show.sheet import thumbnail
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,7 +48,7 @@ def _strip(strip: Strip) -> dict[str, Any]:
 
 
 def _source(image: NDArray[np.uint8]) -> str:
-    data = pictures.encoded(thumbnail(image, _THUMBNAIL), "jpeg")
+    data = pictures.encoded(pictures.thumbnail(image, _THUMBNAIL), "jpeg")
     return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
 
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from xpl_cli.data.formats.pictures import thumbnail
 
+if TYPE_CHECKING:
     from xpl_cli.data.show.view import Chart, View
 
 _WIDE: Final = 1280
@@ -18,14 +18,6 @@ _LINE: Final = 20
 _CHART: Final = 110
 _INK, _SOFT, _RULE, _PAPER = "#1b1f24", "#5d646d", "#e2e4e7", "#ffffff"
 _CURVES: Final = ("#2a6db0", "#c4681c", "#5d7f2a", "#7b5cad", "#247f86", "#b8402f", "#8a6d1f", "#4a5560")
-
-
-def thumbnail(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
-    """Return an image of at most this width."""
-    height = max(1, round(image.shape[0] * width / image.shape[1]))
-    if image.shape[1] <= width:
-        return np.ascontiguousarray(image)
-    return np.asarray(Image.fromarray(np.ascontiguousarray(image)).resize((width, height), Image.Resampling.BILINEAR))
 
 
 def draw(view: View) -> Image.Image:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -9,9 +10,12 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode
+from xpl_cli.data.formats.pictures import thumbnail
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from xpl_cli.data.sets.interface import Demonstrations, Episode
@@ -20,6 +24,10 @@ FRAMES: Final = 8
 MOST_CURVES: Final = 32
 """Entries of a row that are still drawn."""
 _MOST_POINTS: Final = 400
+_BLOCK: Final = 1 << 20
+"""Numbers of a column that are looked at together."""
+_WIDEST: Final = 1280
+"""Pixels of an image that is kept: a sheet is as wide."""
 _DEPTHS: Final = (2.0, 98.0)
 """Percentiles of a depth image between which it is shown."""
 
@@ -32,7 +40,7 @@ class Strip:
         name: the camera.
         what: its size and encoding.
         steps: which steps they are.
-        images: (H, W, 3) uint8 each, in the file's own order of channels.
+        images: (H, W, 3) uint8 each, in the file's own order of channels, made smaller where they are large.
     """
 
     name: str
@@ -136,7 +144,7 @@ def _strip(episode: Episode, name: str, count: int) -> Strip:
     images = []
     for step in steps if episode.length else ():
         (image,) = episode.frames(name, step, step + 1)
-        images.append(_grey(image) if camera.kind == sdk.Camera.DEPTH else image)
+        images.append(thumbnail(_grey(image) if camera.kind == sdk.Camera.DEPTH else image, _WIDEST))
     what = f"{camera.height} x {camera.width} {camera.kind}, {camera.encoding}"
     return Strip(name, what, steps[: len(images)], tuple(images))
 
@@ -152,22 +160,38 @@ def _grey(depth: np.ndarray) -> NDArray[np.uint8]:
 
 def _chart(episode: Episode, name: str) -> Chart:
     column = episode.columns[name]
-    rows = _flat(episode, name)
-    finite = np.isfinite(rows)
-    known = rows[finite]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-    steps = np.unique(np.linspace(0, max(len(rows) - 1, 0), _MOST_POINTS).round().astype(np.int64))[: len(rows)]
-    is_drawn = rows.shape[1] <= MOST_CURVES
+    width = math.prod(column.shape)
+    low, high, lost = np.inf, -np.inf, 0
+    for _, rows in _blocks(episode, name, width):
+        finite = np.isfinite(rows)
+        known = rows[finite]
+        low, high = min(low, known.min(initial=np.inf)), max(high, known.max(initial=-np.inf))
+        lost += int((~finite).sum())
+    if low > high:
+        low = high = 0.0
+    steps = np.unique(np.linspace(0, episode.length - 1, _MOST_POINTS).round().astype(np.int64))
+    is_drawn = width <= MOST_CURVES
     other = name.replace("action/", "state/", 1)
     beside = None
     if is_drawn and other != name and other in episode.columns and episode.columns[other].shape == column.shape:
-        beside = _flat(episode, other)[steps]
+        beside = _rows_at(episode, other, steps, width)
     what = f"{' x '.join(map(str, column.shape)) or 'one number'}, {column.dtype}"
-    names = column.names or tuple(map(str, range(rows.shape[1])))
-    curves = rows[steps] if is_drawn else np.zeros((0, 0))
-    return Chart(name, what, names, steps, curves, beside, low, high, int((~finite).sum()))
+    names = column.names or tuple(map(str, range(min(width, MOST_CURVES))))
+    curves = _rows_at(episode, name, steps, width) if is_drawn else np.zeros((0, 0))
+    return Chart(name, what, names, steps, curves, beside, float(low), float(high), lost)
 
 
-def _flat(episode: Episode, name: str) -> NDArray[np.float64]:
-    rows = episode.read(name)
-    return rows.reshape(len(rows), -1).astype(np.float64)
+def _blocks(episode: Episode, name: str, width: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Yield rows of a column, (steps, width), as many at a time as take little memory, with the first one's place."""
+    count = max(1, _BLOCK // max(width, 1))
+    for start in range(0, episode.length, count):
+        rows = episode.read(name, start, start + count)
+        yield start, rows.reshape(len(rows), width).astype(np.float64)
+
+
+def _rows_at(episode: Episode, name: str, steps: NDArray[np.int64], width: int) -> NDArray[np.float64]:
+    """Return the rows of a column at these steps, (N, width)."""
+    blocks = _blocks(episode, name, width)
+    return np.concatenate(
+        [rows[steps[(steps >= start) & (steps < start + len(rows))] - start] for start, rows in blocks]
+    )
