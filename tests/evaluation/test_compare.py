@@ -155,7 +155,7 @@ def test_the_documentation_shows_what_the_command_prints(tmp_path: Path) -> None
     pairs = {"lift_cube": Pairs(27, 4, 14, 5), "stack_blocks_two": Pairs(9, 6, 15, 20)}
     folders = []
     for side, name in enumerate(("Foo", "Bar")):
-        folder = synthetic(tmp_path / name, list(pairs), ["clean"], 50, policy=name)
+        folder = synthetic(tmp_path / name, list(pairs), ["clean"], 50, policy=name, faults=Faults(retried=0))
 
         def outcome(line: Line, side: int = side) -> Line:
             both, only_first, only_second, _ = pairs[line["task"]]

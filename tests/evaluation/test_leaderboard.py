@@ -71,16 +71,17 @@ def test_equal_runs_share_a_rank_and_have_names_of_their_own(tmp_path: Path) -> 
 
 
 def test_a_run_whose_adapter_could_reach_its_judge_is_neither_ranked_nor_submitted(tmp_path: Path) -> None:
-    """One episode is enough; where none is, and where nobody said, a run is ranked."""
-    kept = {"containment": "apart"}
+    """One episode is enough, of which the record says so, or says nothing."""
+    told = (("Kept", {"containment": "isolated"}), ("Trusted", {"containment": "trusted"}), ("Unsaid", {}))
     runs = [
         records.read(rewritten(synthetic(tmp_path / name, policy=name), lambda lines, last=last: [
-            *({**line, **kept} for line in lines[:-1]), {**lines[-1], **last}]))
-        for name, last in (("Kept", kept), ("Trusted", {"containment": "trusted"}), ("Unsaid", {}))
+            *lines[:-1], {**{key: value for key, value in lines[-1].items() if key != "containment"}, **last}]))
+        for name, last in told
     ]  # fmt: skip
     found = _rank(*runs)
-    assert {row.policy for row in found.rows} == {"Kept", "Unsaid"}
-    assert any("Trusted is not ranked: in 1 of its 80 episodes" in note for note in found.notes)
+    assert {row.policy for row in found.rows} == {"Kept"}
+    assert any("Trusted is not ranked: in 1 of its 80 episodes the system" in note for note in found.notes)
+    assert any("Unsaid is not ranked: in 1 of its 80 episodes the record" in note for note in found.notes)
     with pytest.raises(UserError, match="no run can be ranked") as caught:
         _rank(runs[1])
     assert caught.value.code == ExitCode.NOT_RUN

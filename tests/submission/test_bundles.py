@@ -64,6 +64,21 @@ class TestArchive:
         assert not list(tmp_path.iterdir())
 
 
+def _copied(line: Line) -> Line:
+    """Return all of an episode but what its place in the plan says."""
+    return {key: value for key, value in line.items() if key not in {"index", "attempt", "seed"}}
+
+
+def _told(line: Line) -> Line:
+    """Return the digest of the states of an episode."""
+    return {"digest": line["digest"]}
+
+
+def _of_one_trace(lines: list[Line]) -> None:
+    for line in lines[-2:]:
+        line["trace"] = {"path": "traces/38.npz", "digest": "0" * 64}
+
+
 class TestConsistency:
     @pytest.fixture
     def run(self, tmp_path: Path) -> Run:
@@ -83,6 +98,14 @@ class TestConsistency:
             (lambda lines: lines[-1].update(success=None, failure="infrastructure"), "was given up after 1 attempts"),
             (lambda lines: lines[-1].update(wall_seconds=0.0), "waiting for the policy"),
             (lambda lines: lines[-1]["inference"].update(histogram=[1]), "histogram"),
+            (
+                lambda lines: lines[-1].update(containment="trusted"),
+                "in 1 of its 40 episodes the system could not keep",
+            ),
+            (lambda lines: lines[-1].pop("containment"), "in 1 of its 40 episodes the record does not say"),
+            (lambda lines: lines[-1].update(_copied(lines[-2])), "has the states of episode 38: it was copied"),
+            (lambda lines: lines[-1].update(_told(lines[-2])), "39 has the states of episode 38: it was copied"),
+            (_of_one_trace, "episode 39 has traces/38.npz of episode 38: it was copied"),
             (lambda lines: lines.pop(), "1 of its episodes were not played"),
         ],
     )

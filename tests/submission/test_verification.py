@@ -30,7 +30,7 @@ from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.lifecycle.checkpoints import fetch, specification
 from xpl_cli.packages import package
 from xpl_cli.standard.validate import validate
-from xpl_cli.submission import archive, bundle, inspection, prepare, replay, unproven, verify
+from xpl_cli.submission import archive, bundle, claims, inspection, prepare, replay, unproven, verify
 from xpl_cli.submission.replaying import Player
 
 if TYPE_CHECKING:
@@ -162,6 +162,36 @@ def test_changed_files_are_found(
     found = _problems(_forged(packed, tmp_path / "forged.zip", change, consistently=False))
     assert list(found) == [where]
     assert any(said in problem for problem in found[where])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "policy/scripted_expert/checkpoints/a.bin",
+        "policy/scripted_expert/__pycache__/model.cpython-311.pyc",
+        "policy/scripted_expert/.git/config",
+        "policy/other/model.py",
+        "envs/mujoco/environment.py",
+        "runs/0/traces/0.npz",
+    ],
+)
+def test_files_that_no_digest_of_the_adapter_covers_are_found(packed: Path, tmp_path: Path, name: str) -> None:
+    """The manifest names them, and nothing that was recorded does: the replay might find them."""
+    folder = tmp_path / "forged"
+    names = archive.unpack(packed, folder, limit=10**8)
+    manifest = json.loads((folder / bundle.MANIFEST).read_bytes())
+    manifest["files"][name] = vars(bundle.Entry.of(b"x"))
+    files: dict[str, Path | bytes] = {one: folder / one for one in names}
+    archive.write(tmp_path / "a.zip", {**files, name: b"x", bundle.MANIFEST: bundle.document(manifest)})
+    assert _problems(tmp_path / "a.zip")["adapter"] == (
+        f"{name}: neither the adapter's own files nor the records account for it",
+    )
+
+
+def test_a_run_that_is_named_a_thousand_times_is_read_not_once(packed: Path, tmp_path: Path) -> None:
+    change = _documents(lambda manifest: manifest.update(runs=manifest["runs"] * 1000), bundle.MANIFEST)
+    found = _problems(_forged(packed, tmp_path / "forged.zip", change))
+    assert found == {"files": ("submission.json names a folder of a run twice",)}
 
 
 def _seeds(first: int, second: int, *, frozen: bool = True) -> Callable[[Path], None]:
@@ -310,7 +340,7 @@ class TestReplay:
         shutil.copytree(EXPERT.parent.parent / "envs" / "mujoco", robot, ignore=shutil.ignore_patterns("__pycache__"))
         text = (robot / "env.yml").read_text(encoding="utf-8")
         (robot / "env.yml").write_text(text.replace("real_time: false", "real_time: true"), encoding="utf-8")
-        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(claims, "environment", lambda _: robot)
         with pytest.raises(UserError, match="does not wait for the policy"):
             Player(EXPERT).play(run, [0])
 

@@ -150,6 +150,9 @@ class Bundle:
 
     def problems(self) -> Iterator[str]:
         """Yield where its files are not those that the manifest names, or its documents not what their schemas say."""
+        folders = [run.folder for run in self.manifest.runs]
+        if len(set(folders)) < len(folders):
+            yield f"{MANIFEST} names a folder of a run twice"
         named = {name: entry.sha256 for name, entry in self.manifest.files.items()}
         for name in sorted({*named, *self.digests} - {MANIFEST}):
             if name not in self.digests:

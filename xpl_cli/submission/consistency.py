@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.words import listed
-from xpl_cli.evaluation.records import fingerprints
+from xpl_cli.evaluation.records import containment, fingerprints, manner
 from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction
 
@@ -36,7 +36,12 @@ def problems(run: Run) -> Iterator[str]:
             yield f"machine {digest[:12]} does not have the facts that it is named after"
     for line in run.attempts:
         yield from _episode(line, run)
+    if (said := containment.sentence(run)) is not None:
+        yield said
+    if unusual := manner.of(run.plan).sentence:
+        yield f"it was played {unusual}: nobody could play its episodes again, one by one"
     yield from _attempts(run)
+    yield from _copies(run)
     yield from _unjudged(run)
     if run.is_spoilt:
         told = f"{run.spoilt} of its {len(run.finals)} episodes were spoilt by the infrastructure"
@@ -72,6 +77,20 @@ def _attempts(run: Run) -> Iterator[str]:
     for index, line in run.finals.items():
         if line.failure == INFRASTRUCTURE and line.attempt < most:
             yield f"episode {index} was given up after {line.attempt} attempts: its plan allows {most}"
+
+
+def _copies(run: Run) -> Iterator[str]:
+    """Yield episodes that are copies of others: of their states, although they began otherwise or at once, or files."""
+    states: dict[str, Episode] = {}
+    files: dict[str, Episode] = {}
+    for line in run.finals.values():
+        if line.digest is not None and line.steps:
+            first = states.setdefault(line.digest, line)
+            if first is not line and (first.layout != line.layout or first.started == line.started):
+                yield f"episode {line.index} has the states of episode {first.index}: it was copied"
+        for told in filter(None, (line.trace, line.film)):
+            if (first := files.setdefault(told.path, line)) is not line:
+                yield f"episode {line.index} has {told.path} of episode {first.index}: it was copied"
 
 
 def _unjudged(run: Run) -> Iterator[str]:

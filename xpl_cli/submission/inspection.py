@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import NotFoundError, UserError
+from xpl_cli.basics.words import listed
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.evaluation.runs import protocol
 from xpl_cli.lifecycle.checkpoints import specification
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.runs.protocol import Part
     from xpl_cli.submission.bundle import Bundle
 
+_SHOWN = 4
 _Look = Callable[["Bundle", list["Run"]], Iterator[str]]
 
 
@@ -110,10 +112,23 @@ def _adapter(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
     digest = fingerprints.package_digest(adapter.path)
     if digest != told.digest:
         yield f"the adapter's files have the digest {digest[:12]}, but {bundle.MANIFEST} says {told.digest[:12]}"
+    yield from _unknown(found, runs)
     for run in runs:
         for key, wanted in vars(told).items():
             if (played := getattr(run.plan.policy, key)) != wanted:
                 yield f"run {run.plan.run[:12]} is of a policy with the {key} {played}, not {wanted}"
+
+
+def _unknown(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
+    """Yield files that no digest of adapter or records speaks of: what is played again might find them."""
+    known = {bundle.MANIFEST, *bundle.DOCUMENTS}
+    base = bundle.adapter_folder(found.manifest.policy.name)
+    known |= {f"{base}/{path.as_posix()}" for path in fingerprints.files_of(found.adapter)}
+    for entry, run in zip(found.manifest.runs, runs, strict=True):
+        extras = (told.path for line in run.attempts for told in (line.trace, line.film) if told is not None)
+        known |= {f"{entry.folder}/{name}" for name in (bundle.RECORDS, *extras)}
+    if others := sorted(found.digests.keys() - known):
+        yield f"{listed(others, _SHOWN)}: neither the adapter's own files nor the records account for it"
 
 
 def _checkpoints(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:

@@ -102,7 +102,9 @@ def test_what_it_found_is_recorded(workspace: Path, tmp_path: Path, task: str, s
     assert next(iter(run.machines.values()))["launcher"].endswith("scripts/eval_policy.sh")
     ranked = xpl("leaderboard", out, "--json")
     assert ranked.code == 0, ranked.stderr
-    assert json.loads(ranked.stdout)["rows"][0]["success_rate"] == 0.5
+    told = json.loads(ranked.stdout)
+    assert told["rows"][0]["success_rate"] == 0.5
+    assert any("a benchmark's own launcher played and judged it" in note for note in told["notes"])
     assert "holds a recorded run" in _call("--workspace", workspace, "--out", out).stderr
 
 

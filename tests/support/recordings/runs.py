@@ -130,7 +130,7 @@ def planned(config: Mapping[str, Any] | None = None, cells: Sequence[PlannedCell
 def episode(**told: Any) -> Episode:
     """Return a final line of an episode that succeeded, but for what is told."""
     place = {"index": 0, "attempt": 1, "final": True, "task": "lift_cube", "setting": "clean", "seed": 1}
-    robot = {"embodiment": "arx_x5", "action_type": "joint", "machine": _digest(_FACTS)}
+    robot = {"embodiment": "arx_x5", "action_type": "joint", "machine": _digest(_FACTS), "containment": "apart"}
     ending = {"success": True, "score": 1.0, "end_reason": "success"}
     return Episode(**{**place, **robot, **ending, "started": _time(BEGAN), "wall_seconds": 1.0, **told})
 
@@ -191,6 +191,7 @@ def _attempts(
         "digest": _digest([index, seed, success]),
         "server": "server-1",
         "worker": f"{_FACTS['system']}:{index % 2}",
+        "containment": "apart",
     }
 
 

@@ -10,6 +10,7 @@ from xpl import get_embodiment
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.containment import LAUNCHER
 from xpl_cli.evaluation.records.failures import SUCCESS, TASK
 from xpl_cli.evaluation.records.fingerprints import checkpoint_of, machine_facts, package_digest
 from xpl_cli.evaluation.records.model import (
@@ -67,7 +68,7 @@ def write(request: Request, planned: HandedOver, result: Path, layouts: Sequence
         cells=[PlannedCell(task, setting, None if entry is None else entry.dimension, numbers, frozen=True)],
     )
     launcher = {
-        "launcher": " ".join(planned.launcher.entry.command[:2]),
+        LAUNCHER: " ".join(planned.launcher.entry.command[:2]),
         "launcher_result": hashlib.sha256(files.content(result)).hexdigest(),
         "launcher_run": planned.values["run_id"],
     }

@@ -31,17 +31,17 @@ class Field:
         runs: them, in the order in which they were named.
         common: whether they hold only the episodes that all of them played.
         differences: in what a run differs from the first one, besides the policy: the run's place, and the difference.
-        unranked: why runs that were named are not among them, in sentences.
+        remarks: why runs that were named are not among them, and what else is to be said of some, in sentences.
     """
 
     runs: tuple[Run, ...]
     common: bool
     differences: tuple[tuple[int, Difference], ...]
-    unranked: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def sentences(self) -> list[str]:
         """Return the differences as people read them."""
-        return [*self.unranked, *(_sentence(self.runs, place, difference) for place, difference in self.differences)]
+        return [*self.remarks, *(_sentence(self.runs, place, difference) for place, difference in self.differences)]
 
 
 class UnlikeError(UserError):
@@ -83,7 +83,8 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
             hint="--common ranks by the episodes that all of them played, --anyway in spite of all differences",
             code=ExitCode.NOT_RUN,
         )
-    return Field(played, common, found, unranked)
+    launched = (f"{run.folder}: {said}" for run in runs if (said := containment.remark(run)) is not None)
+    return Field(played, common, found, (*unranked, *launched))
 
 
 def _refuse_contradictions(run: Run) -> None:
