@@ -21,6 +21,7 @@ from xpl_cli.evaluation.loop.desk import EndlessError
 from xpl_cli.evaluation.loop.process import Limits, Loop, LoopLostError, LoopRaisedError
 from xpl_cli.evaluation.records import records
 from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.packages import environments
 
 FORGED = """
     import atexit, gc, os, signal, sys, threading
@@ -437,3 +438,18 @@ def test_an_exit_in_deploy_py_never_ends_an_audit(tmp_path: Path, where: str) ->
     assert found["own-loop"]["outcome"] == "fail"
     assert "exit code 0" in found["own-loop"]["findings"][0]["message"]
     assert found["closed-loop"]["outcome"] == "pass"
+
+
+def test_a_checkout_that_one_stands_in_does_not_bring_the_judge(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its envs/mujoco, or a folder of that name, is meant by its path only."""
+    ours = environments.find("mujoco")
+    for folder in (tmp_path / "envs" / "mujoco", tmp_path / "mujoco"):
+        folder.mkdir(parents=True)
+        (folder / "env.yml").write_bytes((ours / "env.yml").read_bytes())
+    monkeypatch.chdir(tmp_path)
+    assert environments.find("mujoco") == ours
+    assert "is meant by its path" in capsys.readouterr().err
+    assert environments.find("./envs/mujoco") == tmp_path / "envs" / "mujoco"
+    assert environments.find("envs/mujoco") == tmp_path / "envs" / "mujoco"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl import registry
 from xpl.manifest import EnvManifest
-from xpl_cli.basics import content
+from xpl_cli.basics import console, content
 from xpl_cli.basics.errors import ExitCode, UnknownTargetError, UserError, no_such
 from xpl_cli.packages import manifests, package, robots
 
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 _MANIFEST = package.MANIFESTS[package.ENV]
 _PROJECT = Path("envs")
-"""Where a project keeps its environments, which go before others of their names."""
+"""Where a project keeps its environments; those of ours and of installed packages go before them."""
+_told: set[Path] = set()
+"""Folders of which it was said that they are not meant by their name."""
 _PERSON_S = 8 * 3600.0
 """How long a reset may wait for a person."""
 
@@ -31,7 +33,7 @@ def find(name: str) -> Path:
     """Return the folder of an environment package.
 
     Args:
-        name: a path; or a name below `envs/` of the working directory, among ours or in an installed package.
+        name: a path; or a name among ours, in an installed package, or below `envs/` of the working directory.
 
     The robots that it and its project describe are known from then on.
 
@@ -40,9 +42,15 @@ def find(name: str) -> Path:
         EntryPointError: an installed package's environments cannot be used.
         UserError: a file does not describe a robot, or one whose name is taken.
     """
-    candidate = next((place for place in (Path(name), _PROJECT / name) if (place / _MANIFEST).is_file()), None)
+    is_path = len(Path(name).parts) != 1 or name.startswith(".")
+    candidate = None if is_path else shared().get(name)
+    own = next((place for place in (Path(name), _PROJECT / name) if (place / _MANIFEST).is_file()), None)
     if candidate is None:
-        candidate = shared().get(name)
+        candidate = own
+    elif own is not None and own.resolve() != candidate.resolve() and own not in _told:
+        # What judges must not depend on the folder that somebody stands in, which may be a stranger's checkout.
+        _told.add(own)
+        console.note(f"warning: {name} is {candidate}; the one in {own} is meant by its path, ./{own}")
     if candidate is None:
         raise no_such(f"there is no environment {name!r}", name, names(), kind=UnknownTargetError)
     found = candidate.resolve()
