@@ -49,8 +49,9 @@ def in_processes(
                     yield from (_alone(work, thing) for thing in things[place:])
                     return
                 yield answer
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
+        except BaseException as error:
+            # Nobody who interrupts waits; else the pool's thread ends first, which Python would meet half closed.
+            pool.shutdown(wait=isinstance(error, Exception), cancel_futures=True)
             raise
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.conversion import mapping as mappings
-from xpl_cli.data.conversion import packing
+from xpl_cli.data.conversion.origin import Origin
 from xpl_cli.data.conversion.packing import PackedSet, UnpackedSet
 from xpl_cli.data.conversion.standard import NAME, FieldSet, StandardSet
-from xpl_cli.data.formats.writing import CONVERTED
 from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
 
@@ -60,9 +59,5 @@ def given(to: str, by: str | None, written_by: str | None) -> frozenset[str]:
 
 def _unpacked(found: Demonstrations) -> Demonstrations:
     """Return a set with the standard's series again, if it was made of one that had them."""
-    before: Any = found.extras.get(CONVERTED)
-    packed = before.get(packing.NAME) if isinstance(before, dict) else None
-    if not isinstance(packed, dict):
-        return found
-    layout = {name: [(str(part), int(width)) for part, width in parts] for name, parts in packed.items()}
-    return UnpackedSet(found, before.get("names") or {}, frozenset(before.get("numbers") or ()), layout)
+    origin = Origin.of(found)
+    return found if origin.layout is None else UnpackedSet(found, origin.names, origin.numbers, origin.layout)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli.data.conversion import packing
+from xpl_cli.data.conversion.origin import Origin
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.formats.writers import WRITERS
 from xpl_cli.data.formats.writing import CONVERTED, Names
@@ -84,9 +86,9 @@ def renaming(
         given: names that a mapping gave, which stay as they are.
     """
     first = source[0]
-    before = source.extras.get(CONVERTED)
-    before = before if isinstance(before, dict) and family(str(before.get("from"))) == family(writer.name) else {}
-    back = before.get("names") or {}
+    before = Origin.of(source)
+    if family(before.format) != family(writer.name):
+        before = Origin()
     dropped = _DERIVED.get(family(base_format(source)), ())
     lost: dict[str, str] = {}
     columns: dict[str, str] = {}
@@ -98,10 +100,10 @@ def renaming(
         if reason is not None:
             lost[name] = reason
             continue
-        wanted = name if name in given else back.get(name) or _renamed(name, source.format, writer.names)
+        wanted = name if name in given else before.names.get(name) or _renamed(name, source.format, writer.names)
         new = _free(wanted, columns, writer)
         columns[new] = name
-        if name in (before.get("numbers") or ()):
+        if name in before.numbers and math.prod(column.shape) == 1:
             numbers.append(new)
     cameras: dict[str, str] = {}
     for name, camera in first.cameras.items():
@@ -109,7 +111,7 @@ def renaming(
         if reason is not None:
             lost[name] = reason
         else:
-            new = name if name in given else back.get(name) or _camera(name, camera.kind, source.format, writer)
+            new = name if name in given else before.names.get(name) or _camera(name, camera.kind, source.format, writer)
             cameras[_free(new, {**columns, **cameras}, writer)] = name
     return Renaming(columns, cameras, frozenset(numbers), lost)
 

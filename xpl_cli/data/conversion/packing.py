@@ -6,6 +6,7 @@ The order is the standard's: for each arm its joints or pose, then its end effec
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Final
 
@@ -13,8 +14,11 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.trajectory.names import TRUTH, is_truth, shown
+from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.conversion.standard import NAME as STANDARD
+from xpl_cli.data.formats.writing import CONVERTED
 from xpl_cli.data.sets.delegating import DelegatingEpisode, DelegatingSet
+from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import Camera, Column
 
 if TYPE_CHECKING:
@@ -122,22 +126,39 @@ class _Unpacked(DelegatingEpisode):
         self._old = {names.get(name, name): name for name in (*inner.columns, *inner.cameras)}
         self._parts: dict[str, tuple[str, int, int]] = {}
         for name, parts in layout.items():
+            column, total = inner.columns.get(self._old.get(name, "")), sum(width for _, width in parts)
+            if column is None or column.shape != (total,):
+                has = "none" if column is None else column.shape
+                raise self._lie(f"a column {name} with rows of {total} numbers, the episode has {has}")
             begins = 0
             for part, width in parts:
                 self._parts[part] = (self._old[name], begins, begins + width)
                 begins += width
+        old = [names.get(name, name) for name in (*inner.columns, *inner.cameras)]
+        made = [
+            *(name for name in old if name not in layout),
+            *(part for parts in layout.values() for part, _ in parts),
+        ]
+        if len(set(old)) < len(old) or len(set(made)) < len(made):
+            raise self._lie("two columns or cameras of one name")
+
+    def _lie(self, what: str) -> DataError:
+        return DataError(f"{self.key}: what the set says under {CONVERTED} names {what}", code=ExitCode.FINDINGS)
 
     @functools.cached_property
     def columns(self) -> Mapping[str, Column]:
         """The series, and the other columns under their old names."""
         has = self._inner.columns
         made = {
-            part: Column(() if part in self._numbers else (last - first,), has[name].dtype)
+            part: Column(() if part in self._numbers and last - first == 1 else (last - first,), has[name].dtype)
             for part, (name, first, last) in self._parts.items()
         }
         rest = {old: name for old, name in self._old.items() if name in has and old not in self._layout}
-        kept = {old: Column((), has[name].dtype) if name in self._numbers else has[name] for old, name in rest.items()}
+        kept = {old: Column((), has[name].dtype) if self._is_number(name) else has[name] for old, name in rest.items()}
         return {**made, **kept}
+
+    def _is_number(self, name: str) -> bool:
+        return name in self._numbers and math.prod(self._inner.columns[name].shape) == 1
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
@@ -150,9 +171,9 @@ class _Unpacked(DelegatingEpisode):
         if column in self._parts:
             name, first, last = self._parts[column]
             rows = self._inner.read(name, start, stop)[:, first:last]
-            return rows[:, 0] if column in self._numbers else rows
+            return rows[:, 0] if not self.columns[column].shape else rows
         rows = self._inner.read(self._old[column], start, stop)
-        return rows.reshape(len(rows)) if self._old[column] in self._numbers else rows
+        return rows.reshape(len(rows)) if self._is_number(self._old[column]) else rows
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Yield images of a camera."""

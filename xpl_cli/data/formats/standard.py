@@ -6,6 +6,7 @@ Source: spec/v1/trajectory.schema.json.
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -171,6 +172,11 @@ class StandardWriter:
                 f"{self.name} keeps images in HDF5; --images takes {', '.join(trajectory.FORMS)} here",
                 code=ExitCode.USAGE,
             )
+        taken = {*plan.columns, *plan.cameras}
+        for name in taken:
+            groups = itertools.accumulate(name.split("/")[:-1], "{}/{}".format)
+            if clash := next((group for group in groups if group in taken), None):
+                raise DataError(f"HDF5 keeps {clash} and {name} not beside each other: one would be in the other")
         parts = (f"{spec.Trajectory.STATE}/", f"{spec.Trajectory.ACTION}/")
         if not any(name.startswith(parts) for name in plan.columns):
             raise DataError(
@@ -205,7 +211,7 @@ class StandardWriter:
                         writer.keep(name, value)
                 writer.subtasks = _subtasks(episode.extras.get(spec.Trajectory.SUBTASKS))
         except TrajectoryError as error:
-            raise DataError(str(error)) from None
+            raise DataError(f"{episode.key}: {error}") from None
         worst = {name: min(values) for name, values in samples.items() if values}
         return Piece({name: value for name, value in worst.items() if value != float("inf")})
 

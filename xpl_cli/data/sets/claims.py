@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 
 MOST_COLUMNS: Final = 512
 MOST_CAMERAS: Final = 64
+MOST_LETTERS: Final = 200
 MOST_PIXELS: Final = 1 << 24
 """Of one image, a little over 5K video."""
 SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e6
+_NO_NAMES: Final = {"", ".", ".."}
 _FEW_EPISODES: Final = 1000
 _EPISODE_BYTES: Final = 256
 """Bytes of a set for each of its episodes, at least: three steps of an arm take as much."""
@@ -78,15 +80,20 @@ class Claims:
         for word, count, most in (("columns", len(columns), MOST_COLUMNS), ("cameras", len(cameras), MOST_CAMERAS)):
             if count > most:
                 raise self._lie(f"{key} has {count} {word}, expected {most} at most")
+        for name in (key, *columns, *cameras):
+            if not name.isprintable() or len(name) > MOST_LETTERS or _NO_NAMES.intersection(name.split("/")):
+                raise self._lie(
+                    f"it has the name {ascii(name)[:MOST_LETTERS]}, expected a short one that can be printed"
+                )
         for name, camera in cameras.items():
             if camera.height * camera.width > MOST_PIXELS:
                 told = f"images of {camera.height} x {camera.width} pixels, expected {MOST_PIXELS} in all at most"
                 raise self._lie(f"{key}: {name} has {told}")
-        if index in self._seen:
-            return
-        rows = (math.prod(one.shape) * np.dtype(one.dtype).itemsize for one in columns.values() if one.dtype != "str")
-        self._seen.add(index)
-        self._numbers += episode.length * sum(rows)
+        if index not in self._seen:
+            self._seen.add(index)
+            numbers = [one for one in columns.values() if one.dtype != "str"]
+            row = sum(math.prod(one.shape) * np.dtype(one.dtype).itemsize for one in numbers)
+            self._numbers += episode.length * row
         if self._numbers > most_read(self.size):
             claimed = f"{self._numbers} bytes of numbers up to {key}"
             raise self._lie(f"it claims {claimed}, and files of {self.size} bytes hold {most_read(self.size)} at most")

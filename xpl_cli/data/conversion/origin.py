@@ -1,0 +1,71 @@
+"""What a set says of the one that it was made of, so that it becomes that one again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, Self
+
+from xpl_cli.data.conversion import packing
+from xpl_cli.data.formats.writing import CONVERTED
+from xpl_cli.data.sets import documents
+
+if TYPE_CHECKING:
+    from xpl_cli.data.sets.interface import Demonstrations
+
+_WIDTH: Final = {"type": "integer", "minimum": 1, "maximum": 1 << 20}
+_SCHEMA: Final = documents.of(
+    {
+        "type": "object",
+        "properties": {
+            "from": {"type": "string"},
+            "names": {"type": "object", "additionalProperties": {"type": "string", "minLength": 1, "maxLength": 200}},
+            "numbers": {"type": "array", "items": {"type": "string"}},
+            packing.NAME: {
+                "type": "object",
+                "additionalProperties": {
+                    "type": "array",
+                    "minItems": 1,
+                    "items": {
+                        "type": "array",
+                        "minItems": 2,
+                        "maxItems": 2,
+                        "prefixItems": [{"type": "string", "minLength": 1, "maxLength": 200}, _WIDTH],
+                    },
+                },
+            },
+        },
+    }
+)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The set that another one was made of.
+
+    Attributes:
+        format: of it; "" where nothing is said.
+        names: by the set's names, those that it had.
+        numbers: columns that were single numbers.
+        layout: how series were packed; None where they were not.
+    """
+
+    format: str = ""
+    names: Mapping[str, str] = field(default_factory=dict)
+    numbers: frozenset[str] = frozenset()
+    layout: packing.Layout | None = None
+
+    @classmethod
+    def of(cls, found: Demonstrations) -> Self:
+        """Return what a set says.
+
+        Raises:
+            DataError: it says something else than what conversions write.
+        """
+        told = found.extras.get(CONVERTED)
+        if not isinstance(told, Mapping):
+            return cls()
+        told = documents.checked(told, _SCHEMA, f"{found.path}: {CONVERTED}")
+        packed = told.get(packing.NAME)
+        layout = None if packed is None else {name: [(p, int(w)) for p, w in parts] for name, parts in packed.items()}
+        return cls(told.get("from", ""), told.get("names", {}), frozenset(told.get("numbers", ())), layout)
