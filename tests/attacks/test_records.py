@@ -362,7 +362,7 @@ HOSTILE = (
     "\x1b[31m\x1b]0;x\x07",
     "<script>alert(1)</script>",
     "=cmd|' /C calc'!A0",
-    "a\r\nb",
+    "a\r\nforged",
     "\u202eabc",
     "|`*_[x](y)",
 )
@@ -384,6 +384,7 @@ def test_names_of_any_kind_break_neither_reports_nor_boards(name: str, tmp_path:
             assert ended.code == 0, ended
             assert "\x1b" not in ended.stdout
             assert "\0" not in ended.stdout
+            assert not any(line.startswith("forged") for line in ended.stdout.splitlines())
     for page in (*(run / "report").iterdir(), *(tmp_path / "board").iterdir()):
         text = page.read_text(encoding="utf-8")
         assert STEERING.search(text) is None, page

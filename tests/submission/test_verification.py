@@ -247,6 +247,7 @@ _OTHER_WEIGHTS = {"loaded": "0" * 64, "name": None, "declared": []}
         (_records(lambda lines: lines[-1].update(end_reason="max_steps")), "records", "but ended with max_steps"),
         (_records(lambda lines: lines[-1].update(score=0.0)), "records", "with a score of 0"),
         (_records(lambda lines: lines.pop()), "records", "were not played"),
+        (_records(lambda lines: lines[-1].update(steps=201)), "plan", "201 steps: lift_cube ends after 200"),
         (_seeds(1, 2), "plan", "the seeds of lift_cube (clean) are not those"),
         (_seeds(1, 2, frozen=False), "plan", "are not those that mujoco"),
         (_seeds(100_000, 100_001, frozen=False), "plan", "mujoco has frozen"),

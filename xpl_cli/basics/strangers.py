@@ -48,6 +48,11 @@ def one_line(text: str) -> str:
     return unheard(harmless(" ".join(text.split())))
 
 
+def as_lines(lines: Iterable[str]) -> str:
+    """Return lines as one text for a terminal, in which no name of a line makes another one."""
+    return "\n".join(harmless(line).replace("\n", "\\u000a") for line in lines)
+
+
 def unheard(text: str) -> str:
     """Return a text of which no line is a command for the runner of a workflow."""
     return _WORKFLOW.sub(lambda found: f"{found[1] or ''}\\u{ord(found[0][-1]):04x}", text)

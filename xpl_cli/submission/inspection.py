@@ -185,13 +185,17 @@ def _plan(_: Bundle, runs: Sequence[Run]) -> Iterator[str]:
 
 
 def _unlike(folder: Path, run: Run) -> Iterator[str]:
-    """Yield where a plan has tasks that its environment has not, or other seeds than an evaluation plays."""
+    """Yield where a run has tasks that its environment has not, other seeds than an evaluation plays, or more steps."""
     tasks = environments.manifest(folder).tasks
     for cell in run.plan.cells:
         if cell.task not in tasks:
             yield f"{folder.name} has no task {cell.task}"
         elif (fault := protocol.fault(folder, cell)) is not None:
             yield fault
+    for line in run.finals.values():
+        most = tasks[line.task].max_steps if line.task in tasks else 0
+        if most and (line.steps or 0) > most:
+            yield f"episode {line.index} has {line.steps} steps: {line.task} ends after {most}"
 
 
 def _extras(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.basics.endings import ends
-from xpl_cli.basics.strangers import one_line
+from xpl_cli.basics.strangers import as_lines
 from xpl_cli.commands.options import ISOLATE_HELP, JSON, POLICY, POLICY_ENV, POLICY_GPU, PYTHON
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def submit(
     if as_json:
         console.data_json(_answer_json(answer, adapter.name, path))
     elif answer.problems:
-        console.data("\n".join([f"{adapter.name}: no bundle was written", *_listed(answer.problems)]))
+        console.data(as_lines([f"{adapter.name}: no bundle was written", *_listed(answer.problems)]))
     else:
         console.data(_answer_text(answer, path))
     raise typer.Exit(int(answer.code))
@@ -122,7 +122,7 @@ def verify(
     else:
         console.data(_report_text(report))
     for sentence in unproven.sentences(report):
-        (console.note if as_json else console.data)(f"  not proven: {sentence}")
+        (console.note if as_json else console.data)(as_lines([f"  not proven: {sentence}"]))
     raise typer.Exit(int(report.code))
 
 
@@ -150,11 +150,11 @@ def _answer_text(answer: Answer, path: Path) -> str:
     lines = [
         f"{path}: {runs} runs, {cells} tasks and settings, {won} of {judged} succeeded",
         f"bundle {answer.digest}",
-        f"audit  {one_line(manifest.audit['statement'])}",
+        f"audit  {manifest.audit['statement']}",
         *(f"note: {note}" for note in answer.notes),
         f"next: xpl verify {path}",
     ]
-    return "\n".join(lines)
+    return as_lines(lines)
 
 
 def _report_text(report: Report) -> str:
@@ -162,7 +162,7 @@ def _report_text(report: Report) -> str:
 
     lines = [f"{report.policy}, bundle {report.digest[:12]}", *map(_run_text, report.runs)]
     if report.verdict is not None:
-        lines.append(f"  verdict: {one_line(str(report.verdict))}")
+        lines.append(f"  verdict: {report.verdict}")
     for check in report.checks:
         lines += [f"  {check.name}: {'not in order' if check.problems else 'ok'}", *_listed(check.problems)]
     if report.finding is not None:
@@ -171,7 +171,7 @@ def _report_text(report: Report) -> str:
         lines.append(f"  sample drawn with --seed {report.seed}")
     elif report.unplayed is not None:
         lines.append(f"  replay: not played: {report.unplayed}")
-    return "\n".join(lines)
+    return as_lines(lines)
 
 
 def _run_text(run: Claim) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from xpl_cli.basics.strangers import in_markdown
+from xpl_cli.basics.strangers import as_lines, in_markdown
 from xpl_cli.basics.words import amount
 from xpl_cli.evaluation.leaderboard.field import is_barrier
 from xpl_cli.evaluation.report import episodes, markdown
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def text(ranking: Ranking) -> str:
     """Return a ranking for a terminal."""
     notes = [f"- {note}" for note in ranking.notes]
-    return "\n".join([title(ranking), "", *wording.aligned(header(ranking), rows(ranking)), "", *notes])
+    return as_lines([title(ranking), "", *wording.aligned(header(ranking), rows(ranking)), "", *notes])
 
 
 def as_markdown(ranking: Ranking) -> str:

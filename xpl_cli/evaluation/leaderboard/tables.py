@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.basics.errors import UserError, one_of
-from xpl_cli.basics.strangers import in_markdown
+from xpl_cli.basics.strangers import as_lines, in_markdown
 from xpl_cli.evaluation.leaderboard.ranking import SCORE, SUCCESS
 from xpl_cli.evaluation.leaderboard.tally import OTHER, protocol
 from xpl_cli.evaluation.leaderboard.trees import ROBODOJO
@@ -139,8 +139,8 @@ def of_the_paper(told: Results) -> list[Table]:
 
 def text(told: Results, tables: Sequence[Table]) -> str:
     """Return tables for a terminal, with the notes."""
-    parts = ["\n".join([table.title, "", *wording.aligned(table.header, table.rows)]) for table in tables]
-    return "\n\n".join([*parts, "\n".join(f"- {note}" for note in told.notes)])
+    parts = [as_lines([table.title, "", *wording.aligned(table.header, table.rows)]) for table in tables]
+    return "\n\n".join([*parts, as_lines(f"- {note}" for note in told.notes)])
 
 
 def as_markdown(told: Results, tables: Sequence[Table]) -> str:

@@ -9,6 +9,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics import console
+from xpl_cli.basics.strangers import one_line
 from xpl_cli.evaluation.statistics import wording
 from xpl_cli.evaluation.statistics.intervals import wilson
 
@@ -119,7 +120,7 @@ class _Lines:
         self._tally.add(line, left)
         again = "" if line.final else ", is played again"
         error = f" ({line.error})" if line.error else ""
-        console.note(f"{_place(line)}: {line.end_reason}{error}{again}; {self._tally.text()}")
+        console.note(one_line(f"{_place(line)}: {line.end_reason}{error}{again}; {self._tally.text()}"))
 
 
 class _Terminal:

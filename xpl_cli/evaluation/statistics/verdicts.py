@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from xpl_cli.basics.strangers import as_lines
 from xpl_cli.basics.words import amount
 from xpl_cli.evaluation.statistics import cautions
 from xpl_cli.evaluation.statistics.wording import NOTHING, aligned, percent, points, were
@@ -76,7 +77,7 @@ def text(result: Comparison) -> str:
     """Return a comparison for people: the verdict, the table, and what the data do not show."""
     first, second = result.names
     rows = [*result.cells, *([result.overall] if len(result.cells) > 1 else [])]
-    return "\n".join(
+    return as_lines(
         [
             result.verdict,
             "",

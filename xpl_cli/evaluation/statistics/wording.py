@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Protocol
 
+from xpl_cli.basics.strangers import as_lines
 from xpl_cli.basics.words import amount
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def text(summary: Summary) -> str:
     if any(failures.values()):
         told = ", ".join(f"{kind} {count}" for kind, count in failures.items() if count)
         lines += ["", f"Failures: {told}"]
-    return "\n".join([*lines, "", *(f"- {note}" for note in (*summary.notes, *summary.course.notes))])
+    return as_lines([*lines, "", *(f"- {note}" for note in (*summary.notes, *summary.course.notes))])
 
 
 def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
