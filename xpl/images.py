@@ -27,6 +27,8 @@ PIXELS = 1 << 25
 """Largest image that is decoded, a little over 8K video: a small file can unpack to gigabytes."""
 _SCANS = 128
 """Most passes over a progressive JPEG; encoders make about ten, and each takes as long as the whole image."""
+_SCANNED = 12 * PIXELS
+"""Most pixels of all passes over one."""
 _SEGMENTS = 1 << 16
 """Most parts of a file, fill bytes included: Pillow walks them in Python, a file of nothing else would take minutes."""
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -80,8 +82,11 @@ def decode(data: Encoded) -> np.ndarray:
     """
     raw = _raw(data)
     size = size_of(raw)
-    if raw.startswith(_SOI) and raw.count(b"\xff\xda") > _SCANS:
-        raise ObservationError(f"an encoded image has more than {_SCANS} passes")
+    scans = raw.count(b"\xff\xda") if raw.startswith(_SOI) else 1
+    if scans > _SCANS or scans * size[0] * size[1] > _SCANNED:
+        raise ObservationError(
+            f"an encoded image of {size[0]} x {size[1]} pixels has {scans} passes, more than are read"
+        )
     try:
         with _pillow().open(io.BytesIO(raw), formats=_FORMATS) as opened:
             image = _pixels(opened, size)
