@@ -19,12 +19,15 @@ def sentence(run: Run) -> str | None:
     """Return what is to be said of a run in which the adapter may have reached its judge, or None."""
     lines = [line for line in run.finals.values() if not _is_launched(line, run)]
     for is_so, said in (
-        (lambda line: line.containment == TRUSTED, "the system could not keep the adapter from what judges it"),
+        (
+            lambda line: line.containment == TRUSTED,
+            "the system could not keep the adapter from what judges it; `xpl doctor` says what this machine lacks",
+        ),
         (_is_silent, "the record does not say how far the adapter was kept from what judges it"),
     ):
         count = sum(map(is_so, lines))
         if count:
-            return f"in {count} of its {len(run.finals)} episodes {said}; `xpl doctor` says what this machine lacks."
+            return f"in {count} of its {len(run.finals)} episodes {said}."
     return None
 
 
