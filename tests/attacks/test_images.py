@@ -128,7 +128,7 @@ def test_a_header_that_lies_is_refused(data: bytes) -> None:
 
 def test_the_passes_over_a_large_jpeg_are_few() -> None:
     """Each takes as long as the whole image; encoders make about ten, which is fine at any size that is read."""
-    head = _SOF.replace(b"\0\x10\0\x10", struct.pack("!HH", 5600, 5600))
+    head = _SOF.replace(b"\x10\0\x10\0", struct.pack("!HH", 5600, 5600))
     with pytest.raises(ObservationError, match="5600 x 5600 pixels has 14 passes"):
         images.decode(head + b"\xff\xda\0\x08\x01\x01\0\0\0\0" * 14)
     target = io.BytesIO()

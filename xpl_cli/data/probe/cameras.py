@@ -57,6 +57,8 @@ def answers(
         told(f"camera {name}")
         shown: list[tuple[int, np.ndarray, np.ndarray]] = []
         for place in places:
+            if name not in episodes[place].cameras:
+                continue
             steps, frames = _frames(episodes[place], name)
             if len(steps) > 4:
                 shown.append((place, steps, frames))

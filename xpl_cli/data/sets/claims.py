@@ -25,6 +25,8 @@ MOST_PIXELS: Final = 1 << 24
 """Of one image, a little over 5K video."""
 SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e6
 _NO_NAMES: Final = {"", ".", ".."}
+_ROW_BYTES: Final = 8
+"""Bytes of a step, at least: whoever counts steps needs as much."""
 _FEW_EPISODES: Final = 1000
 _EPISODE_BYTES: Final = 256
 """Bytes of a set for each of its episodes, at least: three steps of an arm take as much."""
@@ -93,7 +95,7 @@ class Claims:
             self._seen.add(index)
             numbers = [one for one in columns.values() if one.dtype != "str"]
             row = sum(math.prod(one.shape) * np.dtype(one.dtype).itemsize for one in numbers)
-            self._numbers += episode.length * row
+            self._numbers += episode.length * max(row, _ROW_BYTES)
         if self._numbers > most_read(self.size):
             claimed = f"{self._numbers} bytes of numbers up to {key}"
             raise self._lie(f"it claims {claimed}, and files of {self.size} bytes hold {most_read(self.size)} at most")

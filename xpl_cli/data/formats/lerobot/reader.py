@@ -114,8 +114,8 @@ class LeRobotSet(Demonstrations):
         """Yield the encoded images of a camera that lie in the table, with their places."""
         where = f"{self.root / entry.data}, {camera}"
         due = start
-        most = most_read((self.root / entry.data).stat().st_size)
         with _opened(self.root / entry.data) as file:
+            most = most_read((self.root / entry.data).stat().st_size)
             self._require(file, camera, entry.data)
             for number, first, last in _groups(self._sizes(entry.data), entry.first + start, entry.first + stop):
                 seen = 0
