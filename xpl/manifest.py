@@ -8,11 +8,12 @@ against `spec/`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from xpl import robots
 from xpl._spec import MODEL_CLASS
+from xpl.assumptions import Assumption, assumptions, settled
 from xpl.document import Document, many, named, one, part
 
 if TYPE_CHECKING:
@@ -202,7 +203,8 @@ class Manifest(Document):
         native: what the model itself reads and answers; None without a block.
         model_class: class of model.py that is served.
         variants: merge patches by name (`xpl.variants`).
-        data: the whole map as it is written.
+        assumed: what it says by `{assumed: value, why: reason}`.
+        data: the whole map, with the values that are assumed in their places.
     """
 
     spec: str | None = one(str)
@@ -231,7 +233,13 @@ class Manifest(Document):
     cameras: Mapping[str, CameraNeeds] = named(CameraNeeds)
     gripper: Gripper | None = one(Gripper)
     native: Native | None = one(Native)
+    assumed: tuple[Assumption, ...] = ()
     data: Entry = field(default_factory=dict, compare=False, repr=False)
+
+    @classmethod
+    def parse(cls, data: object) -> Manifest:
+        """Return the manifest that a map describes, with what it assumes in the place of each assumption."""
+        return replace(super().parse(settled(data)), assumed=tuple(assumptions(data)))
 
     def __bool__(self) -> bool:
         return bool(self.data)

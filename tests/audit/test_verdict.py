@@ -53,6 +53,7 @@ PARITY = _result("XPL260", proof=PROOF)
 FIT = _result("XPL270", proof={"episodes": 12})
 ONE_PAIR = _result("XPL260", proof={"pairs": 1, "assumed": 1})
 NONE_ASSUMED = _result("XPL260", proof={"pairs": 3, "assumed": 0})
+NAMED = _result("XPL260", proof={"pairs": 5, "assumed": 2, "assumptions": ["gripper", "images[0].channels"]})
 NONE_NAMED = _result("XPL260", proof={"pairs": 3, "conventions": 0, "assumed": 0, "tolerance": 1e-4})
 WAITING = [_result(f"XPL20{number}", Outcome.NOT_RUN) for number in range(2, 7)]
 
@@ -62,6 +63,7 @@ WAITING = [_result(f"XPL20{number}", Outcome.NOT_RUN) for number in range(2, 7)]
     [
         ([], NO_CODE, f"GREEN contract; {UNPROVEN}"),
         ([PARITY], PAIRS, "GREEN contract, parity (24 pairs, 2 conventions assumed)"),
+        ([NAMED], PAIRS, "GREEN contract, parity (5 pairs, assumed: gripper, images[0].channels)"),
         ([ONE_PAIR, _result("XPL261")], PAIRS, "GREEN contract, parity (1 pair, 1 convention assumed)"),
         ([NONE_ASSUMED], PAIRS, "GREEN contract, parity (3 pairs, no convention assumed)"),
         ([NONE_NAMED], PAIRS, "GREEN contract, parity (3 pairs, no convention named)"),

@@ -16,7 +16,7 @@ from xpl_cli.standard import spec
 
 _POLICY = spec.schema("policy")["properties"]
 _ENV = spec.schema("env")["properties"]
-_DATA = {"data"}
+_DATA = {"data", "assumed"}
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, cast
 import yaml
 
 from xpl import variants
+from xpl.assumptions import settled
 from xpl_cli.basics.yaml import text
 from xpl_cli.standard import spec, unknown
 from xpl_cli.standard.problems import Problem, described, explain
@@ -36,7 +37,7 @@ __all__ = ["Problem", "mark_of", "page_of", "registry", "shape_text", "validate"
 
 _LOCAL_SYMBOLS = frozenset("HWN")
 _OPEN = "policy"
-"""The schema of documents in which `{unknown: why}` may stand for a value."""
+"""The schema of documents in which `{unknown: why}` or `{assumed: value, why: reason}` may stand for a value."""
 # Kinds of numpy dtypes: signed and unsigned integers, floats.
 _KINDS = {"uint8": "u", "float": "f", "number": "iuf"}
 
@@ -51,7 +52,7 @@ def validate(instance: Any, schema_name: str, bindings: Mapping[str, int] | None
     """
     gaps: dict[unknown.Place, str] = {}
     if schema_name == _OPEN:
-        instance, gaps = unknown.split(instance)
+        instance, gaps = unknown.split(settled(instance))
     token = _scopes.set(_Scopes(document=dict(bindings or {})))
     try:
         errors = list(_validator(schema_name).iter_errors(instance))

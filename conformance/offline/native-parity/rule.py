@@ -48,7 +48,8 @@ def native_parity(parity: Parity) -> Iterator[Finding | Proof]:
             explained = True
             yield finding
     conventions, assumed = parity.conventions
-    yield Proof({"pairs": count, "conventions": conventions, "assumed": assumed, "tolerance": parity.tolerance})
+    numbers = {"pairs": count, "conventions": conventions, "assumed": len(assumed), "assumptions": assumed}
+    yield Proof({**numbers, "tolerance": parity.tolerance})
 
 
 def _findings(parity: Parity, compared: Compared, *, explained: bool) -> Iterator[Finding]:

@@ -46,6 +46,7 @@ def of_package(source: Source, kind: str, shown: str) -> Circumstances:
     return Circumstances(
         places=tuple(places(source)),
         unknown=tuple(unknown(source)),
+        assumed=tuple(one.where for one in source.manifest.assumed),
         without_pairs=without_pairs(source, shown),
     )
 

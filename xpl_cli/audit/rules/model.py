@@ -241,6 +241,7 @@ class Circumstances:
         settings: keys of deploy.yml that `--set` gave other values.
         places: places that the author has to fill in, `FILE:LINE`.
         unknown: native values that the manifest says are unknown.
+        assumed: values that the manifest says are assumed.
         without_pairs: why there is nothing that conversions could be compared with; None if there is something.
     """
 
@@ -248,6 +249,7 @@ class Circumstances:
     settings: tuple[str, ...] = ()
     places: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
     without_pairs: str | None = None
 
 

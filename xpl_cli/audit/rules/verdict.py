@@ -57,17 +57,19 @@ class Claim:
     details: Callable[[Numbers], Iterable[str]] = lambda _: ()
 
     def told(self, numbers: Numbers) -> str:
-        """Return the claim with the numbers of its proof, as `parity (24 pairs, 2 conventions assumed)`."""
+        """Return the claim with the numbers of its proof, as `parity (24 pairs, assumed: gripper, frame)`."""
         detail = ", ".join(self.details(numbers))
         return f"{self.word} ({detail})" if detail else self.word
 
 
 def _of_parity(numbers: Numbers) -> Iterable[str]:
-    """Yield the pairs that were compared, and how many conventions nobody was found to say."""
+    """Yield the pairs that were compared, and the conventions that nobody was found to say."""
     yield amount(numbers.get("pairs", 0), "pair")
     if not numbers.get("conventions", True):
         yield "no convention named"
-    elif "assumed" in numbers:
+    elif numbers.get("assumptions"):
+        yield f"assumed: {', '.join(numbers['assumptions'])}"
+    elif "assumed" in numbers:  # as reports of earlier versions have it
         yield f"{amount(numbers['assumed'], 'convention')} assumed" if numbers["assumed"] else "no convention assumed"
 
 
@@ -305,6 +307,8 @@ def _asides(gates: Sequence[Ended], around: Circumstances) -> Iterable[str]:
     for gate in gates:
         if gate.outcome is Outcome.NOT_APPLICABLE:
             yield f"not in the {gate.name} gate ({gate.reason or 'no rule of it applies'})"
+    if around.assumed and around.without_pairs is not None:
+        yield f"{amount(len(around.assumed), 'value')} assumed ({', '.join(around.assumed)})"
     if around.settings:
         yield f"with --set {listed(around.settings, _MOST)}"
 

@@ -102,14 +102,16 @@ class Parity:
             return None
 
     @cached_property
-    def conventions(self) -> tuple[int, int]:
-        """How many conventions there are to agree on, and how many of them are assumed, said or not."""
+    def conventions(self) -> tuple[int, list[str]]:
+        """How many conventions there are to agree on, and which of them, and of the block's values, are assumed."""
+        manifest = self.probe.package.manifest
+        values = [one.where.removeprefix("native.") for one in manifest.assumed]
         try:
             read = reading.read_file(self._path)
         except UserError:
-            return 0, 0
-        applying = conventions.applying(self.probe.package.manifest)
-        return len(read.agreed(applying)), len(read.taken_for_granted(applying))
+            return 0, values
+        applying = conventions.applying(manifest)
+        return len(read.agreed(applying)), [*read.taken_for_granted(applying), *values]
 
     @cached_property
     def tolerance(self) -> float:
