@@ -210,13 +210,17 @@ def depth(value: object) -> int:
 
 
 def _check_envelope(fields: Mapping[str, Any]) -> None:
-    if tuple(map(type, map(fields.get, _ENVELOPE))) in _USUAL:
+    values = list(map(fields.get, _ENVELOPE))
+    longest = max([len(value) for value in values if type(value) is str], default=0)
+    if longest <= spec.LIMITS["identifier"] and tuple(map(type, values)) in _USUAL:
         return
     for name, allowed in _ENVELOPE.items():
         value = fields.get(name)
         if not _is(value, allowed):
             wanted = " or ".join("nil" if kind is _NONE else kind.__name__ for kind in allowed)
-            raise WireError(f"frame field {name} must be {wanted}, got {type(value).__name__}", _identifiers(fields))
+            got = f"{len(value)} characters" if isinstance(value, str) and str in allowed else type(value).__name__
+            most = f" of at most {spec.LIMITS['identifier']} characters" if str in allowed else ""
+            raise WireError(f"frame field {name} must be {wanted}{most}, got {got}", _identifiers(fields))
 
 
 def _identifiers(fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -224,6 +228,8 @@ def _identifiers(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _is(value: object, allowed: tuple[type, ...]) -> bool:
+    if isinstance(value, str) and len(value) > spec.LIMITS["identifier"]:
+        return False
     return isinstance(value, allowed) and not isinstance(value, bool)
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from picows import WSCloseCode, WSListener, WSMsgType
 
 from xpl import _spec as spec
+from xpl_cli.serving.entry.ledger import Incoming
 from xpl_cli.serving.logbook import Burst
 
 if TYPE_CHECKING:
@@ -42,6 +43,9 @@ class Owner(Protocol):
 
     def asked(self, connection: Connection, frame: codec.Frame, size: int) -> None:
         """Pass on a request of so many bytes."""
+
+    def holds(self, connection: Connection) -> None:
+        """Say that a connection holds more or less memory than before."""
 
     def disconnected(self, connection: Connection, *, clean: bool) -> None:
         """Say that a connection is gone."""
@@ -80,6 +84,7 @@ class Connection(WSListener):
         self._timing = timing
         self._loop = asyncio.get_running_loop()
         self._transport: WSTransport | None = None
+        self._incoming: Incoming | None = None
         self._message: bytearray | None = None
         self._fragments = 0
         self._is_text = False
@@ -103,6 +108,9 @@ class Connection(WSListener):
         """Set the deadlines."""
         self._transport = transport
         self.is_open = True
+        raw = transport.underlying_transport
+        self._incoming = Incoming(raw.get_protocol(), self._holds)  # type: ignore[arg-type]  # the library's is buffered
+        raw.set_protocol(self._incoming)
         self._notice_dead_peer(transport)
         self._after("silence", self._timing.hello, self._no_hello)
         self._after("ping", self._timing.ping_interval, self._ping)
@@ -111,6 +119,8 @@ class Connection(WSListener):
     def on_ws_frame(self, transport: WSTransport, frame: WSFrame) -> None:
         """Put fragments together, and pass on whole messages."""
         kind = frame.msg_type
+        if self._incoming is not None:
+            self._incoming.unread = 0
         if frame.rsv1 or frame.rsv2 or frame.rsv3:
             self.close(WSCloseCode.PROTOCOL_ERROR.value, "no extension was agreed on")
         elif kind == WSMsgType.BINARY and frame.fin and self._message is None:
@@ -163,6 +173,12 @@ class Connection(WSListener):
         raw = self._raw("socket")
         return -1 if raw is None else int(raw.fileno())
 
+    @property
+    def held(self) -> int:
+        """Bytes of its messages: the room for one, what is put together of one, and those that are unanswered."""
+        room = 0 if self._incoming is None else self._incoming.room
+        return room + len(self._message or b"") + self._pending_bytes
+
     def cut(self) -> None:
         """End the connection at once, without a word."""
         if self._transport is not None:
@@ -172,6 +188,7 @@ class Connection(WSListener):
         """Count a request of so many bytes; a peer that has too many unanswered is not read."""
         self._pending.append(size)
         self._pending_bytes += size
+        self._holds()
         self._regulate()
 
     def answer(self, data: bytes) -> None:
@@ -210,6 +227,7 @@ class Connection(WSListener):
             self._message, self._fragments, self._is_text = bytearray(), 0, frame.msg_type == WSMsgType.TEXT
         self._message += frame.get_payload_as_memoryview()
         self._fragments += 1
+        self._holds()
         if len(self._message) > spec.LIMITS["frame_bytes"] or self._fragments > spec.LIMITS["fragments"]:
             self._message = None
             self.close(WSCloseCode.MESSAGE_TOO_BIG.value, "the message is over the limit")
@@ -219,6 +237,10 @@ class Connection(WSListener):
                 self._text(whole)
             else:
                 self._whole(whole)
+
+    def _holds(self) -> None:
+        if self.is_open:  # answers of one that is gone still come
+            self._owner.holds(self)
 
     def _whole(self, data: bytes | memoryview) -> None:
         self._heard()
@@ -243,6 +265,7 @@ class Connection(WSListener):
     def _settle(self) -> None:
         """Count a request as answered."""
         self._pending_bytes -= self._pending.popleft()
+        self._holds()
         self._regulate()
 
     def _regulate(self) -> None:

@@ -128,13 +128,13 @@ class Desk:
             self._decoder.decode(job, lambda done: self._decoded(worker, job, done))
             return
         if job.payload is None:
-            job.payload = pack(frame.payload)
+            job.takes(pack(frame.payload))
         worker.submit(job)
 
     def _decoded(self, worker: Worker, job: Job, done: asyncio.Future[Payload]) -> None:
         """Go on with a request whose images were decoded, or refuse one whose images are damaged."""
         try:
-            job.payload = pack(done.result())
+            job.takes(pack(done.result()))
         except RequestError as error:
             worker.line.remove(job)
             self.refused(job, error)

@@ -49,6 +49,8 @@ def capabilities(frame: codec.Frame) -> Announcement:
         elif type(value) not in _PLAIN:
             kind = type(value).__name__
             raise _invalid(spec.Payload.CAPABILITIES, f"must hold text, numbers, lists, maps, got {kind}")
+        elif isinstance(value, str | bytes) and len(value) > spec.LIMITS["identifier"]:
+            raise _invalid(spec.Payload.CAPABILITIES, f"may hold texts of {spec.LIMITS['identifier']} characters")
         if entries + len(inside) > _ENTRIES:
             raise _invalid(spec.Payload.CAPABILITIES, f"may have {_ENTRIES} entries")
     return given

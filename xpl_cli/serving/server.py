@@ -17,6 +17,7 @@ from xpl_cli.serving.connection import Connection, Timing
 from xpl_cli.serving.desk import Desk, acknowledged, fault, refusal
 from xpl_cli.serving.entry import door
 from xpl_cli.serving.entry.admission import BEARER, Admission
+from xpl_cli.serving.entry.ledger import Crowd
 from xpl_cli.serving.greeting import capabilities, greeting, share_memory
 from xpl_cli.serving.logbook import Burst, log
 from xpl_cli.serving.places import Place, Places
@@ -115,6 +116,7 @@ class FrontEnd:
         self._door = door.Door(half_open)
         self._refused = Burst("refused a frame", most=_FRAMES)
         self._dropped = Burst("dropped a connection that had said nothing: there are more than can be served")
+        self._crowd = Crowd()
         self._waiting: list[tuple[Connection, codec.Frame]] = []
         self._places = Places(len(processes), 1, settings.grace)
         self._started = time.monotonic()
@@ -241,9 +243,14 @@ class FrontEnd:
         self._connections[connection] = None
         self._door.passed(connection.descriptor)
 
+    def holds(self, connection: Connection) -> None:
+        """Count the memory of a connection's messages."""
+        self._crowd.holds(connection)
+
     def disconnected(self, connection: Connection, *, clean: bool) -> None:
         """Take the connection's place back, and the memory that it shared once nothing in the line uses it."""
         self._connections.pop(connection, None)
+        self._crowd.forget(connection)
         self._changed.set()
         self._leave(connection, clean=clean)
         place, number = connection.place, connection.segment_number

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import dataclasses
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -59,6 +60,10 @@ class Job:
     def ready(self) -> bool:
         """Whether its payload is there."""
         return self.payload is not None
+
+    def takes(self, payload: bytes) -> None:
+        """Take the payload as the worker reads it, and let go of the one that came."""
+        self.frame, self.payload = dataclasses.replace(self.frame, payload={}), payload
 
     def request(self) -> tuple[int, str, int | None, bool]:
         """Return what the worker is sent besides the payload."""

@@ -226,12 +226,10 @@ class WorkerProcess:
         on_answer, self._on_answer = self._on_answer, None
         try:
             head, buffers = link.decode(message)
-            if not isinstance(head, dict):
-                raise PackingError(f"expected a map, got {type(head).__name__}: the stream is out of step")
         except PackingError as error:
             self._break(f"the link to the worker broke: {error}")
             return
-        if on_answer is None:
+        if on_answer is None or not isinstance(head, dict):
             self._break("the link to the worker is out of step")
             return
         try:
