@@ -106,6 +106,19 @@ def test_offsets_of_tensors_lie_in_the_file(tmp_path: Path, entry: Any, told: st
         registry.read([folder])
 
 
+@pytest.mark.parametrize(("count", "told"), [(65, "65 image inputs"), (20_000, "10000 entries at most")])
+def test_inputs_are_as_many_as_models_have(tmp_path: Path, count: int, told: str) -> None:
+    """Each is written and told of: thousands would be a flood of notes, and minutes."""
+    folder = trained.lerobot(tmp_path / "checkpoint", n_action_steps=8)
+    config = json.loads((folder / "config.json").read_text())
+    camera = {"type": "VISUAL", "shape": [3, 8, 8]}
+    others = {name: one for name, one in config["input_features"].items() if one["type"] != "VISUAL"}
+    config["input_features"] = others | {f"observation.images.c{number}": camera for number in range(count)}
+    (folder / "config.json").write_text(json.dumps(config))
+    with pytest.raises(UserError, match=rf"{folder}.*{told}"):
+        registry.read([folder])
+
+
 ENDINGS = (
     "q)\n        PWNED()\n        # (",
     'x"""\nPWNED()\n"""',

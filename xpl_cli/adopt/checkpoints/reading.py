@@ -75,6 +75,8 @@ class Document:
             return default  # type: ignore[no-any-return]
         is_number = isinstance(found, (int, float)) and not isinstance(found, bool)
         fits = isinstance(found, kind) and (kind is bool or not isinstance(found, bool))
+        if kind is dict and fits and len(found) > _MOST_NUMBERS:
+            raise UserError(f"{self.place()}: expected {_MOST_NUMBERS} entries at most at {'/'.join(map(str, path))}")
         if kind in {int, float} and is_number:
             fits = (fits or kind is float) and _is_sane(found)
             found = float(found) if fits and kind is float else found

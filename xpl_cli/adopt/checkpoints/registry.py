@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.makers import diffusion_policy, groot, openpi, openvla, rdt, robomimic, starvla
 from xpl_cli.adopt.checkpoints.makers.lerobot import checkpoint as lerobot
@@ -49,6 +49,8 @@ class Maker:
     read: Callable[[Folder, Beside], Trained]
 
 
+_MOST_INPUTS: Final = 64
+
 MAKERS = (
     Maker("LeRobot", lerobot.inner, lambda folder, beside: lerobot.read(folder, beside.data)),
     Maker("openpi", openpi.inner, lambda folder, beside: openpi.read(folder, beside.key, beside.code)),
@@ -92,11 +94,26 @@ def read(paths: Sequence[Path], key: str | None = None) -> tuple[Trained, Folder
         raise UserError(f"--from was given {what}: expected one checkpoint, and its data set where you have it")
     maker, folder = found[0]
     try:
-        return maker.read(folder, Beside(data, code, key)), folder
+        return _usable(maker.read(folder, Beside(data, code, key))), folder
     except UserError as error:
         if str(folder.path) in str(error):
             raise
         raise UserError(f"{folder.path}: {error}", hint=error.hint, code=error.code) from None
+
+
+def _usable(trained: Trained) -> Trained:
+    """Return what was read.
+
+    Raises:
+        UserError: it has more inputs than any model: each is a line of what is written, and several of what is told.
+    """
+    names = [name for view in trained.views for name in view.names]
+    if max(len(trained.views), len(names), len(trained.states)) > _MOST_INPUTS:
+        raise UserError(
+            f"it lists {len(trained.views)} image inputs of {len(names)} cameras and {len(trained.states)} vectors, "
+            f"expected {_MOST_INPUTS} of each at most"
+        )
+    return trained
 
 
 def recognised(folder: Folder) -> tuple[Maker, Folder] | None:
