@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Self
 
+from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.conversion import packing
 from xpl_cli.data.formats.writing import CONVERTED
 from xpl_cli.data.sets import documents
+from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Demonstrations
@@ -65,7 +67,10 @@ class Origin:
         told = found.extras.get(CONVERTED)
         if not isinstance(told, Mapping):
             return cls()
-        told = documents.checked(told, _SCHEMA, f"{found.path}: {CONVERTED}")
+        try:
+            documents.checked(told, _SCHEMA, f"{found.path}: {CONVERTED}")
+        except DataError as error:
+            raise DataError(str(error), code=ExitCode.FINDINGS) from None
         packed = told.get(packing.NAME)
         layout = None if packed is None else {name: [(p, int(w)) for p, w in parts] for name, parts in packed.items()}
         return cls(told.get("from", ""), told.get("names", {}), frozenset(told.get("numbers", ())), layout)

@@ -89,7 +89,15 @@ class UnpackedSet(DelegatingSet):
         self._names, self._numbers, self._layout = names, numbers, layout
 
     def _around(self, episode: Episode) -> Episode:
-        return _Unpacked(episode, self._names, self._numbers, self._layout)
+        try:
+            return _Unpacked(episode, self._names, self._numbers, self._layout)
+        except _NotPackedError as error:
+            told = f"{self.path}: {episode.key}: what the set says under {CONVERTED} names {error}"
+            raise DataError(told, code=ExitCode.FINDINGS) from None
+
+
+class _NotPackedError(Exception):
+    """An episode is not what a layout says; the text tells what that names."""
 
 
 class _Packed(DelegatingEpisode):
@@ -129,7 +137,7 @@ class _Unpacked(DelegatingEpisode):
             column, total = inner.columns.get(self._old.get(name, "")), sum(width for _, width in parts)
             if column is None or column.shape != (total,):
                 has = "none" if column is None else column.shape
-                raise self._lie(f"a column {name} with rows of {total} numbers, the episode has {has}")
+                raise _NotPackedError(f"a column {name} with rows of {total} numbers, the episode has {has}")
             begins = 0
             for part, width in parts:
                 self._parts[part] = (self._old[name], begins, begins + width)
@@ -140,10 +148,7 @@ class _Unpacked(DelegatingEpisode):
             *(part for parts in layout.values() for part, _ in parts),
         ]
         if len(set(old)) < len(old) or len(set(made)) < len(made):
-            raise self._lie("two columns or cameras of one name")
-
-    def _lie(self, what: str) -> DataError:
-        return DataError(f"{self.key}: what the set says under {CONVERTED} names {what}", code=ExitCode.FINDINGS)
+            raise _NotPackedError("two columns or cameras of one name")
 
     @functools.cached_property
     def columns(self) -> Mapping[str, Column]:
