@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Union
 
 from xpl import _spec as spec
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import OpenError
 from xpl.nested import written
 
 if TYPE_CHECKING:
@@ -70,15 +70,15 @@ def refuse(native: Entry) -> None:
     """Stop where a value that conversions need is open.
 
     Raises:
-        NativeError: with all of them.
+        OpenError: with all of them.
     """
     needed = [gap for gap in gaps(native) if gap.path[0] not in _TOLD_ONLY]
     if needed:
         told = "; ".join(f"{gap.where} ({gap.reason})" for gap in needed)
         what = "a value" if len(needed) == 1 else f"{len(needed)} values"
-        raise NativeError(
-            f"native leaves {what} open that conversions need: {told}; find them out, or audit what does not depend on "
-            "them with `--shadow`"
+        raise OpenError(
+            f"native leaves {what} open that conversions need: {told}; find them out, write {{assumed: value, why: "
+            "reason} where one has to be chosen, or audit what does not depend on them with `--shadow`"
         )
 
 

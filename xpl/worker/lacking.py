@@ -76,9 +76,10 @@ def lacking(error: BaseException, policy_dir: Path, config: Config) -> dict[str,
         config: its configuration, which names the checkpoint.
 
     Returns:
-        a map of `kind` and `name`: a third-party `module`, a shared `library`, the `checkpoint`, a `device`, the
-        benchmark's `env_cfg`, the `upstream` code, a `file` elsewhere, a `server`, a `setting` that scripts give; what
-        a `shadow` cannot give in place of the real one; or that the adapter is a `whole` without a shadow.
+        a map of `kind` and `name`: a third-party `module`, a shared `library`, the `checkpoint`, a `device`, values
+        that the native block leaves `open`, the benchmark's `env_cfg`, the `upstream` code, a `file` elsewhere, a
+        `server`, a `setting` that scripts give; what a `shadow` cannot give in place of the real one; or that the
+        adapter is a `whole` without a shadow.
     """
     for cause in _causes(error):
         found = _lacking(cause, policy_dir, config)
@@ -88,9 +89,13 @@ def lacking(error: BaseException, policy_dir: Path, config: Config) -> dict[str,
 
 
 def _lacking(error: BaseException, policy_dir: Path, config: Config) -> tuple[str, str] | None:
+    from xpl.convert.errors import OpenError  # imported already where it was raised
+
     found: tuple[str, str] | None = None
     if isinstance(error, ShadowError):
         found = error.kind, str(error)
+    elif isinstance(error, OpenError):
+        found = "open", str(error)
     elif isinstance(error, ModuleNotFoundError):
         found = ("module", error.name) if error.name and is_third_party(error.name, policy_dir) else None
     elif isinstance(error, (ImportError, OSError)) and _OPEN_LIBRARY in str(error):

@@ -30,7 +30,8 @@ def native_open(source: Source) -> Iterator[Finding]:
 
     ## Use instead
     Ask who would know, look into the authors' data loader, or try both against native.py (`xpl native record`); then
-    write the value: `channels: bgr`.
+    write the value: `channels: bgr`. One that has to be chosen meanwhile is `{assumed: rgb, why: reason}`: the policy
+    runs, and the verdict names it.
 
     ## Fix safety
     No automatic fix.
@@ -48,5 +49,7 @@ def native_open(source: Source) -> Iterator[Finding]:
             expected="a value in each place",
             got=f"{len(found)} times unknown",
             evidence={gap.where: gap.reason for gap in found},
-            fix=Fix("advice", "find out what the authors' code does there, and write the value in its place"),
+            fix=Fix(
+                "advice", "write what the authors' code does there, or {assumed: value, why: reason} to run without it"
+            ),
         )

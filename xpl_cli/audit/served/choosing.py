@@ -25,6 +25,7 @@ _SENTENCES = {
     "upstream": "the code that the adapter wraps is not here: {}",
     "file": "a file outside of the adapter is not here: {}",
     "server": "the server that the adapter asks cannot be reached: {}",
+    "open": "{}",
     "setting": "deploy.yml has no {}, which the adapter's script sets",
 }
 _REAL = (
