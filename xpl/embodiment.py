@@ -6,7 +6,6 @@ The facts are `spec/robots/*.yml` and, in a project, `embodiments/*.yml`
 
 from __future__ import annotations
 
-import difflib
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl import robots
+from xpl.nearest import nearest
 
 if TYPE_CHECKING:
     from xpl.contract import Entry
@@ -108,7 +108,7 @@ def get_embodiment(name: str) -> Embodiment:
     found = robots.canonical(name)
     if found is not None:
         return _build(found)
-    near = difflib.get_close_matches(str(name), robots.names(), n=2, cutoff=0.3)
+    near = nearest(str(name), robots.names(), 2, 0.3)
     hint = f"; did you mean {' or '.join(near)}?" if near else ""
     raise UnknownEmbodimentError(f"unknown embodiment {name!r}: known are {', '.join(embodiment_names())}{hint}")
 

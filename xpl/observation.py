@@ -87,11 +87,15 @@ def color_of(camera: object) -> Any:
     return None
 
 
-def get_instruction(obs: Observation) -> str | None:
+def get_instruction(obs: Observation, *, required: bool = False) -> str | None:
     """Return the instruction: `instruction`, or the first of `instructions`, or None if the observation has neither.
 
+    Args:
+        obs: the observation.
+        required: raise where there is none, as a policy does that follows it.
+
     Raises:
-        ObservationError: if what is there is not text.
+        ObservationError: if what is there is not text, or nothing is there that is required.
     """
     value = obs.get(spec.Obs.INSTRUCTION)
     several = obs.get(spec.Obs.INSTRUCTIONS)
@@ -101,6 +105,11 @@ def get_instruction(obs: Observation) -> str | None:
         value = several[0] if len(several) else None
     if value is not None and not isinstance(value, str):
         raise ObservationError(f"the instruction must be text, got {type(value).__name__}")
+    if value is None and required:
+        there = ", ".join(map(str, obs))
+        raise ObservationError(
+            f"the observation has no {spec.Obs.INSTRUCTION}, nor {spec.Obs.INSTRUCTIONS}; it has {there}"
+        )
     return value
 
 

@@ -184,3 +184,8 @@ def test_words_of_benchmarks_stand_for_robots() -> None:
     assert get_embodiment("so101_follower").name == "so101"
     with pytest.raises(UnknownEmbodimentError, match="did you mean"):
         get_embodiment("so_101")
+
+
+def test_a_name_whose_words_stand_in_another_order_is_meant() -> None:
+    with pytest.raises(UnknownEmbodimentError, match=r"did you mean arx_x5_single\?"):
+        get_embodiment("single_arx_x5")

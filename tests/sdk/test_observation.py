@@ -124,3 +124,10 @@ def test_a_mixed_or_repeated_index_is_an_error(indices: list[Any]) -> None:
 def test_an_index_is_a_non_negative_integer(value: Any) -> None:
     with pytest.raises(ObservationError, match="non-negative integer"):
         env_index(value)
+
+
+def test_an_instruction_that_a_policy_follows_is_required() -> None:
+    assert get_instruction({"state": {}}) is None
+    with pytest.raises(ObservationError, match="no instruction, nor instructions; it has state"):
+        get_instruction({"state": {}}, required=True)
+    assert get_instruction({"instructions": ["fold it"]}, required=True) == "fold it"

@@ -126,8 +126,6 @@ def one_of(option: str, given: str, known: Iterable[str]) -> str:
 
 def nearest_of(given: str, known: Iterable[str], most: int = 3) -> tuple[str, ...]:
     """Return the names that a name is most likely a misspelling of, the likeliest first."""
-    import difflib
+    from xpl.nearest import nearest
 
-    by_folded = {name.casefold(): name for name in known}
-    near = difflib.get_close_matches(given.casefold(), by_folded, n=most, cutoff=_NEAR)
-    return tuple(by_folded[name] for name in near)
+    return tuple(nearest(given, known, most, _NEAR))

@@ -11,7 +11,7 @@ from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.compare import error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
-_FIX = Fix("advice", "read it with xpl.observation.get_instruction")
+_FIX = Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True)")
 
 
 @rule(code="XPL215", requirement="XPL-OBS-4", compares=True)
@@ -30,7 +30,7 @@ def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     `prompt = obs["instruction"]`, or `prompt = obs["instructions"][0]`, which of a text takes the first letter.
 
     ## Use instead
-    `xpl.observation.get_instruction(obs)`
+    `xpl.observation.get_instruction(obs, required=True)`, which also raises where there is none
 
     ## Fix safety
     No automatic fix.

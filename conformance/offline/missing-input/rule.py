@@ -15,6 +15,7 @@ from xpl_cli.audit.served.probe import Probe
 _MADE_UP = "{faults}, the policy goes on with a made-up value of {name} instead of stopping"
 _UNREAD = "{faults}, the policy goes on instead of stopping: {name}, which the manifest requires, is never used"
 _FIX = Fix("advice", "read required fields with xpl.observation, which raises, and never default to zeros")
+_TEXT = Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True), which raises")
 
 
 @rule(code="XPL213", requirement="XPL-OBS-3")
@@ -52,7 +53,7 @@ def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
                 missing(obs, name) if name in there else (),
                 goes_on=_UNREAD if name in unseen else _MADE_UP,
                 unclear="{faults}, the policy stops, but its error does not say that {name} is missing",
-                fix=_FIX,
+                fix=_TEXT if name == spec.Obs.INSTRUCTION else _FIX,
             ):
                 yield finding if probe.required else replace(finding, must=False)
 

@@ -40,7 +40,7 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
     `prompt = obs.get("instruction", self.default_prompt)`: an observation with `instructions` gets the default.
 
     ## Use instead
-    `xpl.observation.get_instruction(obs)`
+    `xpl.observation.get_instruction(obs, required=True)`, which also raises where there is none
 
     ## Fix safety
     Reading the other spelling too changes nothing for observations that were understood.
@@ -66,7 +66,7 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
             **source.at(function.file, node),
             expected=f"`{_ONE}`, or the first of `{_MANY}`",
             got=ast.unparse(node)[:80],
-            fix=Fix("advice", "read it with xpl.observation.get_instruction"),
+            fix=Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True)"),
         )
     elif not known & {_ONE, _MANY}:
         spoken = next(_spoken(adapter), None)
@@ -78,7 +78,7 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
                 **source.at(function.file, given),
                 expected=f"`{_ONE}` of the observation",
                 got=ast.unparse(given).split("\n")[0][:80],
-                fix=Fix("advice", "read it with xpl.observation.get_instruction"),
+                fix=Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True)"),
                 must=False,
             )
 
