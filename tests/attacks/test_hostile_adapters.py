@@ -203,6 +203,18 @@ def test_deadlines_of_a_stranger_have_an_end() -> None:
     assert hanging.bounds(asked) == {"request_timeout_s": 300.0, "max_connect_seconds": 600.0, "close_timeout_s": 30.0}
 
 
+@pytest.mark.parametrize("value", [".inf", ".nan", "1.0e+308", "-1", "hello"])
+def test_a_deadline_that_is_none_is_a_check_that_could_not_run(write_adapter: Write, value: str) -> None:
+    """No crash of a rule: the file is the package's, and the static gate has the finding."""
+    folder = write_adapter("class Model: pass")
+    deploy = (folder / "deploy.yml").read_text().rstrip().removesuffix("}")
+    (folder / "deploy.yml").write_text(f"{deploy}, request_timeout_s: {value}}}\n")
+    report = engine.audit(folder, "policy", Options(gates=(Gate.OFFLINE,), names=("serves",)))
+    (result,) = (result for result in report.results if result.slug == "serves")
+    assert result.outcome is Outcome.NOT_RUN
+    assert "request_timeout_s: expected" in str(result.reason)
+
+
 def test_an_adapter_is_not_waited_for_again_and_again() -> None:
     """After it has hung twice, rules are told so at once."""
     hangs = hanging.Hangs()

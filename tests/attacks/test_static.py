@@ -121,6 +121,36 @@ def test_what_is_too_much_is_a_finding_of_its_own_file(adapter: Path) -> None:
         assert message in found[name], name
 
 
+def test_many_files_are_bounded_in_sum(adapter: Path) -> None:
+    """Each is smaller than what a file may be; what is beyond the sum is a finding, and takes no time."""
+    names = [f"part{number}.py" for number in range(4)]
+    for name in names:
+        (adapter / name).write_text("# nothing\n" * 180_000)
+    with (adapter / "model.py").open("a") as model:
+        model.write("".join(f"from . import {name[:-3]}\n" for name in names))
+    found = refused(static(adapter))
+    assert found.keys() < set(names)
+    assert all("more than 4194304 characters together" in message for message in found.values())
+
+
+@pytest.mark.slow
+def test_texts_are_bounded_in_sum(adapter: Path) -> None:
+    names = [f"part{number}.md" for number in range(36)]
+    for name in names:
+        (adapter / name).write_text("nothing\n" * 250_000)
+    found = refused(static(adapter, "parses"))
+    assert found.keys() < set(names)
+    assert all("more than 67108864 bytes of text together" in message for message in found.values())
+
+
+def test_what_does_not_parse_is_not_kept_in_memory(adapter: Path) -> None:
+    """The traceback of a refusal holds its frames, and these the tree."""
+    (adapter / "large.py").write_text("x=1\n" * 65_000)
+    error = Source(adapter).syntax_error("large.py")
+    assert error is not None
+    assert error.__traceback__ is None
+
+
 def test_a_text_is_split_into_lines_once_however_much_is_found_in_it(
     adapter: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -223,3 +223,24 @@ def test_no_cache_neither_reads_nor_writes(adapter: Path, tmp_path: Path) -> Non
     surroundings = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "home")}
     forked.run("audit", adapter, "--gate", "static", "--no-cache", env=surroundings)
     assert not (tmp_path / "home").exists()
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+def test_a_record_that_is_no_file_counts_as_none(adapter: Path, room: Room, tmp_path: Path, kind: str) -> None:
+    """Nothing waits for a writer, and the audit says what it says without a cache."""
+    kept = tmp_path / "kept"
+    before = audit(adapter, kept)
+    (record,) = kept.iterdir()
+    record.unlink()
+    {"pipe": os.mkfifo, "device": lambda path: path.symlink_to("/dev/zero"), "folder": os.mkdir}[kind](record)
+    after = audit(adapter, kept)
+    assert [result.outcome for result in after.results] == [result.outcome for result in before.results]
+
+
+def test_a_record_that_names_what_is_no_file_counts_as_none(adapter: Path, room: Room, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    audit(adapter, kept)
+    (record,) = kept.iterdir()
+    told = json.loads(record.read_text())
+    record.write_text(json.dumps({**told, "files": {"/dev/zero": "0"}}))
+    assert audit(adapter, kept).results

@@ -138,9 +138,11 @@ def parse_overrides(settings: Sequence[str]) -> dict[str, Any]:
     """Return the map of `KEY=VALUE` settings; a value is YAML, so `false` is a flag and `3` a number.
 
     Raises:
-        UserError: if a setting has no `=` or its value is not YAML.
+        UserError: if a setting has no `=`, or its value is not YAML, or none that deploy.yml may have.
     """
     import yaml
+
+    from xpl_cli.standard.validate import validate
 
     result: dict[str, Any] = {}
     for setting in settings:
@@ -151,4 +153,7 @@ def parse_overrides(settings: Sequence[str]) -> dict[str, Any]:
             result[key] = spec.parse_yaml(value)
         except yaml.YAMLError as error:
             raise UserError(f"--set {key}: {value!r} is not a YAML value ({type(error).__name__})") from None
+    wrong = next((problem for problem in validate(result, _DEPLOY) if problem.missing is None), None)
+    if wrong is not None:
+        raise UserError(f"--set {wrong}", hint=f"`xpl spec show {_DEPLOY}` lists every key")
     return result

@@ -28,7 +28,7 @@ from xpl_cli import __version__
 from xpl_cli.audit.rules.model import NotRun, Outcome, Result
 from xpl_cli.audit.rules.registry import lookup
 from xpl_cli.audit.static.reading import SIZE_LIMIT
-from xpl_cli.basics import content, user_cache
+from xpl_cli.basics import content, files, user_cache
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
@@ -132,14 +132,14 @@ class Shelf:
     def _load(self) -> None:
         """Read what is kept; a record that is broken, or of other deeper files, counts as none."""
         with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
-            told: dict[str, Any] = json_text.parse(self.file.read_bytes())
-            files = {str(name): str(digest) for name, digest in told["files"].items()}
+            told: dict[str, Any] = json_text.parse(files.content(self.file))
+            deeper = {str(name): str(digest) for name, digest in told["files"].items()}
             passes = {str(code): [str(part) for part in kept] for code, kept in told["passes"].items()}
             if told["format"] != _FORMAT or any(len(kept) != _PARTS for kept in passes.values()):
                 return
-            if any(_digest(self.package / name) != digest for name, digest in files.items()):
+            if any(_digest(self.package / name) != digest for name, digest in deeper.items()):
                 return
-            self._files, self._passes, self.record = files, passes, str(told["record"])
+            self._files, self._passes, self.record = deeper, passes, str(told["record"])
             os.utime(self.file)
 
 
@@ -188,7 +188,7 @@ def _told(entry: os.DirEntry[str], *, direct: bool) -> bytes:
 def _digest(file: Path) -> str:
     """Return the hash of a file's content; of a file that is too large to be read as source, its size."""
     size = file.stat().st_size
-    return f"{size} bytes" if size > SIZE_LIMIT else hashlib.sha256(file.read_bytes()).hexdigest()
+    return f"{size} bytes" if size > SIZE_LIMIT else hashlib.sha256(files.content(file, SIZE_LIMIT)).hexdigest()
 
 
 @cache

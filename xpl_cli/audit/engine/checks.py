@@ -13,6 +13,7 @@ from xpl_cli.audit.rules.presence import Presence
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import RegistryError, needed
 from xpl_cli.audit.static.limits import LONGEST_S, TooLong, deadline
+from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -91,6 +92,8 @@ class Checks:
             return self._result(rule, Outcome.NOT_APPLICABLE, reason=str(why))
         except NotRun as why:
             return self._result(rule, Outcome.NOT_RUN, reason=str(why))
+        except UserError as why:  # a manifest that cannot be read, for example: nothing that a rule could look at
+            return self._result(rule, Outcome.NOT_RUN, reason=" ".join(str(why).split()))
         except TooLong:
             files = "the files are more, larger or more tangled than any adapter's"
             reason = f"the gate was not done within {LONGEST_S:.0f} s: {files}"

@@ -17,6 +17,10 @@ MOST_NODES: Final = 250_000
 """Nodes of the syntax tree of one Python file."""
 MOST_LEVELS: Final = 200
 """Levels of a syntax tree: what takes more overflows the stack of whoever reads it."""
+MOST_PYTHON: Final = 4 << 20
+"""Characters of all Python files of a package: their trees take fifty times as much memory, and more."""
+MOST_TEXT: Final = 64 << 20
+"""Bytes of all files of a package that are read as text."""
 LONGEST_S: Final = 120.0
 """Processor time, in seconds, that all rules of the gate may take on one package: a hundred times what they do take."""
 

@@ -19,7 +19,7 @@ from xpl.manifest import Manifest
 from xpl_cli.audit.rules.model import Location, NotRun
 from xpl_cli.audit.static import imports, reading
 from xpl_cli.audit.static.function import Function, Symbols
-from xpl_cli.audit.static.limits import TooMuchError, measured
+from xpl_cli.audit.static.limits import MOST_PYTHON, MOST_TEXT, TooMuchError, measured
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.shell import Script, parse
 from xpl_cli.standard import unknown
@@ -59,6 +59,8 @@ class Source:
     _read: dict[str, reading.Text] = field(default_factory=dict)
     _yaml: dict[str, tuple[yaml_text.Document, tuple[str, int, int] | None]] = field(default_factory=dict)
     _parsed: dict[str, tuple[ast.AST, ...] | Exception] = field(default_factory=dict)
+    _python_left: int = MOST_PYTHON
+    _text_left: int = MOST_TEXT
     _lines: dict[str, list[str]] = field(default_factory=dict)
     _commands: dict[str, Script] = field(default_factory=dict)
     _imports: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -152,11 +154,16 @@ class Source:
         if name not in self._parsed:
             text = self.text(name)
             try:
+                if len(text) > self._python_left:
+                    raise TooMuchError(
+                        f"the Python files of the package hold more than {MOST_PYTHON} characters together"
+                    )
+                self._python_left -= len(text)
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # an invalid escape is not ours to print
                     self._parsed[name] = measured(ast.parse(text, filename=name))
             except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-                self._parsed[name] = error
+                self._parsed[name] = error.with_traceback(None)  # its frames hold the tree
         return self._parsed[name]
 
     def function(self, name: str, node: FunctionNode, owner: ast.ClassDef | None = None) -> Function:
@@ -347,7 +354,10 @@ class Source:
 
     def _file(self, name: str) -> reading.Text:
         if name not in self._read:
+            if self._size(name) > self._text_left:
+                raise NotRun(f"the files of the package hold more than {MOST_TEXT} bytes of text together")
             self._read[name] = reading.text(self._folder, name)
+            self._text_left -= len(self._read[name].content)
         return self._read[name]
 
     @cached_property

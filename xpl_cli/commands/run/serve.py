@@ -27,7 +27,7 @@ def serve(
     policy: str = POLICY,
     settings: list[str] = SETTINGS,
     host: str | None = typer.Option(None, help="Address to listen on; deploy.yml's by default."),
-    port: int | None = typer.Option(None, help="TCP port; 0 lets the system choose."),
+    port: int | None = typer.Option(None, min=0, max=65535, help="TCP port; 0 lets the system choose."),
     python: str | None = PYTHON,
     policy_env: str | None = POLICY_ENV,
     gpu: list[str] = typer.Option(
