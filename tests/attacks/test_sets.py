@@ -333,7 +333,16 @@ LEROBOT: dict[str, Make] = {
     "a pipe of episodes": _piped("meta/episodes/*/*.parquet", made.lerobot_v30),
     "a pipe of images": _piped("videos/**/*.mp4", made.lerobot_v21),
 }
+
+
+def _odd_facts(file: h5py.File) -> None:
+    kinds = np.dtype([("x", "f4"), ("y", "c8")])
+    for number, value in enumerate((1 + 2j, np.longdouble(1), h5py.Empty("f4"), np.zeros(2, kinds), b"\xff")):
+        file.attrs[f"fact{number}"] = value
+
+
 HARMLESS: dict[str, Make] = {
+    "facts that JSON has no form for": _hdf5(_odd_facts),
     "texts of 10 GB": _hdf5(_fixed(10_000, 1_000_000)),
     "a deep sentence": _hdf5(lambda file: file.attrs.__setitem__("instruction", DEEP[:60_000])),
     "a deep list of sentences": _hdf5(lambda file: file.create_dataset("instructions", data=DEEP)),
@@ -381,9 +390,10 @@ def test_sentences_beside_that_are_none_are_one_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", HARMLESS)
-def test_what_is_large_beside_the_steps_is_left_out_or_taken_as_text(tmp_path: Path, name: str) -> None:
+def test_what_is_odd_beside_the_steps_is_left_out_or_taken_as_text(tmp_path: Path, name: str) -> None:
     HARMLESS[name](tmp_path / "set")
     everything(tmp_path / "set")
+    json.dumps(dict(open_set(tmp_path / "set")[0].extras))
 
 
 @pytest.mark.parametrize(

@@ -241,12 +241,21 @@ def wordings(dataset: Dataset) -> list[str]:
 
 def plain(value: Any) -> Any:
     """Return a value as JSON has it: arrays as lists, numpy's numbers as Python's, bytes as text."""
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray):
-        return value.tolist() if value.dtype.kind in "biuf" else [plain(entry) for entry in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    return [plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        return value.tolist()
+    value = value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain(entry) for entry in value]
+    return _scalar(value)
+
+
+def _scalar(value: Any) -> Any:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    if isinstance(value, str):  # h5py gives bytes that are no UTF-8 as surrogates
+        return value if value.isascii() else value.encode("utf-8", "surrogatepass").decode("utf-8", "replace")
+    if isinstance(value, (complex, np.generic)):
+        return str(value)
+    return None if getattr(value, "shape", ()) is None else value  # the former is HDF5's value of nothing

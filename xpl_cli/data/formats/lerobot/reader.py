@@ -42,7 +42,7 @@ class LeRobotSet(Demonstrations):
     """A folder with `meta/info.json`."""
 
     def __init__(self, root: Path) -> None:
-        self.root = root
+        self.root, self._said = root, root / layout.INFO
         self.info = layout.information(root)
         super().__init__(root, f"lerobot-{self.info.version}")
 
@@ -72,12 +72,14 @@ class LeRobotSet(Demonstrations):
     @functools.cached_property
     def columns(self) -> Mapping[str, Column]:
         """The columns of every episode."""
-        return {name: _column(name, feature) for name, feature in self.info.features.items() if not feature.is_camera}
+        features = self.info.features.items()
+        return {name: _column(self._said, name, feature) for name, feature in features if not feature.is_camera}
 
     @functools.cached_property
     def cameras(self) -> Mapping[str, Camera]:
         """The cameras of every episode."""
-        return {name: _camera(name, feature) for name, feature in self.info.features.items() if feature.is_camera}
+        features = self.info.features.items()
+        return {name: _camera(self._said, name, feature) for name, feature in features if feature.is_camera}
 
     @functools.lru_cache(maxsize=8)  # noqa: B019 - a set lives as long as what reads it
     def group(self, path: str, number: int, column: str) -> np.ndarray:
@@ -217,12 +219,12 @@ class LeRobotEpisode(OutlinedEpisode):
             yield pictures.pixels(data, f"{self._owner.root / self.entry.data}, {camera}, image {index}")
 
 
-def _camera(name: str, feature: layout.Feature) -> Camera:
+def _camera(where: Path, name: str, feature: layout.Feature) -> Camera:
     if len(feature.shape) != 3:
-        raise DataError(f"{layout.INFO}: the camera {name} has the shape {feature.shape}, expected three sizes")
+        raise DataError(f"{where}: the camera {name} has the shape {feature.shape}, expected three sizes")
     height, width = _sizes(feature)
     if height * width > PIXELS:
-        raise DataError(f"{layout.INFO}: images of {name} have {height} x {width} pixels, more than {PIXELS}")
+        raise DataError(f"{where}: images of {name} have {height} x {width} pixels, more than {PIXELS}")
     return Camera(height, width, encoding="png" if feature.dtype == "image" else feature.codec or "video")
 
 
@@ -233,14 +235,14 @@ def _sizes(feature: layout.Feature) -> tuple[int, int]:
     return (second, last) if is_first else (first, second)
 
 
-def _column(name: str, feature: layout.Feature) -> Column:
+def _column(where: Path, name: str, feature: layout.Feature) -> Column:
     if feature.dtype in ("string", "large_string"):
         return Column((), "str")
     if feature.dtype not in _NUMBERS:
-        raise DataError(f"{layout.INFO}: the feature {name} has the type {feature.dtype[:40]}, which is not read")
+        raise DataError(f"{where}: the feature {name} has the type {feature.dtype[:40]}, which is not read")
     shape = () if name in layout.DEFAULTS else feature.shape
     if math.prod(shape) * 8 > _MOST_ROW:
-        raise DataError(f"{layout.INFO}: the feature {name} has the shape {shape}, too large for a row")
+        raise DataError(f"{where}: the feature {name} has the shape {shape}, too large for a row")
     return Column(shape, feature.dtype, feature.names if shape == (len(feature.names),) else ())
 
 
