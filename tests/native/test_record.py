@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,11 +38,34 @@ def test_a_recording_is_written_and_told(tmp_path: Path) -> None:
     found = pairs.read(folder)
     assert told["pairs"] == found.count >= 20
     assert set(found.provenance["native"]) == {"native.py", "network.py"}
-    assert provenance.code_problems(folder, found.provenance["native"]) == []
+    assert provenance.code_problems(folder, found.provenance) == []
     assert "numpy" in found.provenance["libraries"]
     assert found.noise == {"arm_joint_state": 0, "ee_joint_state": 0}
     (folder / "network.py").write_text(parity.NETWORK + "\n")
-    assert provenance.code_problems(folder, found.provenance["native"]) == ["network.py was changed"]
+    assert provenance.code_problems(folder, found.provenance) == ["network.py was changed"]
+
+
+def test_other_citations_leave_a_recording_as_it_is_and_other_code_of_the_authors_does_not(tmp_path: Path) -> None:
+    """Citations change no answer; what they cite, where it is imported from, does."""
+    code = RECURRENT.replace(
+        "import numpy as np",
+        'import msgpack\nimport numpy as np\n\nCONVENTIONS = {"chunk": "them/msgpack@v1:msgpack/fallback.py:3"}',
+        1,
+    )
+    folder = parity.made(tmp_path / "Foo", code=code)
+    told = recorded(folder, seed=5).pairs.provenance
+    assert "msgpack/__init__.py" in told["authors"]
+    assert provenance.code_problems(folder, told, sys.executable) == []
+    (folder / "native.py").write_text(code.replace("fallback.py:3", "ext.py:7"))
+    assert provenance.code_problems(folder, told, sys.executable) == []
+    (folder / "native.py").write_text(code.replace("episode.rng.random()", "0.5"))
+    assert provenance.code_problems(folder, told, sys.executable) == ["native.py was changed"]
+    (folder / "native.py").write_text(code)
+    changed = {**told, "authors": {**told["authors"], "msgpack/__init__.py": "0" * 64}}
+    assert provenance.code_problems(folder, changed, sys.executable) == [
+        "msgpack/__init__.py of the authors' code was changed"
+    ]
+    assert provenance.code_problems(folder, changed) == []
 
 
 RECURRENT = """

@@ -5,7 +5,7 @@ own code gives for an episode so far. It imports neither `xpl` nor model.py: an 
 be compared with itself. The audit reads that in its text; here an import of either is an error of the line that
 imports.
 
-    {"policy_dir", "config", "file", "function", "embodiment", "action_type", "seed", "takes", "rounds",
+    {"policy_dir", "config", "file", "function", "conventions", "embodiment", "action_type", "seed", "takes", "rounds",
      "calls": [{"reset": true} | {"show": [[environment, observation], ...]} | {"ask": [environment, ...]}, ...]}
     one map for the load, one for each call that asks, round by round, and one with what answered: a "result" or an
     "error". The result of a question is, for each environment, a list of takes, each a list of action steps.
@@ -13,15 +13,18 @@ imports.
 
 from __future__ import annotations
 
+import ast
 import builtins
 import hashlib
 import platform
+import re
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Callable, NoReturn
 
 import numpy as np
@@ -41,6 +44,7 @@ if TYPE_CHECKING:
 
 _SDK = "xpl"
 _MOST_LIBRARIES = 64
+_MOST_FILES = 500
 _INSTALLED = {"site-packages", "dist-packages"}
 
 Answer = Callable[["Episode"], Any]
@@ -69,8 +73,8 @@ class Episode:
         self.number = number
 
 
-def load(folder: Path, file: str, function: str, config: Config) -> Answer:
-    """Import native.py of a package and return what answers.
+def load(folder: Path, file: str, function: str, config: Config) -> tuple[ModuleType, Answer]:
+    """Import native.py of a package and return it, and what answers.
 
     Raises:
         LoadError: if the file or its function is missing, or makes nothing that can be called.
@@ -92,8 +96,7 @@ def load(folder: Path, file: str, function: str, config: Config) -> Answer:
         raise LoadError(
             f"{function}(config) of {path} must return a function of an episode, got {type(answer).__name__}"
         )
-    made: Answer = answer
-    return made
+    return module, answer
 
 
 def play(answer: Answer, order: Order) -> Iterator[bytes]:
@@ -184,27 +187,60 @@ class _NoAdapter(MetaPathFinder):
 # -- what answered ----------------------------------------------------------------------------------------------------
 
 
-def provenance(folder: Path) -> dict[str, Any]:
-    """Return the files of the package that were imported, with their digests, and versions of what was imported."""
-    files = {}
-    for module in list(sys.modules.values()):
-        file = getattr(module, "__file__", None)
-        if not isinstance(file, str) or not Path(file).is_relative_to(folder):
+def provenance(folder: Path, module: object, conventions: str) -> dict[str, Any]:
+    """Return digests of the files of the package and of the authors' code that were imported, and all versions.
+
+    Args:
+        folder: of the package.
+        module: native.py.
+        conventions: name of its map of citations: an imported package that they name is the authors' code.
+    """
+    told = getattr(module, conventions, None)
+    sources = told.values() if isinstance(told, Mapping) else ()
+    cited = {part for text in sources if isinstance(text, str) for part in re.split(r"[/:@]", text)}
+    own = getattr(module, "__file__", None)
+    files, authors = {}, {}
+    for name, imported in sorted(sys.modules.items()):
+        file = getattr(imported, "__file__", None)
+        if not isinstance(file, str) or not Path(file).is_file():
             continue
-        path = Path(file)
-        if path.is_file() and not _is_environment(path.relative_to(folder)):
-            files[path.relative_to(folder).as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
+        path, top = Path(file), name.partition(".")[0]
+        if path.is_relative_to(folder) and not _is_environment(path.relative_to(folder)):
+            files[path.relative_to(folder).as_posix()] = code_digest(path, conventions if file == own else None)
+        elif top in cited and top in path.parts:
+            place = len(path.parts) - 1 - path.parts[::-1].index(top)
+            authors["/".join(path.parts[place:])] = code_digest(path)
     libraries = {}
-    for name, module in sorted(sys.modules.items()):
-        installed = set(Path(str(getattr(module, "__file__", None))).parts) & _INSTALLED
-        version = getattr(module, "__version__", None) if installed and "." not in name else None
+    for name, imported in sorted(sys.modules.items()):
+        installed = set(Path(str(getattr(imported, "__file__", None))).parts) & _INSTALLED
+        version = getattr(imported, "__version__", None) if installed and "." not in name else None
         if isinstance(version, str) and not name.startswith("_"):
             libraries[name] = version[:80]
     return {
         "native": dict(sorted(files.items())),
+        "authors": dict(list(authors.items())[:_MOST_FILES]),
         "python": platform.python_version(),
         "libraries": dict(list(libraries.items())[:_MOST_LIBRARIES]),
     }
+
+
+def code_digest(path: Path, left_out: str | None = None) -> str:
+    """Return the SHA-256 of a file of code.
+
+    Args:
+        path: the file.
+        left_out: a name; what gives it a value at the top of the file does not count, such as citations, which change
+            no answer.
+    """
+    content = path.read_bytes()
+    if left_out is not None:
+        lines = content.splitlines(keepends=True)
+        for node in ast.parse(content).body:
+            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+            if any(isinstance(target, ast.Name) and target.id == left_out for target in targets):
+                lines[node.lineno - 1 : node.end_lineno] = [b""] * ((node.end_lineno or node.lineno) - node.lineno + 1)
+        content = b"".join(lines)
+    return hashlib.sha256(content).hexdigest()
 
 
 def _is_environment(path: Path) -> bool:
@@ -220,10 +256,10 @@ def main(asked: str, answers: str) -> NoReturn:
 def _all(order: Order) -> Iterator[bytes]:
     folder = Path(order["policy_dir"])
     try:
-        answer = load(folder, order["file"], order["function"], order["config"])
+        module, answer = load(folder, order["file"], order["function"], order["config"])
     except FAILURES as error:
         yield failed(error, trace=_own_lines(error, folder))
         return
     yield result(None)
     yield from play(answer, order)
-    yield result(provenance(folder))
+    yield result(provenance(folder, module, order["conventions"]))

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl.checkpoint import CheckpointError, resolve
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.git import place
 from xpl_cli.basics.git.history import unrecorded
-from xpl_cli.native import names
+from xpl_cli.native import citations, names
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from xpl.contract import Config
     from xpl_cli.packages.package import Package
@@ -59,16 +60,38 @@ def commit(package: Path) -> str | None:
     return found + "+" * bool(changed)
 
 
-def code_problems(package: Path, recorded: Mapping[str, str]) -> list[str]:
-    """Return which files of native code are not those that answered, one sentence each."""
+def code_problems(package: Path, recorded: Mapping[str, Any], python: str | None = None) -> list[str]:
+    """Return which files of native code are not those that answered, one sentence each.
+
+    Args:
+        package: folder of the adapter.
+        recorded: the provenance of its pairs.
+        python: interpreter of the package, beside which the authors' code may be installed.
+    """
     problems = []
-    for name, digest in sorted(recorded.items()):
+    for name, digest in sorted(recorded["native"].items()):
         path = package / name
         if not path.is_file() or not path.resolve().is_relative_to(package.resolve()):
             problems.append(f"{name} is gone")
-        elif _sha256(path) != digest:
+        elif digest not in _digests(path):
             problems.append(f"{name} was changed")
+    # What is not installed here cannot be compared, and says nothing.
+    places = citations.folders(package, python)[1:]
+    for name, digest in sorted(recorded.get("authors", {}).items()):
+        found = [place / name for place in places if (place / name).is_file()]
+        if found and not any(digest in _digests(path) for path in found):
+            problems.append(f"{name} of the authors' code was changed")
     return problems
+
+
+def _digests(path: Path) -> Iterator[str]:
+    """Yield the digests by which a file may be known: of all of it, and without its citations."""
+    from xpl.worker.native import code_digest
+
+    yield code_digest(path)
+    if path.name == names.CODE:
+        with contextlib.suppress(SyntaxError, ValueError):
+            yield code_digest(path, names.CONVENTIONS)
 
 
 def _digest(path: Path) -> str:
@@ -90,8 +113,3 @@ def _digest(path: Path) -> str:
                 stream.seek(number * (size - _BLOCK) // (_BLOCKS - 1))
                 state.update(stream.read(_BLOCK))
     return state.hexdigest()
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -166,6 +166,7 @@ def _asked(package: Package, session: Session, options: Options) -> tuple[list[S
         "config": package.config(overrides),
         "file": names.CODE,
         "function": names.ANSWERS,
+        "conventions": names.CONVENTIONS,
         "embodiment": session.embodiment,
         sdk.Deploy.ACTION_TYPE: session.action_type,
         sdk.Deploy.SEED: session.seed,

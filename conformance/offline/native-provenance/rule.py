@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.served.probe import Probe
 from xpl_cli.basics.errors import UserError
+from xpl_cli.lifecycle import interpreter
 from xpl_cli.native import names, pairs, provenance, record
 
 
@@ -15,9 +16,10 @@ def native_provenance(probe: Probe) -> Iterator[Finding]:
     """Native pairs are not of the native code and weights that are there now.
 
     ## What it does
-    Reads native_pairs.json and compares what it was recorded with to what is there: native.py and the files of the
-    package that it imported, the checkpoint that deploy.yml names, the script that makes the observations, and the
-    robots and action types that the manifest declares.
+    Reads native_pairs.json and compares what it was recorded with to what is there: native.py, but for its citations,
+    and the files of the package that it imported, the authors' code where it is installed, the checkpoint that
+    deploy.yml names, the script that makes the observations, and the robots and action types that the manifest
+    declares.
 
     ## Why it matters
     Parity with answers of other code, or of other weights, proves nothing about these.
@@ -40,7 +42,7 @@ def native_provenance(probe: Probe) -> Iterator[Finding]:
     except UserError as error:
         yield _finding("the native pairs cannot be used", "a file that `xpl native record` wrote", str(error))
         return
-    for problem in provenance.code_problems(package.path, recorded.provenance["native"]):
+    for problem in provenance.code_problems(package.path, recorded.provenance, _python(probe)):
         yield _finding(
             f"the native pairs are of other native code: {problem}",
             "the files that were asked",
@@ -62,6 +64,17 @@ def native_provenance(probe: Probe) -> Iterator[Finding]:
             "pairs of every robot and action type",
             f"pairs of {', '.join(' '.join(one) for one in sorted(covered))}",
         )
+
+
+def _python(probe: Probe) -> str | None:
+    """Return the interpreter of the package, None where there is none here."""
+    package, options = probe.package, probe.options
+    try:
+        return interpreter.resolve(
+            package.path, package.manifest.environment, python=options.python, env=options.env or probe.choice.env
+        )
+    except UserError:
+        return None
 
 
 def _told(weights: dict[str, str] | None) -> str:
