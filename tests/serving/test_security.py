@@ -579,3 +579,25 @@ def test_packed_and_plain_say_the_same(shared: RunningServer) -> None:
         assert peer.ask("infer", {"packed": pieces}).payload["actions"] == [1]
     with greeted(shared.url, packed=1) as peer:
         assert packed.decode(peer.ask("infer", {"packed": pieces}).payload["packed"]) == {"actions": [1]}
+
+
+RAISES = """
+    class Model:
+        number = 0
+        def __init__(self, config): pass
+        def reset(self):
+            self.number += 1
+            raise ValueError(f"number {self.number}")
+"""
+
+
+def test_the_log_takes_so_many_errors_of_an_adapter_and_counts_the_rest(
+    write_adapter: Callable[..., Path], serve: Callable[..., RunningServer]
+) -> None:
+    """A client may have it raise as often as it asks, and must not fill the disk with tracebacks."""
+    server = serve(write_adapter(RAISES))
+    with greeted(server.url) as peer:
+        for _ in range(150):
+            assert peer.ask("reset").payload["code"] == "reset_failed"
+    wait_until(lambda: any("number 100" in line for line in server.log), "it is logged")
+    assert not any("number 101" in line for line in server.log)

@@ -15,7 +15,7 @@ from tests.support.examples import examples
 from tests.support.places import ROOT
 from tests.wire.messages import looped, peak, same
 from xpl import _spec as spec
-from xpl.wire import codec, packed
+from xpl.wire import arrays, codec, packed
 from xpl.wire.codec import Frame, WireError
 
 VECTORS = ROOT / "conformance" / "vectors"
@@ -148,6 +148,24 @@ def test_a_frame_without_optional_identifiers_is_read() -> None:
 
 # -- values ------------------------------------------------------------------------------------------------------------
 
+
+@pytest.mark.parametrize(
+    ("dtype", "data", "shape"),
+    [
+        ("|b1", b"\0\1\2", [3]),
+        ("|b1", b"\xff", []),
+        ([["flag", "|b1"], ["value", "<f4"]], b"\2" + bytes(4), [1]),
+        ([["flags", "|b1", [2]], ["value", "<f4"]], b"\0\2" + bytes(4), [1]),
+        ([["inner", [["flag", "|b1"]]]], b"\3", [1]),
+    ],
+)
+def test_a_flag_is_a_byte_of_zero_or_one(dtype: Any, data: bytes, shape: list[int]) -> None:
+    """Arrays count on it: another one is neither equal to true nor to false everywhere."""
+    with pytest.raises(arrays.ArrayError, match="a flag in an array must be a byte of 0 or 1"):
+        arrays.from_data(data, arrays.parse_dtype(dtype), shape)
+    assert arrays.from_data(bytes(len(data)), arrays.parse_dtype(dtype), shape).tobytes() == bytes(len(data))
+
+
 PLAIN = st.sampled_from("?bBhHiIlLqQefdFD").map(np.dtype) | st.sampled_from(
     [">f4", ">i8", "<U3", "S4", ">U2", ">c16"]
 ).map(np.dtype)
@@ -171,7 +189,8 @@ ARRAYS = (PLAIN | STRUCTURED).flatmap(
 def made(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> np.ndarray:
     array = np.zeros(shape, dtype)
     if not dtype.names and dtype.kind in "biufc" and data:
-        array[...] = np.frombuffer(data, dtype).reshape(shape)
+        plain = np.frombuffer(data, np.uint8) if dtype.kind != "b" else np.frombuffer(data, np.uint8) % 2
+        array[...] = plain.view(dtype).reshape(shape)
     return array
 
 

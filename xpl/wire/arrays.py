@@ -71,7 +71,16 @@ def from_data(data: Data, dtype: np.dtype[np.generic], shape: object) -> np.ndar
     except (ValueError, OverflowError, TypeError) as error:  # more dimensions than numpy has, for example
         raise ArrayError(f"no array has shape {list(shape)!s:.80}: {error}") from None
     array.flags.writeable = False
+    if dtype.kind in "bV" and not _has_flags_only(array):
+        raise ArrayError("a flag in an array must be a byte of 0 or 1: numpy counts on it")
     return array
+
+
+def _has_flags_only(array: np.ndarray) -> bool:
+    """Tell whether each flag of an array, or of its structures, is one."""
+    if array.dtype.names is not None:
+        return all(_has_flags_only(array[name]) for name in array.dtype.names)
+    return array.dtype.kind != "b" or not array.size or int(array.view(np.uint8).max()) <= 1
 
 
 def describe_dtype(dtype: np.dtype[Any]) -> Any:

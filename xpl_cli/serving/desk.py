@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from xpl import _spec as spec
 from xpl.wire import codec, packed, telling
 from xpl_cli.serving.decoding import Decoder
-from xpl_cli.serving.logbook import log, log_lines
+from xpl_cli.serving.logbook import Burst, log, log_lines
 from xpl_cli.serving.payloads import has_images, pack
 from xpl_cli.serving.session import RequestError, failure_code, method_of, packed_payload
 from xpl_cli.serving.workers.line import Job
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 _BEFORE_AN_EPISODE = frozenset((spec.Method.RESET, *spec.HOOKS))
 _TIMED = frozenset((spec.Message.INFER, spec.Message.CALL))
 _NOTHING = pack({})
+_ERRORS = 100
+"""Exceptions of the adapter, of which each is in the log, in a minute: a client can have it raise again and again."""
 _AT_ONCE = 1 << 15
 """Bytes of an answer that is unpacked at once, for a client that does not unpack itself; a thread does larger ones."""
 
@@ -51,6 +53,7 @@ class Desk:
         self._observer = observer
         self._on_change = on_change
         self._decoder = Decoder()
+        self._errors = Burst("the adapter raised", most=_ERRORS)
 
     # -- in ------------------------------------------------------------------------------------------------------------
 
@@ -169,12 +172,12 @@ class Desk:
         # What the machine lacks, or what stands in for the model: no fault of the adapter.
         lacks: Payload = {"lacks": error.lacks} if error.lacks else {}
         if error.unserialisable:
-            log(error.message)
+            self._errors.note(error.message)
             refused = RequestError(spec.ErrorCode.INTERNAL, f"the result cannot be sent: {error.message}", **lacks)
         elif error.refused:
             refused = RequestError(spec.ErrorCode.INVALID_FRAME, error.message)
         else:
-            log_lines(error.traceback)
+            self._errors.note(error.kind, error.traceback)
             shown = error.traceback if self._debug else f"{error.kind}: {error.message}"
             refused = RequestError(failure_code(job.frame), shown, **lacks)
         self.refused(job, refused)

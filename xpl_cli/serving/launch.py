@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 STOP_S = 10.0
 LOG_LINES = 400
+LINE_BYTES = 1 << 16
+"""Longest line of a log: an adapter need not end its own."""
 _ERROR = "error: "
 
 
@@ -188,7 +190,7 @@ def _wait_ready(server: RunningServer, process: Hosted, timeout: float, reader: 
 
 
 def _collect(stream: IO[bytes], log: collections.deque[str], echo: bool) -> None:  # noqa: FBT001 - private
-    for raw in stream:
+    while raw := stream.readline(LINE_BYTES):
         text = raw.decode(errors="replace").rstrip("\n")
         log.append(text)
         if echo:

@@ -58,8 +58,8 @@ class Burst:
         self._told = 0
         self._untold = 0
 
-    def note(self, detail: str = "") -> None:
-        """Take note of one more."""
+    def note(self, detail: str = "", lines: str = "") -> None:
+        """Take note of one more; further lines, such as a traceback, are told with it."""
         now = self._clock()
         if now - self._begun >= _QUIET_S:
             self._begun, self._told = now, 0
@@ -68,4 +68,6 @@ class Burst:
             return
         more = f" ({self._untold} more since this was last said)" if self._untold else ""
         log(self._text + (f": {detail}" if detail else "") + more)
+        if lines:
+            log_lines(lines)
         self._told, self._untold = self._told + 1, 0
