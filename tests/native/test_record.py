@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
@@ -66,6 +67,27 @@ def test_other_citations_leave_a_recording_as_it_is_and_other_code_of_the_author
         "msgpack/__init__.py of the authors' code was changed"
     ]
     assert provenance.code_problems(folder, changed) == []
+
+
+def test_what_would_change_is_told_before_it_is_written(tmp_path: Path) -> None:
+    folder = parity.made(tmp_path / "Foo")
+    first = xpl("native", "record", str(folder), "--diff", cwd=tmp_path)
+    assert (first.returncode, "is not there" in first.stdout) == (ExitCode.FINDINGS, True)
+    assert not (folder / names.PAIRS).exists()
+    xpl("native", "record", str(folder), cwd=tmp_path)
+    same = xpl("native", "record", str(folder), "--diff", cwd=tmp_path)
+    assert (same.returncode, same.stdout) == (ExitCode.CLEAN, "")
+    before = (folder / names.PAIRS).read_bytes()
+    code = (folder / "native.py").read_text()
+    (folder / "native.py").write_text(code.replace('"ee_joint_state":', '"ee_joint_state": 0.5 *', 1))
+    other = xpl("native", "record", str(folder), "--diff", cwd=tmp_path)
+    assert other.returncode == ExitCode.FINDINGS, other.stderr
+    assert re.search(
+        r"\d+ of \d+ answers differ, ee_joint_state\[0\] by 0\.\d+ of its span; in ee_joint_state\[0\]", other.stdout
+    )
+    assert (folder / names.PAIRS).read_bytes() == before
+    told = json.loads(xpl("native", "record", str(folder), "--json", cwd=tmp_path).stdout)
+    assert told["changes"] == other.stdout.splitlines()
 
 
 RECURRENT = """

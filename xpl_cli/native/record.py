@@ -15,7 +15,7 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.isolation import errand
 from xpl_cli.lifecycle import interpreter
-from xpl_cli.native import names, pairs, provenance, reading, script
+from xpl_cli.native import names, pairs, provenance, reading, renewal, script
 from xpl_cli.native.pairs import Answer, Pairs, Session
 from xpl_cli.packages.conventions import applying
 
@@ -44,6 +44,7 @@ class Options:
         python, env: interpreter, as for `xpl serve`.
         patience: how long it may be silent, s.
         progress: told what is done.
+        is_dry: write nothing.
     """
 
     overrides: Config = field(default_factory=dict)
@@ -51,6 +52,7 @@ class Options:
     env: str | None = None
     patience: float = 300.0
     progress: Progress = field(default_factory=Progress)
+    is_dry: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,7 @@ class Recorded:
         assumed: conventions that have no source.
         conventions: number of all conventions that there are to agree on.
         noise: by key of the action, largest difference of two recordings as a share of the span of the answers.
+        changes: what differs from the recording that was there before, in sentences; None if there was none.
     """
 
     pairs: Pairs
@@ -70,6 +73,7 @@ class Recorded:
     assumed: tuple[str, ...]
     conventions: int
     noise: Mapping[str, float]
+    changes: tuple[str, ...] | None = None
 
 
 def record(package: Package, options: Options) -> Recorded:
@@ -117,7 +121,18 @@ def record(package: Package, options: Options) -> Recorded:
         )
     applies = applying(package.manifest)
     count = len(read.agreed(applies))
-    return Recorded(answered, pairs.write(package.path, answered), read.taken_for_granted(applies), count, shares)
+    changes = _changes(package, answered)
+    size = 0 if options.is_dry else pairs.write(package.path, answered)
+    return Recorded(answered, size, read.taken_for_granted(applies), count, shares, changes)
+
+
+def _changes(package: Package, recorded: Pairs) -> tuple[str, ...] | None:
+    """Return what differs from the recording that is there; None if there is none that can be read."""
+    try:
+        before = pairs.read(package.path)
+    except UserError:
+        return None
+    return tuple(renewal.changes(before, recorded))
 
 
 def sessions(package: Package, overrides: Config) -> Iterator[Session]:

@@ -28,7 +28,8 @@ def native_provenance(probe: Probe) -> Iterator[Finding]:
     native.py is mended, and the pairs stay.
 
     ## Use instead
-    `xpl native record POLICY` after every change of native.py or of the weights.
+    `xpl native record POLICY --diff`, which tells what would change, and `xpl native record POLICY` after every change
+    of native.py, of the authors' code or of the weights.
 
     ## Fix safety
     No automatic fix.
@@ -82,5 +83,7 @@ def _told(weights: dict[str, str] | None) -> str:
 
 
 def _finding(message: str, expected: str, got: str) -> Finding:
-    fix = Fix("advice", "`xpl native record POLICY` asks native.py anew; look at what changes")
+    fix = Fix(
+        "advice", "`xpl native record POLICY --diff` tells which answers would change; without it they are written"
+    )
     return Finding(message, path=names.PAIRS, expected=expected, got=got, fix=fix)

@@ -23,19 +23,26 @@ def native() -> None:
 
 
 @app.command()
-@ends(clean="recorded", not_found="no native.py", not_run="native.py could not be run")
+@ends(
+    clean="recorded",
+    findings="with --diff: answers differ",
+    not_found="no native.py",
+    not_run="native.py could not be run",
+)
 def record(
     policy: str = POLICY,
     settings: list[str] = SETTINGS,
     python: str | None = typer.Option(None, help="Interpreter that runs native.py."),
     policy_env: str | None = POLICY_ENV,
     patience: float = typer.Option(300.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
+    diff: bool = typer.Option(False, "--diff", help="Print which answers would change, and write nothing."),
     as_json: bool = JSON,
 ) -> None:
     """Ask native.py about scripted episodes and write its answers into the package, for audits to compare with."""
     import shlex
 
     from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode
     from xpl_cli.basics.progress import progress
     from xpl_cli.native import names
     from xpl_cli.native import record as recording
@@ -44,13 +51,18 @@ def record(
     overrides = packages.parse_overrides(settings)
     adapter = packages.load(policy, overrides)
     with progress() as say:
-        options = recording.Options(overrides, python, policy_env, patience, say)
+        options = recording.Options(overrides, python, policy_env, patience, say, diff)
         done = recording.record(adapter, options)
     path = adapter.path / names.PAIRS
     following = [shlex.join(["xpl", "audit", policy])]
+    differs = ExitCode.FINDINGS if diff and done.changes != () else ExitCode.CLEAN
     if as_json:
         console.answer("xpl.native-record/1", _document(adapter.name, str(path), done), following)
-        return
+        raise typer.Exit(differs)
+    if diff:
+        for line in done.changes if done.changes is not None else [f"{path} is not there, or cannot be used"]:
+            console.data(line)
+        raise typer.Exit(differs)
     console.data(str(path))
     for line in _lines(done):
         console.note(line)
@@ -75,6 +87,7 @@ def _document(name: str, path: str, done: Recorded) -> dict[str, Any]:
         "conventions": done.conventions,
         "assumed": list(done.assumed),
         "noise": dict(done.noise),
+        "changes": None if done.changes is None else list(done.changes),
     }
 
 
@@ -94,6 +107,7 @@ def _lines(done: Recorded) -> list[str]:
         f"{done.pairs.count} pairs{each}, {told_size(done.size)}: {kinds}",
         f"{done.conventions} conventions named, {assumed}",
         *([] if takes > 1 else [apart]),
+        *(f"changed: {sentence}" for sentence in done.changes or ()),
     ]
 
 
