@@ -103,6 +103,6 @@ def test_the_native_code_of_the_page_can_be_recorded(tmp_path: Path) -> None:
     (folder / "authors").mkdir()
     (folder / "authors/policy.py").write_text(AUTHORS)
     done = record.record(package.load(folder), record.Options())
-    assert (done.conventions, done.assumed[0]) == (13, "joint_order")
-    assert len(done.assumed) == 11  # one is said to be, ten are not named
+    assert (done.conventions, done.assumed[0]) == (12, "joint_order")
+    assert len(done.assumed) == 10  # one is said to be, nine are not named
     assert set(done.pairs.provenance["native"]) == {"native.py", "authors/policy.py"}

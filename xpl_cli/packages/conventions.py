@@ -94,7 +94,7 @@ def _of_block(native: Native) -> Iterator[str]:
 
 def _of_manifest(manifest: Manifest) -> Iterator[str]:
     if any(name.startswith(f"{sdk.Obs.VISION}.") for name in manifest.read):
-        yield from (*_IMAGES, "image_filter")
+        yield from _IMAGES
     if _TEXT in manifest.read:
         yield _TEXT
     for action_type in manifest.action_types:
