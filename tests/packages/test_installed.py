@@ -50,13 +50,14 @@ def bring(install: Install, distribution: str, name: str) -> Path:
     return install(distribution, points, {f"{package}/envs/{name}/env.yml": ENV.format(name=name)})
 
 
-def test_an_environment_of_a_package_is_found_by_name_and_one_of_the_project_goes_before(install: Install) -> None:
+def test_an_environment_of_a_package_is_found_by_name_and_one_of_the_project_by_its_path(install: Install) -> None:
     site = bring(install, "bringer", "theirs")
     assert "theirs" in environments.names()
     assert find("theirs") == site / "bringer_pkg" / "envs" / "theirs"
     Path("envs/theirs").mkdir(parents=True)
     Path("envs/theirs/env.yml").write_text(ENV.format(name="theirs"))
-    assert find("theirs") == Path.cwd() / "envs" / "theirs"
+    assert find("theirs") == site / "bringer_pkg" / "envs" / "theirs"
+    assert find("envs/theirs") == Path.cwd() / "envs" / "theirs"
 
 
 @pytest.mark.parametrize(
