@@ -167,6 +167,33 @@ def test_shared_pages_count_once() -> None:
         process.stdout.close()
 
 
+IN_FILES = {
+    "memfd": "file = os.memfd_create('x'); os.write(file, bytes(200 << 20))",
+    "unlinked": "file = os.open('/dev/shm', os.O_RDWR | os.O_TMPFILE); os.write(file, bytes(200 << 20))",
+    "mapped": (
+        "file = os.memfd_create('x'); os.truncate(file, 200 << 20); "
+        "hog = mmap.mmap(file, 0); hog.write(bytes(200 << 20))"
+    ),
+    "handed on": "file = os.memfd_create('x'); os.write(file, bytes(200 << 20)); os.fork()",
+}
+
+
+@pytest.mark.parametrize("way", IN_FILES)
+def test_files_in_memory_count_once(way: str) -> None:
+    """Nobody has to map them to fill a machine with them."""
+    script = f"import mmap, os, signal\n{IN_FILES[way]}\nprint(flush=True)\nsignal.pause()"
+    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, start_new_session=True)
+    assert process.stdout is not None
+    try:
+        process.stdout.readline()
+        assert 200 << 20 <= family.shared_out_memory(process.pid) < 300 << 20
+        assert 200 << 20 <= family.in_files(family.with_descendants(process.pid)) < 300 << 20
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+
+
 @pytest.mark.usefixtures("isolation")
 def test_an_isolated_adapter_has_no_network_and_writes_nothing(write_adapter: Write) -> None:
     """Home and temporary files are its own and go with it; shared memory works; not even root undoes it inside."""

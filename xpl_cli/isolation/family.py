@@ -9,16 +9,18 @@ import contextlib
 import ctypes
 import os
 import signal
+import stat
 import sys
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl.process import spawn
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Sequence
+    from collections.abc import Container, Iterable, Iterator, Sequence
 
 _PROC = Path("/proc")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -140,11 +142,20 @@ def private(pid: int) -> int | None:
 
 
 def shared_out_memory(pid: int) -> int:
-    """Return the resident memory of a process and of those below it, bytes; a page that they share counts once.
+    """Return the memory that a process and those below it hold, bytes; a page that they share counts once.
 
-    Takes the system some milliseconds for a large process.
+    That is what they have mapped, and files that lie in memory; these are often mapped too, so that of both sums the
+    larger one counts. Takes the system some milliseconds for a large process.
     """
-    return sum(_proportional(one) for one in with_descendants(pid))
+    pids = with_descendants(pid)
+    sizes = [_proportional(one) for one in pids]
+    shared = sum(of_files for _, of_files in sizes)
+    return sum(mapped for mapped, _ in sizes) - shared + max(shared, in_files(pids))
+
+
+def in_files(pids: Iterable[int]) -> int:
+    """Return the bytes of files that lie in memory and that processes have open (`memfd_create`, `/dev/shm`)."""
+    return sum({place: size for pid in pids for place, size in _memory_files(pid)}.values())
 
 
 def adopt_orphans() -> None:
@@ -238,9 +249,41 @@ def _fields(pid: int) -> tuple[str, list[str]] | None:
     return before.partition("(")[2], after.split()
 
 
-def _proportional(pid: int) -> int:
+def _proportional(pid: int) -> tuple[int, int]:
+    """Return a process's share of what it has mapped, bytes, and what of it are files that lie in memory."""
     try:
         text = (_PROC / str(pid) / "smaps_rollup").read_text(encoding="ascii", errors="replace")
-        return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith("Pss:"))
-    except (OSError, StopIteration, IndexError, ValueError):
-        return resident(pid)
+        sizes = dict(line.split()[:2] for line in text.splitlines()[1:])
+        return int(sizes["Pss:"]) * 1024, int(sizes.get("Pss_Shmem:", 0)) * 1024
+    except (OSError, ValueError, KeyError):
+        return resident(pid), 0
+
+
+def _memory_files(pid: int) -> Iterator[tuple[tuple[int, int], int]]:
+    """Yield device, number and size, bytes, of the files of a process that lie in memory."""
+    memory = _memory_devices(pid)
+    with contextlib.suppress(OSError):
+        for name in os.listdir(_PROC / str(pid) / "fd"):  # noqa: PTH208 - many, and often
+            with contextlib.suppress(OSError):
+                status = os.stat(f"/proc/{pid}/fd/{name}")  # noqa: PTH116 - as above
+                if stat.S_ISREG(status.st_mode) and status.st_dev in memory:
+                    yield (status.st_dev, status.st_ino), 512 * status.st_blocks
+
+
+def _memory_devices(pid: int) -> set[int]:
+    """Return the devices of files that lie in memory: the kernel's own, and that of a process's `/dev/shm`."""
+    found = set()
+    with contextlib.suppress(OSError, AttributeError):
+        found.add(_kernels_own())
+    with contextlib.suppress(OSError):
+        found.add(os.stat(f"/proc/{pid}/root/dev/shm").st_dev)  # noqa: PTH116 - as above
+    return found
+
+
+@cache
+def _kernels_own() -> int:
+    descriptor = os.memfd_create("xpl")
+    try:
+        return os.fstat(descriptor).st_dev
+    finally:
+        os.close(descriptor)

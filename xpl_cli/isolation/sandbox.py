@@ -100,8 +100,9 @@ class MemoryLimit:
                 return
             if look % _LOOKS_PER_SEARCH == 0:  # on a machine with thousands of processes a search takes its time
                 pids = await asyncio.to_thread(family.with_descendants, process.pid)
+                files = await asyncio.to_thread(family.in_files, pids)
             # A page that processes share counts twice at first sight, and is worth a closer look only if that matters.
-            if sum(map(family.resident, pids)) > self.size:
+            if files + sum(map(family.resident, pids)) > self.size:
                 used = await asyncio.to_thread(family.shared_out_memory, process.pid)
                 if used > self.size:
                     process.kill(self._exceeded(used))
