@@ -92,7 +92,7 @@ _TERMINAL_INPUT = (0x5412, 0x541C)  # TIOCSTI, TIOCLINUX: typing into somebody's
 _STREAM, _SEQUENCED, _KIND = 1, 5, 0xF  # SOCK_STREAM, SOCK_SEQPACKET, and the bits of a socket's kind
 _LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _AND, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x54, 0x06
 _ALLOW, _ERROR = 0x7FFF0000, 0x00050000
-_NUMBER, _ARCHITECTURE, _FIRST, _SECOND = 0, 4, 16, 24  # offsets in struct seccomp_data, little endian
+_NUMBER, _ARCHITECTURE, _FIRST, _SECOND, _THIRD = 0, 4, 16, 24, 32  # offsets in struct seccomp_data, little endian
 
 
 def number(name: str) -> int | None:
@@ -126,7 +126,7 @@ def program(*, cuda: bool = False) -> bytes | None:
     lines += [(_EQUAL, 0, 1, SYSCALLS["clone3"][place]), _refuse(errno.ENOSYS)]
     lines += _looked_at("clone", place, _FIRST, [(_ANY_BIT, 0, 1, _NEW_NAMESPACES), _refuse(errno.EPERM)])
     # A socket with a name could reach one of the host that lies anywhere in the file system; pairs have no name.
-    sockets = _only(_INET, _INET6, _NETLINK)
+    sockets = [*_INTERFACES, *_only(_INET, _INET6)]
     lines += _looked_at("socket", place, _FIRST, [*(_CUDA_SOCKET if cuda else ()), *sockets])
     lines += _looked_at("socketpair", place, _FIRST, _PAIRS)
     refused = [line for code in _TERMINAL_INPUT for line in ((_EQUAL, 0, 1, code), _refuse(errno.EPERM))]
@@ -143,6 +143,14 @@ _CUDA_SOCKET: tuple[_Line, ...] = (
     (_LOAD, 0, 0, _SECOND),
     (_AND, 0, 0, _KIND),
     (_EQUAL, 0, 1, _SEQUENCED),
+    (_RETURN, 0, 0, _ALLOW),
+    (_RETURN, 0, 0, _ERROR | errno.EAFNOSUPPORT),
+)
+# What the C library asks for interfaces, of which the namespace has one; other protocols reach more of the kernel.
+_INTERFACES: tuple[_Line, ...] = (
+    (_EQUAL, 0, 4, _NETLINK),
+    (_LOAD, 0, 0, _THIRD),
+    (_EQUAL, 0, 1, 0),  # NETLINK_ROUTE
     (_RETURN, 0, 0, _ALLOW),
     (_RETURN, 0, 0, _ERROR | errno.EAFNOSUPPORT),
 )

@@ -261,6 +261,17 @@ def _use_sockets_without_a_namespace() -> str | None:
 
 
 @attack
+def _talk_to_the_kernel_by_netlink() -> str | None:
+    """Of its protocols only the one that tells of interfaces is needed, by the C library."""
+    for protocol in range(1, 32):
+        for kind in (socket.SOCK_RAW, socket.SOCK_DGRAM):
+            with contextlib.suppress(OSError):
+                socket.socket(socket.AF_NETLINK, kind, protocol)
+                return f"protocol {protocol}"
+    return None
+
+
+@attack
 def _forge_packets() -> str | None:
     return _fails(lambda: socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_ICMP))
 
@@ -363,6 +374,9 @@ def _works() -> Iterator[str]:
     block = shared_memory.SharedMemory(create=True, size=64)
     block.close()
     block.unlink()
+    if socket.if_nameindex() != [(1, "lo")]:
+        yield "its interface alone"
+    socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, 0).close()
     with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()):
         server.accept()[0].close()
     if subprocess.run([sys.executable, "-I", "-S", "-c", "pass"], check=False).returncode:
