@@ -121,27 +121,29 @@ class Interface:
         inputs.update(self._text(obs))
         return inputs
 
-    def batch(self, encodings: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+    def batch(self, encodings: Sequence[Sequence[Mapping[str, Any]] | Mapping[str, Any]]) -> dict[str, Any]:
         """Return the inputs of a batch of B environments.
 
         Args:
-            encodings: for each environment what `encode` made of its observations, oldest first, at most `span`.
+            encodings: for each environment what `encode` made of its observations, oldest first, at most `span`; what
+                it made of one observation stands for a list of one.
 
         Returns:
             By input: (B, ...) arrays, (B, T, ...) where it has history; a list of B texts for the instruction. What an
             adapter's own `encode` adds to the block's inputs has the history, too.
         """
         result: dict[str, Any] = {}
-        for name in encodings[0][-1]:
-            newest = [frames[-1][name] for frames in encodings]
+        shown = [[one] if isinstance(one, Mapping) else one for one in encodings]
+        for name in shown[0][-1]:
+            newest = [frames[-1][name] for frames in shown]
             if isinstance(newest[0], str):
                 result[name] = newest
             elif self.is_timed(name):
-                result[name] = np.stack([np.stack(self._timeline([f[name] for f in frames])) for frames in encodings])
+                result[name] = np.stack([np.stack(self._timeline([f[name] for f in frames])) for frames in shown])
             else:
                 result[name] = np.stack(newest)
         if self.mask is not None:
-            result[self.mask] = np.stack([self._real(len(frames)) for frames in encodings])
+            result[self.mask] = np.stack([self._real(len(frames)) for frames in shown])
         return result
 
     @property

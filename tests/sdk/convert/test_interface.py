@@ -93,6 +93,7 @@ def test_instructions(how: dict[str, Any], text: str, wanted: str) -> None:
     interface = _interface(instruction={"input": "prompt", **how})
     encoded = interface.encode(observation("franka_single", instruction=text))
     assert interface.batch([[encoded], [encoded]]) == {"prompt": [wanted, wanted]}
+    assert interface.batch([encoded, encoded]) == {"prompt": [wanted, wanted]}
 
 
 def test_a_model_that_needs_an_instruction_refuses_none() -> None:
