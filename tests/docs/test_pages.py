@@ -18,6 +18,7 @@ from tests.support import pages
 from tests.support.peer import xpl
 from tests.support.places import ROOT, tracked
 from tests.support.told import Command, commands, fault
+from xpl.assumptions import settled
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import ExitCode
@@ -140,7 +141,7 @@ def test_yaml_is_a_part_of_a_manifest_or_known(block: pages.Block) -> None:
     part = yaml.load(block.text, yaml.BaseLoader)  # noqa: S506 - texts only; `on` stays a word
     if any(set(part) <= keys for keys in FOREIGN):
         return
-    for key, value in unknown.known(yaml.safe_load(block.text)).items():
+    for key, value in settled(unknown.known(yaml.safe_load(block.text))).items():
         owners = [name for name in (*MANIFESTS, "embodiment") if key in spec.schema(name)["properties"]]
         assert owners, f"{key} is no key of a manifest"
         assert [] in [validate(value, f"{name}#/properties/{key}") for name in owners]
