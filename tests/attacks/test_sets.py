@@ -209,6 +209,22 @@ def _one_image(path: Path, steps: int = 5000) -> None:
     (path / "episode_0.hdf5").write_bytes(data)
 
 
+def _dark(file: h5py.File) -> None:
+    del file["action"], file["observations/qpos"]
+    for name in ("action", "observations/qpos"):
+        file.create_dataset(name, (100_000, 1), "f4", chunks=(1 << 14, 1))
+    file.create_dataset("observations/images/top", (100_000, 512, 512, 3), "u1", chunks=(1, 512, 512, 3))
+
+
+def _facts(path: Path) -> None:
+    """Write 20 files that each say a million numbers beside the steps, in few bytes."""
+    path.mkdir()
+    for number in range(20):
+        with h5py.File(path / f"episode_{number}.hdf5", "w") as file:
+            file["action"] = file["observations/qpos"] = np.zeros((5, 14), "f4")
+            file.create_dataset("fact", data=np.zeros(1 << 20), compression="gzip", chunks=(1 << 18,))
+
+
 def _demos(path: Path) -> None:
     with h5py.File(made.libero(path), "a") as file:
         file["data/demo_9"] = file["data/demo_0"]
@@ -225,6 +241,8 @@ HDF5: dict[str, Make] = {
     "2,500 columns that are one": _hdf5(_named_again("action", 2500)),
     "images that are one": _one_image,
     "demos that are one": _demos,
+    "images that nobody took": _hdf5(_dark),
+    "millions of facts": _facts,
     "endless rate": _rate(float("inf")),
     "rate beyond clocks": _rate(1e308),
     "rate of a step a year": _rate(3e-8),

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 COLOR, DEPTH = spec.Camera.COLOR, spec.Camera.DEPTH
 _BEGINS = {b"\xff\xd8\xff": "jpeg", b"\x89PNG\r\n\x1a\n": "png"}
+_MOST_ENCODED = 1 << 26
+"""Bytes of a row that may be an encoded image, its padding included."""
 _SMALLEST = 8
 """Pixels of the smallest image that is taken for one where the standard does not know its name."""
 
@@ -125,6 +127,8 @@ def _is_depth(path: Place, dataset: Dataset) -> bool:
 def _may_be_encoded(dataset: Dataset) -> bool:
     library = storage.hdf5()
     if not storage.is_encoded(dataset):
+        return False
+    if dataset.dtype.kind != "O" and storage.size_of(dataset, 0) > _MOST_ENCODED:
         return False
     is_bytes = library.check_vlen_dtype(dataset.dtype) == np.uint8
     return bool(dataset.dtype.kind != "O" or is_bytes or library.check_string_dtype(dataset.dtype) is not None)

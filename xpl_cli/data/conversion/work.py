@@ -27,6 +27,7 @@ from xpl_cli.data.formats.writers import writer_of
 from xpl_cli.data.formats.writing import CONVERTED, Options, Piece, Plan
 from xpl_cli.data.sets.delegating import base_format
 from xpl_cli.data.sets.errors import DataError
+from xpl_cli.data.sets.summary import Listed
 
 if TYPE_CHECKING:
     from xpl_cli.basics.progress import Progress
@@ -165,12 +166,12 @@ def _planned(job: Job, source: Demonstrations) -> tuple[Plan, Renaming]:
     if isinstance(source, PackedSet):
         extras[CONVERTED][NAME] = source.layout
         extras[CONVERTED]["numbers"] += source.numbers
-    episodes = [source[index] for index in range(len(source))]
+    listed = [Listed.of(source[index]) for index in range(len(source))]
     plan = Plan(
         rate,
         job.robot or source.robot,
-        tuple(episode.length for episode in episodes),
-        tuple(episode.instructions for episode in episodes),
+        tuple(episode.steps for episode in listed),
+        tuple(episode.instructions for episode in listed),
         first.columns,
         first.cameras,
         extras,

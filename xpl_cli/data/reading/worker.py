@@ -48,10 +48,15 @@ class _Service:
         try:
             if head["do"] != "open":
                 self._bounds.begin()
-            value = getattr(self, f"_{head['do']}")(*head["arguments"])
-            return {}, [b"".join(packed.encode(value))]
+            return {}, [self._answer(head["do"], head["arguments"])]
         except Exception as error:  # noqa: BLE001 - libraries raise almost anything on damaged files
             return self._told(error), []
+
+    def _answer(self, do: str, arguments: Sequence[Any]) -> bytes:
+        data = b"".join(packed.encode(getattr(self, f"_{do}")(*arguments)))
+        if do == "outline":
+            self._claims.answered(arguments[0], len(data))
+        return data
 
     def _told(self, error: Exception) -> Head:
         """Return the head of an answer that says what went wrong."""

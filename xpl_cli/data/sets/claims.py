@@ -24,6 +24,9 @@ MOST_LETTERS: Final = 200
 MOST_PIXELS: Final = 1 << 24
 """Of one image, a little over 5K video."""
 SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e6
+_FEW_IMAGES: Final = 512 << 20
+_UNPACKED: Final = {False: 1 << 10, True: 1 << 14}
+"""Bytes of pixels for each byte of a set, at most: of images one by one, and of videos, which tell what changes."""
 _NO_NAMES: Final = {"", ".", ".."}
 _ROW_BYTES: Final = 8
 """Bytes of a step, at least: whoever counts steps needs as much."""
@@ -49,7 +52,9 @@ class Claims:
     path: str
     size: int
     _seen: set[int] = field(default_factory=set)
+    _answered: set[int] = field(default_factory=set)
     _numbers: int = 0
+    _pixels: dict[bool, int] = field(default_factory=lambda: {False: 0, True: 0})
 
     def opened(self, found: Demonstrations) -> None:
         """Take a set that was opened.
@@ -76,29 +81,54 @@ class Claims:
         Raises:
             DataError: it has no steps, or the set claims more of anything than its files can hold.
         """
-        key, columns, cameras = episode.key, episode.columns, episode.cameras
         if episode.length < 1:
-            raise self._lie(f"{key} has no steps, expected one at least")
-        for word, count, most in (("columns", len(columns), MOST_COLUMNS), ("cameras", len(cameras), MOST_CAMERAS)):
-            if count > most:
-                raise self._lie(f"{key} has {count} {word}, expected {most} at most")
-        for name in (key, *columns, *cameras):
-            if not name.isprintable() or len(name) > MOST_LETTERS or _NO_NAMES.intersection(name.split("/")):
-                raise self._lie(
-                    f"it has the name {ascii(name)[:MOST_LETTERS]}, expected a short one that can be printed"
-                )
-        for name, camera in cameras.items():
+            raise self._lie(f"{episode.key} has no steps, expected one at least")
+        self._named(episode)
+        for name, camera in episode.cameras.items():
             if camera.height * camera.width > MOST_PIXELS:
                 told = f"images of {camera.height} x {camera.width} pixels, expected {MOST_PIXELS} in all at most"
-                raise self._lie(f"{key}: {name} has {told}")
+                raise self._lie(f"{episode.key}: {name} has {told}")
         if index not in self._seen:
             self._seen.add(index)
-            numbers = [one for one in columns.values() if one.dtype != "str"]
-            row = sum(math.prod(one.shape) * np.dtype(one.dtype).itemsize for one in numbers)
-            self._numbers += episode.length * max(row, _ROW_BYTES)
-        if self._numbers > most_read(self.size):
-            claimed = f"{self._numbers} bytes of numbers up to {key}"
-            raise self._lie(f"it claims {claimed}, and files of {self.size} bytes hold {most_read(self.size)} at most")
+            self._count(episode)
+        self._hold("numbers", self._numbers, most_read(self.size))
+        for is_video, pixels in self._pixels.items():
+            most = _FEW_IMAGES + _UNPACKED[is_video] * self.size
+            self._hold("videos" if is_video else "images", pixels, most)
+
+    def answered(self, index: int, size: int) -> None:
+        """Take the bytes of what an episode says without its rows and images, which count as numbers.
+
+        Raises:
+            DataError: with those before they are more than the set's files can hold.
+        """
+        if index not in self._answered:
+            self._answered.add(index)
+            self._numbers += size
+        self._hold("numbers and facts", self._numbers, most_read(self.size))
+
+    def _named(self, episode: Episode) -> None:
+        columns, cameras = episode.columns, episode.cameras
+        for word, count, most in (("columns", len(columns), MOST_COLUMNS), ("cameras", len(cameras), MOST_CAMERAS)):
+            if count > most:
+                raise self._lie(f"{episode.key} has {count} {word}, expected {most} at most")
+        for name in (episode.key, *columns, *cameras):
+            if not name.isprintable() or len(name) > MOST_LETTERS or _NO_NAMES.intersection(name.split("/")):
+                told = ascii(name)[:MOST_LETTERS]
+                raise self._lie(f"it has the name {told}, expected a short one that can be printed")
+
+    def _count(self, episode: Episode) -> None:
+        numbers = [one for one in episode.columns.values() if one.dtype != "str"]
+        row = sum(math.prod(one.shape) * np.dtype(one.dtype).itemsize for one in numbers)
+        self._numbers += episode.length * max(row, _ROW_BYTES)
+        for name, camera in episode.cameras.items():
+            image = 3 * camera.height * camera.width
+            self._pixels[episode.video(name) is not None] += episode.length * image
+
+    def _hold(self, what: str, claimed: int, most: int) -> None:
+        if claimed > most:
+            told = f"{claimed} bytes of {what} in the episodes so far"
+            raise self._lie(f"it claims {told}, and files of {self.size} bytes hold {most} at most")
 
     def _lie(self, what: str) -> DataError:
         return DataError(f"{self.path}: {what}", code=ExitCode.FINDINGS)

@@ -41,6 +41,11 @@ class Listed:
     steps: int
     instructions: tuple[str, ...]
 
+    @classmethod
+    def of(cls, episode: Episode) -> Self:
+        """Return what is listed of an episode; the rest of what it says is let go."""
+        return cls(episode.key, episode.length, episode.instructions)
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -58,16 +63,16 @@ class Summary:
     @classmethod
     def of(cls, demonstrations: Demonstrations) -> Self:
         """Return the summary of a set."""
-        episodes = [demonstrations[index] for index in range(len(demonstrations))]
+        first = demonstrations[0] if len(demonstrations) else None
         return cls(
             demonstrations.path,
             demonstrations.format,
             demonstrations.rate_hz,
             demonstrations.robot,
-            episodes[0].columns if episodes else {},
-            episodes[0].cameras if episodes else {},
-            Truth.of(episodes[0]) if episodes else None,
-            tuple(Listed(episode.key, episode.length, episode.instructions) for episode in episodes),
+            first.columns if first else {},
+            first.cameras if first else {},
+            Truth.of(first) if first else None,
+            tuple(Listed.of(demonstrations[index]) for index in range(len(demonstrations))),
         )
 
     def as_json(self) -> dict[str, Any]:
