@@ -22,7 +22,8 @@ def assembled(parts: Sequence[Part], columns: Mapping[str, np.ndarray], state: S
     made: dict[str, np.ndarray] = {}
     for item in parts:
         if isinstance(item, (Joints, Gripper)):
-            made[item.key] = item.write(columns[item.label])
+            values = item.write(columns[item.label])
+            made[item.key] = np.where(np.isnan(values), made[item.key], values) if item.key in made else values
         elif isinstance(item, (Position, Rotation)) and item.key not in made:
             made[item.key] = _poses([one for one in parts if one.key == item.key], columns, state[item.key])
     return made

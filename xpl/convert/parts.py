@@ -7,7 +7,7 @@ command into the fields of an arm; a position and a rotation of one arm make its
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -70,7 +70,11 @@ class Part(ABC):
 
 
 class Joints(Part):
-    """Joint angles of an arm, or of a hand."""
+    """Joint angles of an arm, or of a hand; of some joints, where others stand elsewhere in the vector.
+
+    Attributes:
+        dof: joints of the whole arm, or hand.
+    """
 
     kind = "joints"
 
@@ -79,10 +83,13 @@ class Joints(Part):
         super().__init__(f"{self.kind} {entry['arm']}")
         arm = embodiment.arms[side_index(embodiment, entry["arm"])]
         self.key = arm.prefix + (spec.State.EE_JOINT_STATE if is_hand else spec.State.ARM_JOINT_STATE)
-        self.width = arm.ee_dim if is_hand else arm.dof
+        self.dof = arm.ee_dim if is_hand else arm.dof
         if is_hand and arm.gripper == "parallel_gripper":
             raise NativeError(f"{embodiment.name} has a parallel gripper there; say gripper, not hand")
-        self._order = _order(entry.get("names"), arm, self.width)
+        self._order = _order(entry.get("names"), arm, self.dof)
+        self.width = len(self._order)
+        if self.width < self.dof:
+            self.label += f" {', '.join(entry['names'])}"
         self._sign = _column(entry.get("sign"), self.width, 1.0, "sign")
         self._offset = _column(entry.get("offset"), self.width, 0.0, "offset")
         self._scale = np.rad2deg(1.0) if entry.get("unit") == "deg" else 1.0
@@ -90,16 +97,26 @@ class Joints(Part):
 
     def read(self, state: State) -> Numbers:
         """Return the numbers (width,) of a state."""
-        angles = _of(state, self.key, self.width)[self._order]
+        angles = _of(state, self.key, self.dof)[self._order]
         result: Numbers = self._sign * angles * self._scale + self._offset
         return result
 
     def write(self, values: Numbers) -> Numbers:
-        """Return absolute numbers (..., width) as the standard's."""
+        """Return the arm's angles (..., DOF), rad, of absolute numbers (..., width); NaN for joints of other parts."""
         angles: Numbers = self._sign * (values - self._offset) / self._scale
-        result = np.empty_like(angles)
+        result = np.full((*angles.shape[:-1], self.dof), np.nan)
         result[..., self._order] = angles
         return result
+
+    @property
+    def joints(self) -> list[int]:
+        """Places of its joints in the standard's order."""
+        return [int(place) for place in self._order]
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it has all joints of the arm."""
+        return self.width == self.dof
 
 
 class Gripper(Part):
@@ -279,6 +296,23 @@ def part(entry: Entry, embodiment: Embodiment) -> Part:
         raise NativeError(f"{kind} {how['arm']}: {error}") from None
 
 
+def check_joints(parts: Sequence[Part]) -> None:
+    """Check that the joints of each arm stand in a vector once, in one part or in several.
+
+    Raises:
+        NativeError: if one is left out, or stands there twice.
+    """
+    found: dict[str, list[Joints]] = {}
+    for item in parts:
+        if isinstance(item, Joints):
+            found.setdefault(item.key, []).append(item)
+    for key, several in found.items():
+        places = sorted(place for item in several for place in item.joints)
+        if not several[0].is_whole and places != list(range(several[0].dof)):
+            told = "; ".join(item.label for item in several)
+            raise NativeError(f"expected each joint of {key} once in all parts together; got {told}")
+
+
 def _order(names: list[str] | None, arm: Arm, width: int) -> Numbers:
     """Return for each of the model's joints its position in the standard's order."""
     if names is None:
@@ -286,8 +320,8 @@ def _order(names: list[str] | None, arm: Arm, width: int) -> Numbers:
     known = arm.joint_names
     if known is None:
         raise NativeError("the standard knows no joint names of this arm; leave names out")
-    if sorted(names) != sorted(known):
-        raise NativeError(f"expected each joint of the robot once, {', '.join(known)}; got {', '.join(names)}")
+    if not set(names) <= set(known):
+        raise NativeError(f"expected joints of the robot, {', '.join(known)}; got {', '.join(names)}")
     return np.array([known.index(name) for name in names])
 
 

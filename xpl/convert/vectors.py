@@ -9,7 +9,7 @@ import numpy as np
 
 from xpl.convert.errors import NativeError
 from xpl.convert.numbers import Normalization
-from xpl.convert.parts import part
+from xpl.convert.parts import check_joints, part
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,6 +38,7 @@ class Vector:
         self._where = where
         try:
             self.parts = [part(item, embodiment) for item in entry["parts"]]
+            check_joints(self.parts)
         except NativeError as error:
             raise NativeError(f"{where}, {error}") from None
         for index, item in enumerate(self.parts):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl.convert import NativeError, rotations, tables
-from xpl.convert.parts import part
+from xpl.convert.parts import Joints, part
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -91,7 +91,8 @@ def _columns(
     start = 0
     for (kind, how, unknown), one in zip(parts, made, strict=True):
         told = how.get("reference") or vector.get("reference") or _ABSOLUTE
-        if kind in _JUDGED and told == _ABSOLUTE:
+        is_whole = not isinstance(one, Joints) or one.is_whole  # a part of an arm leads nowhere
+        if kind in _JUDGED and told == _ABSOLUTE and is_whole:
             yield Columns(f"{where}, {one.label}", kind, how, rows[:, start : start + one.width], leads, unknown)
         start += one.width
 
