@@ -414,6 +414,19 @@ def test_what_is_odd_beside_the_steps_is_left_out_or_taken_as_text(tmp_path: Pat
     json.dumps(dict(open_set(tmp_path / "set")[0].extras))
 
 
+def test_a_set_is_as_large_as_its_files(tmp_path: Path) -> None:
+    """Links to one file, or to what has any size that the system makes up, allow it nothing."""
+    folder = tmp_path / "set"
+    (folder / "below").mkdir(parents=True)
+    (folder / "below" / "file").write_bytes(os.urandom(100_000))
+    for number in range(50):
+        os.link(folder / "below" / "file", folder / f"again{number}")
+        (folder / f"link{number}").symlink_to("below/file")
+    for name, target in {"core": "/proc/kcore", "circle": "circle", "none": "nothing", "up": "..", "root": "/"}.items():
+        (folder / name).symlink_to(target)
+    assert Bounds.of(folder).size == 100_000
+
+
 @pytest.mark.parametrize(
     ("take", "told"),
     [

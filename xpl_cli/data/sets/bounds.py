@@ -7,6 +7,7 @@ that reads it is ended there (setrlimit(2)), whatever library it is in.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import resource
 from dataclasses import dataclass
@@ -25,6 +26,9 @@ _SECONDS: Final = 8.0
 _BYTES_A_SECOND: Final = 2 << 20
 _WAIT_FACTOR: Final = 12.0
 _MOST_MEASURED: Final = 10_000
+_MOST_LISTED: Final = 1 << 18
+_BLOCK: Final = 512
+"""Bytes of what `st_blocks` counts (inode(7))."""
 _PAGE: Final = resource.getpagesize()
 
 
@@ -104,25 +108,49 @@ def _held() -> int:
 
 
 def _size(path: Path) -> int:
-    """Return the bytes of a file, or of the files of a folder: of many, by the first ones."""
+    """Return the bytes of a file, or of the files of a folder: each once, however many links lead to it.
+
+    Of a folder of very many files it is by the first ones and their number.
+    """
     if not path.is_dir():
         _refuse_unless_file(path)
         return path.stat().st_size
-    total = count = measured = 0
+    total = count = 0
+    seen: set[tuple[int, int]] = set()
+    for entry in itertools.islice(_entries(path), _MOST_LISTED):
+        count += 1
+        if count <= _MOST_MEASURED:
+            status = entry.stat()
+            is_new = (status.st_dev, status.st_ino) not in seen
+            seen.add((status.st_dev, status.st_ino))
+            stored = status.st_blocks * _BLOCK if entry.is_symlink() else status.st_size  # /proc has any sizes
+            total += min(status.st_size, stored) * is_new
+    return total * count // max(min(count, _MOST_MEASURED), 1)
+
+
+def _entries(path: Path) -> Iterator[os.DirEntry[str]]:
+    """Yield the files below a folder, also those that links lead to, but not what is below linked folders.
+
+    Raises:
+        DataError: something is neither.
+    """
     folders = [os.fspath(path)]
     while folders:
         with contextlib.suppress(OSError), os.scandir(folders.pop()) as entries:
             for entry in entries:
                 if entry.is_dir(follow_symlinks=False):
                     folders.append(entry.path)
-                elif not entry.is_file():
-                    _refuse_unless_file(Path(entry.path))
+                elif _is_file(entry):
+                    yield entry
                 else:
-                    count += 1
-                    if measured < _MOST_MEASURED:
-                        total += entry.stat().st_size
-                        measured += 1
-    return total * count // max(measured, 1)
+                    _refuse_unless_file(Path(entry.path))
+
+
+def _is_file(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_file()
+    except OSError:  # links in a circle
+        return False
 
 
 def _refuse_unless_file(path: Path) -> None:
