@@ -553,6 +553,25 @@ def test_shared_memory_is_closed_to_others_and_loses_its_name(shared: RunningSer
         wait_until(lambda: not path.exists(), "the name is taken away")
 
 
+def test_a_client_that_shrinks_its_memory_is_refused_and_ends_nothing(shared: RunningServer) -> None:
+    """The worker that reads there may serve others."""
+    with greeted(shared.url) as peer:
+        path = Path(offered(peer)["path"])
+        with path.open("r+b") as file:
+            proof = file.read(16).hex()
+            file.seek(spec.SHARED_MEMORY["states_at"])
+            file.write(bytes((spec.SHARED_MEMORY["sent"],)))
+            file.flush()
+            peer.ask("hello", {"capabilities": {"shared_memory": {"proof": proof}}})
+            peer.ask("reset")
+            for left, said in ((spec.SHARED_MEMORY["data_at"] + 8, "has shrunk"), (0, "holds no array")):
+                file.truncate(left)
+                answer = ask_packed(peer, {"observation": {"x": {"@shared": [0, 4096, "|u1", [16384]]}}})
+                assert (answer.message_type, answer.payload["code"]) == ("error", "invalid_frame")
+                assert said in answer.payload["message"]
+        assert peer.ask("reset").message_type == "reset_result"
+
+
 @pytest.mark.parametrize("proof", ["", "00" * 16, None, 3, b"x", {"proof": "x"}])
 def test_a_wrong_proof_shares_nothing(shared: RunningServer, proof: Any) -> None:
     """The worker never maps it, so its blocks cannot be named."""

@@ -1,9 +1,8 @@
 """Memory that a client, the server and its worker share on one host: arrays cross processes without being sent.
 
 The server makes a file (mode 0600, in memory where the system has such a place), the client proves that it sees the
-same file, the worker maps it, and then the server unlinks it: nothing is left behind, whoever dies. An array lies in
-one block. A block is free, sent (the client wrote it) or taken (the worker has views of it); the worker frees it when
-the last view is gone, so that an observation stays as it is for as long as an adapter keeps it.
+same file, the worker opens it, and then the server unlinks it: nothing is left behind, whoever dies. An array lies in
+one block. A block is free, or sent: the client wrote it, and the worker frees it when it has copied the array.
 
 `multiprocessing.shared_memory` is not used: in Python 3.11 a process that merely attaches unlinks the memory when it
 ends.
@@ -26,11 +25,12 @@ from typing import Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.wire.packed import PackingError, size_of
+from xpl.wire.arrays import from_data
+from xpl.wire.packed import Find, PackingError, size_of
 
 _S = spec.SHARED_MEMORY
 _TOKEN, _STATES, _BLOCKS, _DATA = (_S[name] for name in ("token_bytes", "states_at", "blocks", "data_at"))
-_FREE, _SENT, _TAKEN = _S["free"], _S["sent"], _S["taken"]
+_FREE, _SENT = _S["free"], _S["sent"]
 _PREFIX = "xpl-"
 _ALIGN = 64
 _GRAIN = 1 << 22
@@ -221,49 +221,59 @@ class Arena:
 
 
 class Window:
-    """The worker's side: finds arrays in the blocks.
+    """The worker's side: copies arrays out of the blocks.
+
+    It reads the file and does not map it: the client may shrink the file at any time, and who then looks at what is
+    mapped is ended by a signal. What was copied does not change any more either.
 
     Args:
         path: the file.
         size: its size.
 
     Raises:
-        SegmentError: if it cannot be mapped.
+        SegmentError: if it cannot be opened, or is smaller.
     """
 
     def __init__(self, path: str, size: int) -> None:
         try:
-            file = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+            self._file = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
         except OSError as error:
             raise SegmentError(f"shared memory {path}: {error.strerror}") from None
-        try:
-            self._map = mmap.mmap(file, size)
-        except (OSError, ValueError) as error:
-            raise SegmentError(str(error)) from None
-        finally:
-            os.close(file)
-        # Views outlive this object: an adapter may keep an observation after its client has gone.
-        self._data = memoryview(self._map).toreadonly()
+        weakref.finalize(self, os.close, self._file)
+        self._size = size
+        if os.fstat(self._file).st_size < size:
+            raise SegmentError(f"shared memory {path} is smaller than the {size} bytes that were named")
+
+    def finder(self) -> Find:
+        """Return what finds the arrays of one request: together they take no more than the memory has."""
+        left = self._size
+
+        def find(block: Any, offset: Any, dtype: np.dtype[np.generic], shape: Any) -> np.ndarray:
+            nonlocal left
+            left -= size_of(shape) * dtype.itemsize
+            if left < 0:
+                raise PackingError(
+                    f"the arrays of a request take more than the {self._size} bytes of the shared memory"
+                )
+            return self.find(block, offset, dtype, shape)
+
+        return find
 
     def find(self, block: Any, offset: Any, dtype: np.dtype[np.generic], shape: Any) -> np.ndarray:
-        """Return the read-only array at a block and an offset, and take the block until its last view is gone.
+        """Return a read-only copy of the array at a block and an offset, and free the block.
 
         Raises:
             PackingError: if there is none.
         """
         size = size_of(shape) * dtype.itemsize
-        fits = type(offset) is int and type(block) is int and _DATA <= offset <= offset + size <= len(self._data)
-        if not fits or not 0 <= block < _BLOCKS or self._map[_STATES + block] != _SENT:
+        fits = type(offset) is int and type(block) is int and _DATA <= offset <= offset + size <= self._size
+        if not fits or not 0 <= block < _BLOCKS or os.pread(self._file, 1, _STATES + block) != bytes((_SENT,)):
             raise PackingError(f"block {block!r:.40} at {offset!r:.40} of the shared memory holds no array")
-        self._map[_STATES + block] = _TAKEN
-        flat = np.ndarray((size,), np.uint8, self._data, offset)
-        weakref.finalize(flat, _free, self._map, block, os.getpid()).atexit = False
-        return flat.view(dtype).reshape(shape)
-
-
-def _free(memory: mmap.mmap, block: int, process: int) -> None:
-    if os.getpid() == process:  # a child that the adapter forked drops its copies of views that live on here
-        memory[_STATES + block] = _FREE
+        data = os.pread(self._file, size, offset)
+        if len(data) < size:
+            raise PackingError(f"the shared memory has shrunk: {len(data)} of {size} bytes were there")
+        os.pwrite(self._file, bytes((_FREE,)), _STATES + block)
+        return from_data(data, dtype, shape)
 
 
 def _check_own(file: int) -> None:

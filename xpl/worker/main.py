@@ -140,7 +140,7 @@ class Worker:
         self._windows[message["segment"]] = Window(message["path"], message["size"])
 
     def _unmap(self, message: Head) -> None:
-        self._windows.pop(message["segment"], None)  # adapters may keep what they have seen there
+        self._windows.pop(message["segment"], None)
 
     # -- requests ------------------------------------------------------------------------------------------------------
 
@@ -228,7 +228,7 @@ class Worker:
         """
         method = request.method
         window = self._windows.get(request.segment or 0)
-        payload = packed.decode(request.payload, None if window is None else window.find)
+        payload = packed.decode(request.payload, None if window is None else window.finder())
         if not isinstance(payload, dict):
             raise RefusedError(f"a packed payload must be a map, got {type(payload).__name__}")
         if method == spec.Method.INFER:
