@@ -56,13 +56,17 @@ def _put(document: Any, path: tuple[Any, ...], value: Any) -> Any:
     return changed
 
 
+def _documents(folder: Path) -> Iterator[tuple[Path, Any, Callable[[Any], str]]]:
+    """Yield each document of a checkpoint, what it holds, and what writes it."""
+    for file in sorted(folder.rglob("*")):
+        if file.suffix in (".json", ".yaml"):
+            reads, writes = (json.loads, json.dumps) if file.suffix == ".json" else (yaml.safe_load, yaml.safe_dump)
+            yield file, reads(file.read_text("utf-8")), writes
+
+
 def _changes(folder: Path) -> Iterator[tuple[Path, str]]:
     """Yield a document of a checkpoint, and a text of it in which one value is hostile."""
-    for file in sorted(folder.rglob("*")):
-        if file.suffix not in (".json", ".yaml"):
-            continue
-        reads, writes = (json.loads, json.dumps) if file.suffix == ".json" else (yaml.safe_load, yaml.safe_dump)
-        document = reads(file.read_text("utf-8"))
+    for file, document, writes in _documents(folder):
         for path in _places(document):
             for value in HOSTILE:
                 yield file, writes(_put(document, path, value))
@@ -144,18 +148,17 @@ def _renamed(document: Any, path: tuple[Any, ...], name: str) -> Any:
 
 def _worded(folder: Path) -> Iterator[tuple[Path, str]]:
     """Yield a document of a checkpoint, and a text of it in which one text or key tries to end where it is put."""
-    for file in sorted(folder.rglob("*.json")):
-        document = json.loads(file.read_text("utf-8"))
+    for file, document, writes in _documents(folder):
         for path in _places(document):
             value = document
             for key in path:
                 value = value[key]
             for ending in ENDINGS:
                 if isinstance(value, str):
-                    yield file, json.dumps(_put(document, path, ending))
-                    yield file, json.dumps(_put(document, path, value + ending))
+                    yield file, writes(_put(document, path, ending))
+                    yield file, writes(_put(document, path, value + ending))
                 if path and isinstance(path[-1], str):
-                    yield file, json.dumps(_renamed(document, path, path[-1] + ending))
+                    yield file, writes(_renamed(document, path, path[-1] + ending))
 
 
 @pytest.mark.parametrize("maker", MAKERS)
