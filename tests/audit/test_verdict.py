@@ -52,6 +52,7 @@ WAIVED = (Waived(Finding("x"), "why"),)
 PARITY = _result("XPL260", proof=PROOF)
 FIT = _result("XPL270", proof={"episodes": 12})
 ONE_PAIR = _result("XPL260", proof={"pairs": 1, "assumed": 1})
+LEAP = _result("XPL237", Outcome.WARN, findings=(Finding("x", evidence={"shared": True}),))
 NONE_ASSUMED = _result("XPL260", proof={"pairs": 3, "assumed": 0})
 NAMED = _result("XPL260", proof={"pairs": 5, "assumed": 2, "assumptions": ["gripper", "images[0].channels"]})
 NONE_NAMED = _result("XPL260", proof={"pairs": 3, "conventions": 0, "assumed": 0, "tolerance": 1e-4})
@@ -62,11 +63,21 @@ WAITING = [_result(f"XPL20{number}", Outcome.NOT_RUN) for number in range(2, 7)]
     ("results", "around", "said"),
     [
         ([], NO_CODE, f"GREEN contract; {UNPROVEN}"),
-        ([PARITY], PAIRS, "GREEN contract, parity (24 pairs, 2 conventions assumed)"),
-        ([NAMED], PAIRS, "GREEN contract, parity (5 pairs, assumed: gripper, images[0].channels)"),
-        ([ONE_PAIR, _result("XPL261")], PAIRS, "GREEN contract, parity (1 pair, 1 convention assumed)"),
-        ([NONE_ASSUMED], PAIRS, "GREEN contract, parity (3 pairs, no convention assumed)"),
-        ([NONE_NAMED], PAIRS, "GREEN contract, parity (3 pairs, no convention named)"),
+        ([PARITY], PAIRS, "GREEN contract, parity (24 pairs; 2 conventions assumed; one reading twice)"),
+        ([NAMED], PAIRS, "GREEN contract, parity (5 pairs; assumed: gripper, images[0].channels; one reading twice)"),
+        (
+            [ONE_PAIR, _result("XPL261")],
+            PAIRS,
+            "GREEN contract, parity (1 pair; 1 convention assumed; one reading twice)",
+        ),
+        (
+            [PARITY, _result("XPL262", proof={"rows": 20}), LEAP],
+            PAIRS,
+            "GREEN contract, parity (24 pairs; 2 conventions assumed; independent: kinematics of the authors' rows; "
+            "one mistake may be in both (XPL237))",
+        ),
+        ([NONE_ASSUMED], PAIRS, "GREEN contract, parity (3 pairs; no convention assumed; one reading twice)"),
+        ([NONE_NAMED], PAIRS, "GREEN contract, parity (3 pairs; no convention named; one reading twice)"),
         (
             [],
             replace(NO_CODE, settings=("seed", "ckpt_name")),
@@ -108,7 +119,7 @@ WAITING = [_result(f"XPL20{number}", Outcome.NOT_RUN) for number in range(2, 7)]
         (
             [_result("XPL203", Outcome.FAIL), PARITY],
             PAIRS,
-            "RED 1 rule failed (XPL203); parity (24 pairs, 2 conventions assumed)",
+            "RED 1 rule failed (XPL203); parity (24 pairs; 2 conventions assumed; one reading twice)",
         ),
         ([_result("XPL203", Outcome.ERROR)], NO_CODE, f"RED 1 rule crashed (XPL203); {UNPROVEN}"),
         (WAITING, NO_CODE, f"INCOMPLETE 5 rules could not run (XPL202, XPL203, XPL204 and 2 more); {UNPROVEN}"),
@@ -116,7 +127,7 @@ WAITING = [_result(f"XPL20{number}", Outcome.NOT_RUN) for number in range(2, 7)]
         (
             [PARITY],
             Circumstances(narrowed="offline only"),
-            f"PARTIAL offline only: {FINE}; parity (24 pairs, 2 conventions assumed)",
+            f"PARTIAL offline only: {FINE}; parity (24 pairs; 2 conventions assumed; one reading twice)",
         ),
     ],
 )

@@ -9,6 +9,7 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.offline.limits import Excess, jumps
 from xpl_cli.audit.offline.motion import Motion, Motions
 from xpl_cli.audit.offline.parity.fact import Parity
+from xpl_cli.audit.rules.model import SHARED
 from xpl_cli.audit.served.probe import blame
 
 
@@ -19,7 +20,8 @@ def first_action_near(motions: Motions, parity: Parity) -> Iterator[Finding]:
     ## What it does
     With every embodiment and action type that the manifest declares, compares the first action of an episode with the
     observed pose. The robot has to be able to get there in one control step: by its joint speeds where these are known.
-    Where native pairs show that the model's own first actions are nearer than half as far, the audit fails.
+    Where first actions in the native pairs are nearer than half as far, the audit fails. Where they are not, it warns,
+    and the verdict says that a mistake may be in both.
 
     ## Why it matters
     A target far away is where most wiring faults show: left and right exchanged, degrees for radians, differences taken
@@ -51,6 +53,7 @@ def first_action_near(motions: Motions, parity: Parity) -> Iterator[Finding]:
                     f"{_beside(own, is_foreign=is_foreign)}",
                     expected="a first action near the observed pose",
                     got=f"{answer.where}: {'; '.join(map(str, found))}",
+                    evidence={SHARED: own is not None and not is_foreign},
                     fix=Fix("advice", _LOOK if own is None or is_foreign else _SHARED),
                     must=is_foreign,
                 )
@@ -60,13 +63,16 @@ def first_action_near(motions: Motions, parity: Parity) -> Iterator[Finding]:
 _FOREIGN = 2.0
 """How many times as far as the model's own first actions one has to be for the leap not to be the model's."""
 _LOOK = "look for sides exchanged, another unit or frame, or differences not added; native-parity compares all answers"
-_SHARED = "it is what the model does with scripted pictures, or native.py and the adapter share a mistake"
+_SHARED = (
+    "it is what the model does with scripted pictures, or native.py and the adapter share a mistake: hold both against "
+    "rows of the authors' data (native.samples) or demonstrations"
+)
 
 
 def _beside(own: float | None, *, is_foreign: bool) -> str:
     if own is None:
         return ""
-    return ", which the native model's own do not" if is_foreign else ", and so would the native model's own"
+    return ", which those in native_pairs.json do not" if is_foreign else ", as those in native_pairs.json do"
 
 
 def _farthest(found: Iterable[Excess]) -> float:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any, Final, TypedDict
 
 from xpl_cli.basics.errors import ExitCode
 
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.profiles import Choice, Profile
 
 Numbers = Mapping[str, Any]
+
+SHARED: Final = "shared"
+"""Key of evidence: whether what was found is in the golden pairs as well, so that both may have one mistake."""
 """What shows or proves something: JSON values by name."""
 _NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?(e[-+]?\d+)?")
 

@@ -12,7 +12,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Final, Self
 
 from xpl_cli.audit.rules.gates import DEMONSTRATIONS, GATES
-from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.audit.rules.model import SHARED, Outcome
 from xpl_cli.basics.words import amount, listed
 from xpl_cli.packages.package import ENV, POLICY
 
@@ -57,8 +57,8 @@ class Claim:
     details: Callable[[Numbers], Iterable[str]] = lambda _: ()
 
     def told(self, numbers: Numbers) -> str:
-        """Return the claim with the numbers of its proof, as `parity (24 pairs, assumed: gripper, frame)`."""
-        detail = ", ".join(self.details(numbers))
+        """Return the claim with the numbers of its proof, as `parity (24 pairs; assumed: gripper, frame)`."""
+        detail = "; ".join(self.details(numbers))
         return f"{self.word} ({detail})" if detail else self.word
 
 
@@ -71,6 +71,11 @@ def _of_parity(numbers: Numbers) -> Iterable[str]:
         yield f"assumed: {', '.join(numbers['assumptions'])}"
     elif "assumed" in numbers:  # as reports of earlier versions have it
         yield f"{amount(numbers['assumed'], 'convention')} assumed" if numbers["assumed"] else "no convention assumed"
+    if "independent" in numbers:
+        told = listed(numbers["independent"], _MOST)
+        yield f"independent: {told}" if told else "one reading twice"
+    if numbers.get(SHARED):
+        yield f"one mistake may be in both ({listed(numbers[SHARED], _MOST)})"
 
 
 def _of_demonstrations(numbers: Numbers) -> Iterable[str]:
@@ -93,6 +98,9 @@ FOLLOWED: Final = Claim(
 )
 """What is told only of who gave demonstrations. It stands in the statement; lists in reports,
 whose words are frozen, lack it."""
+
+_WITNESSES: Final = {"XPL262": "kinematics of the authors' rows", FOLLOWED.rule: "demonstrations"}
+"""Rules that hold conventions against something that neither the adapter nor native.py was written from."""
 
 _OF_RULES: Final = frozenset(code for claim in (PARITY, FOLLOWED) for code in (claim.rule, *claim.needs))
 
@@ -190,6 +198,7 @@ class Ended:
         waived: codes of rules with findings that were accepted, each as often as it has some.
         proofs: what rules said that they proved, by code.
         doubts: why rules that prove a claim prove none here, by code.
+        shared: codes of rules that found in the golden pairs what they found in the adapter.
     """
 
     name: str
@@ -202,6 +211,7 @@ class Ended:
     waived: tuple[str, ...] = ()
     proofs: Mapping[str, Numbers] = field(default_factory=dict)
     doubts: Mapping[str, str] = field(default_factory=dict)
+    shared: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, gate: GateReport) -> Self:
@@ -218,6 +228,9 @@ class Ended:
             not_run=of[Outcome.NOT_RUN],
             waived=tuple(item.code for item in gate.results for _ in item.waived),
             proofs={item.code: dict(item.proof) for item in gate.results if item.proof is not None},
+            shared=tuple(
+                item.code for item in gate.results if any((one.evidence or {}).get(SHARED) for one in item.findings)
+            ),
             doubts={item.code: doubt for item in gate.results if item.code in _OF_RULES and (doubt := _doubt(item))},
         )
 
@@ -330,7 +343,17 @@ def _by_rule(claim: Claim, gates: Sequence[Ended], around: Circumstances) -> Pro
     if doubts or not proofs:
         return Unproven(claim, doubts[0] if doubts else f"{claim.rule} proved nothing", is_asked)
     stand_ins = [gate.stood_in for gate, _ in proofs if gate.stood_in]
-    return Unproven(claim, stand_ins[0]) if stand_ins else Proven(claim, proofs[0][1])
+    if stand_ins:
+        return Unproven(claim, stand_ins[0])
+    return Proven(claim, {**proofs[0][1], **_around_parity(gates)} if claim is PARITY else proofs[0][1])
+
+
+def _around_parity(gates: Sequence[Ended]) -> Numbers:
+    """Return what else is known of conventions that adapter and native.py agree on: one author may err twice."""
+    proofs = {code for gate in gates for code in gate.proofs}
+    shared = [code for gate in gates for code in gate.shared]
+    found: dict[str, object] = {"independent": [word for code, word in _WITNESSES.items() if code in proofs]}
+    return {**found, SHARED: shared} if shared else found
 
 
 def _doubt(result: Result) -> str | None:
