@@ -26,7 +26,8 @@ def native_parity(parity: Parity) -> Iterator[Finding | Proof]:
     batch rounds: within 2 % of the span, and gone where its environment is asked by itself. Of a model that
     samples and takes no seed, means and spreads of many answers are compared. Where something differs, single changes
     of the native block, and of what the adapter is shown and commands, are tried, and the one that makes the
-    difference fall is named.
+    difference fall is named. Where nothing differs, the same changes tell how clearly such a mistake would have shown,
+    and which conventions the pairs leave undetermined.
 
     ## Why it matters
     An audit that compares an adapter with itself does not see that blue and red, degrees and radians or two arms are
@@ -48,8 +49,10 @@ def native_parity(parity: Parity) -> Iterator[Finding | Proof]:
             explained = True
             yield finding
     conventions, assumed = parity.conventions
+    if explained:
+        return
     numbers = {"pairs": count, "conventions": conventions, "assumed": len(assumed), "assumptions": assumed}
-    yield Proof({**numbers, "tolerance": parity.tolerance})
+    yield Proof({**numbers, "tolerance": parity.tolerance, **parity.margins})
 
 
 def _findings(parity: Parity, compared: Compared, *, explained: bool) -> Iterator[Finding]:

@@ -184,6 +184,29 @@ def test_an_adapter_that_says_what_its_model_says_is_proven(tmp_path: Path) -> N
     assert {key: result.proof[key] for key in ("pairs", "assumed")} == {"pairs": 20, "assumed": 9}
 
 
+def test_a_proof_says_what_its_pairs_tell_apart(tmp_path: Path) -> None:
+    """A network that sees the mean of a picture does not tell whether it is mirrored, and tells its colours."""
+    mean = parity.NETWORK.replace(
+        "def __call__(self, image, state, prompt):",
+        "def __call__(self, image, state, prompt):\n        image = np.broadcast_to(image.mean((0, 1)), image.shape)",
+        1,
+    )
+    assert mean != parity.NETWORK
+    proofs = []
+    for name, network in (("Foo", parity.NETWORK), ("Mean", mean)):
+        folder = parity.made(tmp_path / name)
+        (folder / "network.py").write_text(network)
+        proof = audited(recorded(folder)).proof
+        assert proof is not None
+        proofs.append(proof)
+    for proof in proofs:
+        margin = proof["margin"]
+        assert margin["times"] > 1
+        assert 0 < margin["pairs"] <= margin["of"] == 20
+    assert [("image_orientation" in proof["undetermined"]) for proof in proofs] == [False, True]
+    assert not any("image_channels" in proof["undetermined"] for proof in proofs)
+
+
 SAMPLER = """import numpy as np
 
 from xpl import Policy

@@ -71,6 +71,12 @@ def _of_parity(numbers: Numbers) -> Iterable[str]:
         yield f"assumed: {', '.join(numbers['assumptions'])}"
     elif "assumed" in numbers:  # as reports of earlier versions have it
         yield f"{amount(numbers['assumed'], 'convention')} assumed" if numbers["assumed"] else "no convention assumed"
+    if numbers.get("undetermined"):
+        yield f"undetermined: {', '.join(numbers['undetermined'])}"
+    if "margin" in numbers:
+        yield "smallest margin: `{words}` would show at {times:g} x tolerance in {pairs} of {of} pairs".format(
+            **numbers["margin"]
+        )
     if "independent" in numbers:
         told = listed(numbers["independent"], _MOST)
         yield f"independent: {told}" if told else "one reading twice"

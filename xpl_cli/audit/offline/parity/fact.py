@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl.manifest import Native
-from xpl_cli.audit.offline.parity import distribution
+from xpl_cli.audit.offline.parity import distribution, margins
 from xpl_cli.audit.offline.parity.beside import unrounded
 from xpl_cli.audit.offline.parity.judgement import Judgement
 from xpl_cli.audit.offline.parity.played import RefusedError, overrides, play
@@ -149,6 +149,15 @@ class Parity:
         means, given, noise = distribution.centre(compared.session, compared.given)
         judged = Judgement(means, given, max(self.tolerance, 4 * noise), {})  # one answer of a change is as noisy
         return None if judged.deviation is None else Search(self.probe, judged, self.settings).run()
+
+    @cached_property
+    def margins(self) -> dict[str, Any]:
+        """How clearly known mistakes would show in the first session, if all answers are the native ones."""
+        first = self.compared[0]
+        if first.session.takes > 1:
+            return {}
+        shown = margins.margins(self.probe, self.judge(first), self.settings)
+        return margins.told(shown, len(first.session.questions)) if shown else {}
 
     def _compare(self, session: Session) -> Compared:
         self.probe.options.clock.check()
