@@ -132,9 +132,13 @@ def workers(server: RunningServer) -> list[int]:
     return [worker["process"] for worker in json.loads(page(server.url, "/healthz")[1])["workers"]]
 
 
-def mapped(pid: int) -> int:
-    maps = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
-    return len(re.findall(rf"{segment.folder()}/xpl-", maps))
+def opened(pid: int) -> int:
+    """Return how many segments a process has open."""
+    found = 0
+    for entry in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # closed meanwhile
+            found += str(entry.readlink()).startswith(f"{segment.folder()}/xpl-")
+    return found
 
 
 def touched(pid: int) -> int:
@@ -179,7 +183,9 @@ def test_what_a_history_holds_stays_as_it_was(shared: RunningServer) -> None:
                 client.update_obs(seen(seed))
                 client.call("echo", {"x": picture(99)})  # used for a moment only
             assert client.call("sums") == expected
-        assert 30 * SIZE < touched(os.getpid()) < 90 * SIZE  # 120 pictures were sent, 30 are held
+        assert (
+            SIZE <= touched(os.getpid()) < 8 * SIZE
+        )  # 120 pictures were sent; those that are held are the worker's own
 
 
 def test_a_goodbye_gives_the_memory_back(shared: RunningServer) -> None:
@@ -188,9 +194,9 @@ def test_a_goodbye_gives_the_memory_back(shared: RunningServer) -> None:
         with Client(shared.url, config=HASTE) as client:
             client.reset()
             client.update_obs(seen())
-            assert mapped(worker) >= 1
+            assert opened(worker) >= 1
             client.reset()
-    wait_until(lambda: mapped(worker) == 0, "the worker has let go")
+    wait_until(lambda: opened(worker) == 0, "the worker has let go")
 
 
 def test_memory_that_the_client_cannot_see_is_done_without(
@@ -260,7 +266,7 @@ def test_nothing_is_left_after_a_kill(subject: Path, serve: Callable[..., Runnin
                 client.update_obs(seen(4))
                 assert client.call("sums") == [zlib.crc32(picture(4))]
                 client.reset()
-            wait_until(lambda: mapped(worker) == 0, "the worker has let go")
+            wait_until(lambda: opened(worker) == 0, "the worker has let go")
     assert path.parent == segment.folder()
     assert not path.exists()
 
