@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.inprocess import python_of
 from xpl_cli.audit.served.probe import Probe
 from xpl_cli.basics.errors import UserError
-from xpl_cli.lifecycle import interpreter
 from xpl_cli.native import names, pairs, provenance, record
 
 
@@ -69,11 +69,8 @@ def native_provenance(probe: Probe) -> Iterator[Finding]:
 
 def _python(probe: Probe) -> str | None:
     """Return the interpreter of the package, None where there is none here."""
-    package, options = probe.package, probe.options
     try:
-        return interpreter.resolve(
-            package.path, package.manifest.environment, python=options.python, env=options.env or probe.choice.env
-        )
+        return python_of(probe)
     except UserError:
         return None
 

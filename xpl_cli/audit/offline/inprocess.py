@@ -59,13 +59,23 @@ def loading(probe: Probe) -> dict[str, object]:
     }
 
 
-def place(probe: Probe, limit_s: float = LIMIT_S) -> errand.Place:
-    """Return where the adapter runs: in its interpreter and its folder, within the bounds of the audit."""
+def python_of(probe: Probe) -> str:
+    """Return the interpreter of the adapter.
+
+    Raises:
+        UserError: there is none here.
+    """
     package, options = probe.package, probe.options
     env = options.env or probe.choice.env
+    return interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=env)
+
+
+def place(probe: Probe, limit_s: float = LIMIT_S) -> errand.Place:
+    """Return where the adapter runs: in its interpreter and its folder, within the bounds of the audit."""
+    options = probe.options
     return errand.Place(
-        python=interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=env),
-        checkout=package.path,
+        python=python_of(probe),
+        checkout=probe.package.path,
         bounds=options.bounds,
         patience=options.patience,
         limit_s=min(limit_s, options.clock.left),
