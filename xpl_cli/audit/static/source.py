@@ -354,7 +354,7 @@ class Source:
 
     def _file(self, name: str) -> reading.Text:
         if name not in self._read:
-            if self._size(name) > self._text_left:
+            if self._text_left < self._size(name) <= SIZE_LIMIT:  # a larger file is not read at all
                 raise NotRun(f"the files of the package hold more than {MOST_TEXT} bytes of text together")
             self._read[name] = reading.text(self._folder, name)
             self._text_left -= len(self._read[name].content)
