@@ -59,6 +59,7 @@ USUAL: dict[str, list[str] | None] = {
     "native record": ["policy/Foo"],
     "native show": ["policy/Foo"],
     "native kinematics": ["policy/Foo"],
+    "native sources": ["policy/Foo"],
     "zoo list": [],
     "zoo show": ["ACT"],
     "zoo prove": ["ACT", "policy/Foo", "--gate", "static", "--dry-run"],
