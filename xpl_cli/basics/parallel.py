@@ -31,6 +31,8 @@ def in_processes(
     of the cores by default. An exception of `work` is raised here. Things are handed out as answers are taken, so that
     those that wait are few.
     """
+    if not things:
+        return
     count = min(workers or _cores(), len(things))
     rest = iter(things)
     waiting: collections.deque[Future[Answer]] = collections.deque()

@@ -10,6 +10,7 @@ sources are the installed ones), and the same sources give the same bytes. `SOUR
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 import tempfile
 from dataclasses import dataclass
@@ -88,7 +89,12 @@ def _build_in(root: Path) -> Path:
     shutil.copytree(Path(xpl.__file__).parent, root / "xpl", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(_licence(), root / "LICENSE")
     builder = WheelBuilder(str(root), config=_project())
-    return Path(next(builder.build(directory=str(root / "dist"))))
+    try:
+        return Path(next(builder.build(directory=str(root / "dist"))))
+    except (ValueError, OverflowError) as error:  # hatchling reads the variable as it is
+        raise UserError(
+            f"no wheel can be made with SOURCE_DATE_EPOCH={os.environ.get('SOURCE_DATE_EPOCH', '')[:40]}: {error}"
+        ) from None
 
 
 def _project() -> dict[str, object]:

@@ -48,7 +48,7 @@ def entrances(also: Sequence[str], config: Config, manifest: Manifest, policy: A
     found: dict[str, Entrance] = {}
     for one in also:
         name, _, number = one.partition(":")
-        if not (number or "0").isdecimal() or int(number or 0) > 65535:
+        if not (number or "0").isdecimal() or len(number) > 5 or int(number or 0) > 65535:
             raise UserError(f"--also takes the name of a wire, or NAME:PORT; got {one!r}")
         if name in found:
             raise UserError(f"--also was given twice for {name}: a wire has one port")

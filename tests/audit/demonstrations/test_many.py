@@ -33,6 +33,11 @@ def test_the_report_of_many_processes_is_that_of_one(tmp_path: Path, monkeypatch
     assert "episode_0000003" in many.results[1].findings[0].message
 
 
+def test_of_nothing_nothing_is_made() -> None:
+    """As by a conversion that ended after its last episode and goes on."""
+    assert list(parallel.in_processes(str, [])) == []
+
+
 def test_things_are_handed_out_as_answers_are_taken(tmp_path: Path) -> None:
     answers = parallel.in_processes(functools.partial(_noted, tmp_path), range(1000), 1)
     assert next(answers) == 0

@@ -107,7 +107,7 @@ def chosen(demonstrations: Demonstrations, wanted: str) -> Episode:
         DataError: there is none.
     """
     count = len(demonstrations)
-    if wanted.isdigit() and int(wanted) < count:
+    if wanted.isdecimal() and len(wanted) <= len(str(count)) and int(wanted) < count:
         return demonstrations[int(wanted)]
     for index in range(count):
         if demonstrations[index].key == wanted:

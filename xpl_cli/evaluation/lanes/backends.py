@@ -22,8 +22,8 @@ def lanes_of(workers: str) -> int | None:
     """
     if workers == "auto":
         return None
-    if not workers.isdecimal() or not int(workers):
-        raise UserError(f"--workers of a recorded run must be a number above 0, or auto, got {workers!r}")
+    if not workers.isdecimal() or len(workers) > 6 or not int(workers):
+        raise UserError(f"--workers of a recorded run must be a number from 1 to 999999, or auto, got {workers!r}")
     return int(workers)
 
 
