@@ -209,6 +209,19 @@ def _one_image(path: Path, steps: int = 5000) -> None:
     (path / "episode_0.hdf5").write_bytes(data)
 
 
+def _images(*sizes: tuple[int, int]) -> Make:
+    """Return what keeps an image of each size, and 100 of the last one."""
+    rows = [made.jpeg(np.zeros((*size, 3), np.uint8)) for size in sizes]
+    rows += rows[-1:] * 100
+
+    def change(file: h5py.File) -> None:
+        del file["action"], file["observations/qpos"]
+        file["action"] = file["observations/qpos"] = np.zeros((len(rows), 14))
+        file["observations/images/top"] = np.array(rows)
+
+    return _hdf5(change)
+
+
 def _dark(file: h5py.File) -> None:
     del file["action"], file["observations/qpos"]
     for name in ("action", "observations/qpos"):
@@ -249,6 +262,8 @@ HDF5: dict[str, Make] = {
     "camera of 25 megapixels": _hdf5(
         lambda file: file.create_dataset("observations/images/top", (5, 5000, 5000, 3), "u1", chunks=(1, 50, 50, 3))
     ),
+    "images that grow": _images((4, 4), (4000, 4000)),
+    "images that turn": _images((64, 32), (32, 64)),
     "10 links by 12 levels": _hdf5(_web(10, 12)),
     "12 links by 8 levels": _hdf5(_web(12, 8)),
     "a group in itself": _hdf5(lambda file: file.create_group("own").__setitem__("own", file["own"])),

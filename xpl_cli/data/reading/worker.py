@@ -110,8 +110,9 @@ class _Service:
         return None if known is None else dict(known)
 
     def _film(self, index: int, camera: str, start: int, stop: int | None) -> int:
-        number = next(self._numbers)
-        self._films[number] = iter(self._opened[index].frames(camera, start, stop))
+        number, episode = next(self._numbers), self._opened[index]
+        first = slice(start, stop).indices(episode.length)[0]
+        self._films[number] = self._claims.images(episode, camera, first, episode.frames(camera, start, stop))
         return number
 
     def _frames(self, number: int) -> list[np.ndarray]:

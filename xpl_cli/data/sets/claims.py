@@ -16,6 +16,10 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
     from xpl_cli.data.sets.interface import Demonstrations, Episode
 
 MOST_COLUMNS: Final = 512
@@ -106,6 +110,22 @@ class Claims:
             self._answered.add(index)
             self._numbers += size
         self._hold("numbers and facts", self._numbers, most_read(self.size))
+
+    def images(
+        self, episode: Episode, camera: str, start: int, frames: Iterable[NDArray[np.uint8]]
+    ) -> Iterator[NDArray[np.uint8]]:
+        """Yield images of a camera from a step on, as long as they have its size, by which they were counted.
+
+        Raises:
+            DataError: one has another size.
+        """
+        known = episode.cameras[camera]
+        for step, image in enumerate(frames, start):
+            height, width = image.shape[:2]
+            if (height, width) != (known.height, known.width):
+                told = f"{episode.key}: {camera} has an image of {height} x {width} pixels at step {step}"
+                raise self._lie(f"{told}, expected {known.height} x {known.width} as for the camera")
+            yield image
 
     def _named(self, episode: Episode) -> None:
         columns, cameras = episode.columns, episode.cameras
