@@ -21,6 +21,7 @@ import pytest
 from tests.attacks.fuzz import bundles as fuzz
 from tests.support.commands import problem, xpl
 from tests.support.recordings import bundles
+from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.submission import archive, bundle
 
 CODES = (1, 2, 4)
@@ -241,6 +242,28 @@ def test_documents_of_any_content_are_findings(
     files, _ = sound
     archive.write(tmp_path / "manifest.zip", {**files, bundle.MANIFEST: BYTES[kind]})
     _held(tmp_path / "manifest.zip", (1, 2))
+
+
+@pytest.mark.parametrize("name", [*bundle.DOCUMENTS, bundle.MANIFEST])
+def test_documents_of_a_size_that_none_has_are_not_read(
+    name: str, sound: tuple[dict[str, bytes], dict[str, Any]], tmp_path: Path
+) -> None:
+    """They are a few bytes in the archive, and holding them against a schema takes long."""
+    files, told = sound
+    huge = b"[" + b"0," * (17 << 20) + b"0]"
+    if name == bundle.MANIFEST:
+        archive.write(tmp_path / "huge.zip", {**files, name: huge})
+    else:
+        bundles.archived(tmp_path / "huge.zip", {**files, name: huge}, told)
+    with pytest.raises(UserError, match=f"{name} of the bundle cannot be read.* more than the limit") as caught:
+        list(bundle.opened(tmp_path / "huge.zip", _empty(tmp_path), limit=1 << 30).problems())
+    assert caught.value.code == ExitCode.FINDINGS
+
+
+def _empty(tmp_path: Path) -> Path:
+    folder = tmp_path / "unpacked"
+    folder.mkdir()
+    return folder
 
 
 def _nested(levels: int) -> Any:

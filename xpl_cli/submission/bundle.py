@@ -29,8 +29,10 @@ DOCUMENTS = {
     ENVIRONMENT: "submission#/$defs/environment",
 }
 """Documents besides the manifest, and their schemas."""
-_MOST_BYTES = 64 << 20
-"""What none of them comes near."""
+_MOST_BYTES = 16 << 20
+"""What none of them comes near; seconds to read, and to hold against a schema."""
+_MOST_MANIFEST = 32 << 20
+"""What the manifest of as many files as an archive may hold does not reach."""
 
 
 def document(value: object) -> bytes:
@@ -146,7 +148,7 @@ class Bundle:
         Raises:
             UserError: it is not there, or no JSON.
         """
-        return _json(self.folder / name, name)
+        return _json(self.folder / name, name, _MOST_BYTES)
 
     def problems(self) -> Iterator[str]:
         """Yield where its files are not those that the manifest names, or its documents not what their schemas say."""
@@ -183,15 +185,15 @@ def opened(path: Path, folder: Path, *, limit: int) -> Bundle:
     digests = archive.unpack(path, folder, limit=limit)
     if MANIFEST not in digests:
         raise UserError(f"{path} is no bundle: it holds no {MANIFEST}")
-    told = _json(folder / MANIFEST, MANIFEST)
+    told = _json(folder / MANIFEST, MANIFEST, _MOST_MANIFEST)
     found = validate(told, "submission")
     if found:
         raise UserError(f"{path} is no bundle that this version knows: {MANIFEST}: {found[0]}")
     return Bundle(folder, digests[MANIFEST], Manifest.parse(told), digests)
 
 
-def _json(path: Path, name: str) -> Any:
+def _json(path: Path, name: str, most: int) -> Any:
     try:
-        return json_text.parse(files.content(path, _MOST_BYTES), finite=True)
+        return json_text.parse(files.content(path, most), finite=True)
     except (OSError, json_text.JsonError) as error:
         raise UserError(f"{name} of the bundle cannot be read: {error}", code=ExitCode.FINDINGS) from None
