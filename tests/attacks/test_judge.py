@@ -20,6 +20,7 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.loop.desk import EndlessError
 from xpl_cli.evaluation.loop.process import Limits, Loop, LoopLostError, LoopRaisedError
 from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.cells import survivors
 from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages import environments
 
@@ -421,6 +422,24 @@ def test_a_model_that_kills_itself_where_it_loses_gains_nothing(tmp_path: Path, 
     assert found["success_rate"] == pytest.approx(3 / 6)
     assert found["failures"]["infrastructure"] == 0
     assert found["successes"] == (4 if times == 1 else 3)
+    run = records.read(tmp_path / "run")
+    again = survivors(run.attempts)
+    scores = [0.0 if index in again else line.score or 0.0 for index, line in run.finals.items()]
+    assert found["mean_score"] == pytest.approx(sum(scores) / 6)
+
+
+@pytest.mark.slow
+def test_a_model_that_hangs_where_it_loses_gains_nothing(tmp_path: Path) -> None:
+    """The server says that it hung while its client still waits: nobody takes that for a machine that failed."""
+    drill.environment(tmp_path)
+    drill.adapter(tmp_path, request_timeout_s=1.0)
+    for seed in (0, 2):
+        drill.mark(tmp_path, f"policy-hangs-{seed}", 1)
+    done = _eval(tmp_path, "--out", "run", "--episodes", "6", "--film", "0", "--json")
+    found = json.loads(done.stdout)["overall"]
+    assert found["success_rate"] == pytest.approx(3 / 6)
+    assert found["failures"]["infrastructure"] == 0
+    assert found["successes"] == 4
 
 
 @pytest.mark.slow

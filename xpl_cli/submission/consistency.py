@@ -80,13 +80,14 @@ def _attempts(run: Run) -> Iterator[str]:
 
 
 def _copies(run: Run) -> Iterator[str]:
-    """Yield episodes that are copies of others: of their states, although they began otherwise or at once, or files."""
+    """Yield episodes that are copies of others: of their states, although they began or ended otherwise or began at once, or files."""
     states: dict[str, Episode] = {}
     files: dict[str, Episode] = {}
     for line in run.finals.values():
         if line.digest is not None and line.steps:
             first = states.setdefault(line.digest, line)
-            if first is not line and (first.layout != line.layout or first.started == line.started):
+            same = (first.layout, first.steps, first.success) == (line.layout, line.steps, line.success)
+            if first is not line and (not same or first.started == line.started):
                 yield f"episode {line.index} has the states of episode {first.index}: it was copied"
         for told in filter(None, (line.trace, line.film)):
             if (first := files.setdefault(told.path, line)) is not line:

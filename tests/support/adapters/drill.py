@@ -131,6 +131,8 @@ _MODEL = """
                 raise RuntimeError(f"no idea what to do about {self.seed}")
             if self.due(f"policy-dies-{self.seed}"):
                 os.kill(os.getpid(), signal.SIGKILL)
+            if self.due(f"policy-hangs-{self.seed}"):
+                time.sleep(600)
             marks = Path(self.config["marks"])
             ending = marks / "policy-dies-for-good"
             while ending.exists() and len((marks / "loads").read_text()) < 2:
@@ -176,7 +178,8 @@ def adapter(folder: Path, **config: Any) -> Path:
 def mark(place: Path, event: str, times: int) -> None:
     """Let an event happen so many times.
 
-    In the environment `env-dies-SEED` and `blind` (cannot be filmed); in the folder of all `policy-dies-SEED`, and
-    `policy-dies-for-good`: once two of them were loaded, one, and then it cannot be loaded for the next three times.
+    In the environment `env-dies-SEED` and `blind` (cannot be filmed); in the folder of all `policy-dies-SEED`,
+    `policy-hangs-SEED`, and `policy-dies-for-good`: once two of them were loaded, one, and then it cannot be loaded for
+    the next three times.
     """
     (place / event).write_text(str(times), encoding="utf-8")

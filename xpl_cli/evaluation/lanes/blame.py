@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from xpl import _spec as sdk
@@ -18,9 +18,13 @@ from xpl_cli.evaluation.loop.process import LoopLostError
 if TYPE_CHECKING:
     import ssl
 
+    from xpl.contract import Config
+
 _OUTSIDE = (sdk.ErrorReason.SHUTTING_DOWN,)
 """Reasons of an answer in which the front end speaks of itself."""
 _ANSWER_S = 5.0
+_LONGER_S = 10.0
+"""What a client waits beyond its server's own limit for a batch."""
 
 
 def is_death(error: Exception, url: str, ssl_context: ssl.SSLContext | None = None) -> bool:
@@ -34,8 +38,18 @@ def is_death(error: Exception, url: str, ssl_context: ssl.SSLContext | None = No
     if isinstance(error, (LoopLostError, ServerFailedError)):
         return True
     if isinstance(error, PolicyServerError):
-        return error.details.get("reason") == sdk.ErrorReason.WORKER_DIED
+        return error.code == sdk.ErrorCode.TIMEOUT or error.details.get("reason") == sdk.ErrorReason.WORKER_DIED
     return isinstance(error, RequestTimeoutError) and answers(url, ssl_context)
+
+
+def outwaiting(config: Config) -> dict[str, Any]:
+    """Return a configuration by which a client waits a little longer than its server does.
+
+    A server that ends a worker that hangs says so, if anybody still listens; then it may end itself, and nobody could
+    tell a policy that hangs where it is about to lose from a machine that failed.
+    """
+    limit = config.get(sdk.Deploy.REQUEST_TIMEOUT_S)
+    return dict(config) if limit is None else {**config, sdk.Deploy.REQUEST_TIMEOUT_S: limit + _LONGER_S}
 
 
 def is_outside(error: ClientError) -> bool:

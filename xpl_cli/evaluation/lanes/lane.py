@@ -289,7 +289,7 @@ class Lane:
             "control_frequency": scene.frequency,
             **({REAL_TIME: True} if self._facts.real_time else {}),
         }
-        access, config = self._access, self._orders.config
+        access, config = self._access, blame.outwaiting(self._orders.config)
         try:
             obs = scene.env.get_obs_batch([0])[0]
             client = Client(

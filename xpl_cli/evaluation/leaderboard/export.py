@@ -21,7 +21,7 @@ from xpl import _spec as sdk
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import stand_ins
-from xpl_cli.evaluation.records.cells import cells, score
+from xpl_cli.evaluation.records.cells import cells
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -91,7 +91,7 @@ def _details(cell: Cell) -> dict[str, Any]:
         str(number): {
             "layout_id": line.seed,
             "success": bool(cell.certainly(line)),
-            "score": 1.0 if cell.certainly(line) else (score(line) or 0.0),
+            "score": 1.0 if cell.certainly(line) else (cell.score(line) or 0.0),
         }
         for number, line in enumerate(judged)
     }

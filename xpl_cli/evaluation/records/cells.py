@@ -70,7 +70,7 @@ class Cell:
     @property
     def scores(self) -> list[float]:
         """Scores of the episodes, 0 for those that were spoilt; none where no episode has one."""
-        found = [score(line) for line in self.counted if line.failure != INFRASTRUCTURE]
+        found = [self.score(line) for line in self.counted if line.failure != INFRASTRUCTURE]
         known = [told for told in found if told is not None]
         tells = bool(known) or (self.is_judged and not found)
         return [*known, *[0.0] * self.failed(INFRASTRUCTURE)] if tells else []
@@ -90,6 +90,11 @@ class Cell:
     def certainly(self, line: Episode) -> bool | None:
         """Return whether an episode of this cell succeeded beyond doubt (`certainly`)."""
         return certainly(line, self.survived)
+
+    def score(self, line: Episode) -> float | None:
+        """Return the score of an episode of this cell; 0 where it was played again because the policy had died."""
+        found = score(line)
+        return found if found is None or line.index not in self.survived else 0.0
 
     def failed(self, kind: str) -> int:
         """Return the number of episodes whose failure is of this class."""

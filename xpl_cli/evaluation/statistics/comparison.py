@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import stand_ins
-from xpl_cli.evaluation.records.cells import cells, matched, score
+from xpl_cli.evaluation.records.cells import cells, matched
 from xpl_cli.evaluation.statistics import cautions, intervals, verdicts
 from xpl_cli.evaluation.statistics.comparisons import Comparison, LeftOut, Methods, Row, Side
 from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs
@@ -41,12 +41,14 @@ class _Matches:
         task, setting: what was played.
         lines: of the first run and of the second, for each common seed.
         successes: whether each of the two certainly succeeded, for each common seed.
+        scores: of each of the two, for each common seed; None where it has none.
     """
 
     task: str
     setting: str
     lines: Sequence[tuple[Episode, Episode]]
     successes: Sequence[tuple[bool, bool]]
+    scores: Sequence[tuple[float | None, float | None]]
 
     @property
     def pairs(self) -> Pairs:
@@ -56,8 +58,7 @@ class _Matches:
 
     def score_difference(self) -> Estimate | None:
         """Return by how much the second run's mean score exceeds the first's; None where scores are missing."""
-        told = [(score(first), score(second)) for first, second in self.lines]
-        gains = [second - first for first, second in told if first is not None and second is not None]
+        gains = [second - first for first, second in self.scores if first is not None and second is not None]
         if not gains:
             return None
         # The bootstrap is of values in 0..1.
@@ -117,7 +118,9 @@ def _matches(first: Run, second: Run) -> list[_Matches]:
         common = [seed for seed in ends[0] if seed in ends[1]]
         if common:
             pairs = [(lines[0][seed], lines[1][seed]) for seed in common]
-            found.append(_Matches(cell.task, cell.setting, pairs, [(ends[0][seed], ends[1][seed]) for seed in common]))
+            successes = [(ends[0][seed], ends[1][seed]) for seed in common]
+            scores = [(cell.score(one), other.score(two)) for one, two in pairs]
+            found.append(_Matches(cell.task, cell.setting, pairs, successes, scores))
     return found
 
 
