@@ -80,7 +80,7 @@ def _attempts(run: Run) -> Iterator[str]:
 
 
 def _copies(run: Run) -> Iterator[str]:
-    """Yield episodes that are copies of others: of their states, although they began or ended otherwise or began at once, or files."""
+    """Yield episodes that are copies of others: of their states, although they differ or began at once, or of files."""
     states: dict[str, Episode] = {}
     files: dict[str, Episode] = {}
     for line in run.finals.values():
