@@ -16,6 +16,7 @@ from xpl_cli.scaffold.answers import Answers
 from xpl_cli.scaffold.merge import Labels, Merged, merge
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 LABELS = Labels("yours", "old", "new")
@@ -98,6 +99,23 @@ def test_git_merges_clean_texts_alike(data: st.DataObject, tmp_path_factory: pyt
 def test_a_conflict_shows_all_three() -> None:
     merged = _merge(b"a\nold\nz", b"a\nmine\nz", b"a\nnew\nz")
     assert merged == Merged(b"a\n<<<<<<< yours\nmine\n||||||| old\nold\n=======\nnew\n>>>>>>> new\nz", 1)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        lambda side: [b"a", b"b"][:: -1 if side == b"old" else 1] * 100_000,
+        lambda side: [b"", side] * 100_000,
+        lambda side: [line for number in range(100_000) for line in (b"%d" % number, side)],
+    ],
+    ids=["two lines", "every other one", "all different"],
+)
+def test_texts_that_take_for_ever_to_compare_are_one_conflict(lines: Callable[[bytes], list[bytes]]) -> None:
+    """What an adapter says that it was rendered from is a stranger's text, too."""
+    base, ours = (b"\n".join(lines(side)) + b"\n" for side in (b"old", b"mine"))
+    merged = _merge(base, ours, b"new\n")
+    assert merged.conflicts == 1
+    assert merged.content == b"<<<<<<< yours\n" + ours + b"||||||| old\n" + base + b"=======\nnew\n>>>>>>> new\n"
 
 
 def test_a_last_line_without_an_end_keeps_the_markers_apart() -> None:

@@ -1,12 +1,14 @@
 """Three-way merge of text: what an author changed and what a template changed, both kept.
 
 Lines that all three texts share hold the rest in place. Between them, the side that changed something wins over the one
-that did not; where both did, and not alike, both are shown between conflict markers, as git shows them.
+that did not; where both did, and not alike, both are shown between conflict markers, as git shows them. Texts that
+would take too long to compare share nothing: one conflict shows them whole.
 """
 
 from __future__ import annotations
 
 import difflib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -15,6 +17,8 @@ _OURS: Final = b"<<<<<<<"
 _BASE: Final = b"|||||||"
 _MIDDLE: Final = b"======="
 _THEIRS: Final = b">>>>>>>"
+_MOST_WORK: Final = 1 << 25
+"""Lines that difflib looks at, about: seconds. It searches once more for each run that it finds."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +69,7 @@ def _shared(
     base: Sequence[bytes], ours: Sequence[bytes], theirs: Sequence[bytes]
 ) -> Iterator[tuple[tuple[int, int, int], int]]:
     """Yield the runs of lines that all three texts share, with where they begin and how long they are; the end last."""
-    first, second = (
-        difflib.SequenceMatcher(None, base, other, autojunk=False).get_matching_blocks() for other in (ours, theirs)
-    )
+    first, second = (_blocks(base, other) for other in (ours, theirs))
     one = other = 0
     while one < len(first) and other < len(second):
         mine, new = first[one], second[other]
@@ -80,6 +82,16 @@ def _shared(
         else:
             other += 1
     yield (len(base), len(ours), len(theirs)), 0
+
+
+def _blocks(base: Sequence[bytes], other: Sequence[bytes]) -> list[difflib.Match]:
+    """Return the runs of lines that two texts share, and their end; only that where they take too long to be found."""
+    one, two = Counter(base), Counter(other)
+    shared = sum((one & two).values())
+    pairs = sum(count * two[line] for line, count in one.items())
+    if shared * (len(base) + pairs) > _MOST_WORK:
+        return [difflib.Match(len(base), len(other), 0)]
+    return difflib.SequenceMatcher(None, base, other, autojunk=False).get_matching_blocks()
 
 
 def _conflict(old: Sequence[bytes], mine: Sequence[bytes], new: Sequence[bytes], labels: Labels) -> Iterator[bytes]:
