@@ -144,6 +144,31 @@ def test_a_file_that_is_wrong_is_told_with_its_line(old: str, new: str, said: st
         projects.learn()
 
 
+@pytest.mark.parametrize(
+    ("robots", "said"),
+    [
+        ({f"r{number}": {"like": f"r{number + 1}"} for number in range(2000)}, "describes 2001 robots, expected 64"),
+        (
+            {f"r{number}": {"like": "so101", "description": "x" * 40_000} for number in range(40)},
+            "1048576 at most in all",
+        ),
+        ({"wordy": {"like": "so101", "description": "x" * 200_000}}, "wordy.yml: .* as JSON, expected 98304 at most"),
+    ],
+    ids=["a chain", "long files", "long words"],
+)
+def test_robots_that_are_too_many_or_too_long_are_refused(
+    robots: dict[str, dict[str, Any]], said: str, project: Path
+) -> None:
+    """All are read by every command, and handed on in a variable, with which no process would start any more."""
+    for name, entry in robots.items():
+        told = {"name": name, "arms": ["single"], **entry}
+        (project / "embodiments" / f"{name}.yml").write_text(json.dumps(told))
+    with pytest.raises(UserError, match=said) as caught:
+        projects.learn()
+    assert caught.value.code == ExitCode.USAGE
+    assert not set(registry._offered) & set(robots)
+
+
 def test_the_command_that_checks_files_tells_it(project: Path) -> None:
     """And holds a robot that is like another one as a whole."""
     file = project / "embodiments" / "mine.yml"

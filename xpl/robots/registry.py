@@ -23,6 +23,8 @@ HANDED_ON = "XPL_EMBODIMENTS"
 """Environment variable by which processes get the robots of a project: a JSON list of `[origin, entry]`."""
 
 _MOST_BYTES = 1 << 20
+_MOST_HANDED = 96 << 10
+"""Letters in which all robots are handed on: no process starts with a variable of 128 KiB (execve(2))."""
 _SUFFIXES = (".yml", ".json")
 _offered: dict[str, tuple[str, dict[str, Any]]] = {}  # name: origin, entry
 _heard: list[str] = []  # what was handed on, as far as it was read
@@ -75,7 +77,7 @@ def offer(entry: Entry, origin: str) -> str:
         origin: where they were read, for messages.
 
     Raises:
-        RobotError: the entry is not one, or its name or an alias stands for another robot.
+        RobotError: the entry is not one, its name or an alias stands for another robot, or all take too much room.
     """
     robot = whole(entry)
     problem = next(iter(faults(robot)), None)
@@ -89,8 +91,14 @@ def offer(entry: Entry, origin: str) -> str:
             raise RobotError(
                 f"{origin}: the name {word} is taken by {taken}, which {_whose(taken)}: choose another name"
             )
-    _offered[name] = origin, robot
-    handed = json.dumps([[where, told] for where, told in _offered.values()])
+    offered = {**_offered, name: (origin, robot)}
+    handed = json.dumps([[where, told] for where, told in offered.values()])
+    if len(handed) > _MOST_HANDED:
+        raise RobotError(
+            f"{origin}: with it the robots of projects and packages take {len(handed)} bytes as JSON, expected "
+            f"{_MOST_HANDED} at most: describe fewer, or in fewer words"
+        )
+    _offered.update(offered)
     os.environ[HANDED_ON] = handed
     _heard[:] = [handed]
     return str(name)

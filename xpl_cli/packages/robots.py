@@ -24,6 +24,9 @@ FOLDER: Final = "embodiments"
 DESCRIPTION: Final = "embodiment_description"
 """Key of a recorded run's configuration that holds a robot of the project, so that it can be met again."""
 _ROOMS: Final = ("policy", "envs")
+_MOST_FILES: Final = 64
+_MOST_BYTES: Final = 1 << 20
+"""Of all robots of a folder. One that is like another is read again until that one is known."""
 
 _read: dict[Path, tuple[int, int]] = {}  # what was read already: time and size
 
@@ -36,7 +39,7 @@ def learn(package: Path | None = None) -> None:
 
     Raises:
         ManifestError: a file does not describe a robot; all problems are told, with their lines.
-        UserError: the name of one is taken.
+        UserError: the name of one is taken, or a folder has more of them than any project.
         EntryPointError: an installed package's robots cannot be used.
     """
     for folder, source in registry.folders(registry.ROBOTS).items():
@@ -114,7 +117,11 @@ def _learn(folder: Path, whose: str = "") -> None:
 
     waiting = {path: _state(path) for path in sorted(folder.glob("*.yml"))}
     waiting = {path: state for path, state in waiting.items() if _read.get(path) != state}
+    if len(waiting) > _MOST_FILES:
+        raise UserError(f"{_shown(folder)} describes {len(waiting)} robots, expected {_MOST_FILES} at most")
     contents: dict[Path, bytes] = {path: content_of(path) or b"" for path in waiting}
+    if (size := sum(map(len, contents.values()))) > _MOST_BYTES:
+        raise UserError(f"{_shown(folder)} describes robots in {size} bytes, expected {_MOST_BYTES} at most in all")
     while contents:
         others: Mapping[str, Entry] = sdk_robots.entries()
         found = {path: reader.read(content, _shown(path), others) for path, content in contents.items()}
@@ -126,7 +133,7 @@ def _learn(folder: Path, whose: str = "") -> None:
             try:
                 sdk_robots.offer(entry, _shown(path) + whose)
             except sdk_robots.RobotError as error:
-                raise UserError(str(error), hint=f"rename {_shown(path)} and its name", code=ExitCode.USAGE) from None
+                raise UserError(str(error), code=ExitCode.USAGE) from None
             _read[path] = waiting[path]
             del contents[path]
 
