@@ -105,6 +105,42 @@ def test_an_index_that_lies_changes_no_conversion(tmp_path: Path) -> None:
     assert open_set(tmp_path / "made")[0].length == 4
 
 
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("instruction", "instruction: expected text, got an array"),
+        ("subtasks", "subtasks: expected a list"),
+        ("additional_info/frequency", "additional_info/frequency: expected a number, got an array"),
+        ("vision/cam_head/intrinsic_matrix", "vision/cam_head/intrinsic_matrix: expected"),
+        ("state/left_ee_poses", r"state/left_ee_poses: expected \(T, 7\) numbers"),
+    ],
+)
+def test_what_the_standard_does_not_allow_is_not_written(tmp_path: Path, packed: Path, name: str, told: str) -> None:
+    """A column gets any name that a set says it had, also one that means something else."""
+    source, target = Path(shutil.copytree(packed, tmp_path / "set")), tmp_path / "made"
+    info = source / "meta" / "info.json"
+    document = json.loads(info.read_text())
+    converted = document["extras"]["converted"]
+    for vector, odd in (("state", name), ("action", "action/odd")):
+        [[series, width]] = converted["packed series"][vector]
+        converted["packed series"][vector] = [[odd, 2], [series, width - 2]]
+    info.write_text(json.dumps(document))
+    with pytest.raises(DataError, match=told):
+        convert(source, target)
+    assert not target.exists()
+
+
+@pytest.mark.parametrize("value", [[[1], [1, 2, [3]]], [[["a"]]], [[None]]])
+def test_a_matrix_of_a_camera_that_is_none_is_one_error(tmp_path: Path, value: Any) -> None:
+    path = tmp_path / "episode_0.hdf5"
+    made.standard(path)
+    with h5py.File(path, "a") as file:
+        file["additional_info/episode"] = json.dumps({"vision/cam_head/extrinsic_matrix": value})
+    with pytest.raises(DataError, match="vision/cam_head/extrinsic_matrix"):
+        convert(path, tmp_path / "made")
+    assert not (tmp_path / "made").exists()
+
+
 def test_facts_of_any_form_are_kept_or_refused_by_name(tmp_path: Path) -> None:
     """LeRobot keeps what stands beside the steps as JSON; the standard has a place for it, which takes numbers."""
     path = tmp_path / "episode_0.hdf5"

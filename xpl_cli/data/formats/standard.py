@@ -9,6 +9,7 @@ import functools
 import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
@@ -21,6 +22,7 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.formats import hdf5, libraries, pictures
 from xpl_cli.data.formats.folders import FolderSet, told_in
 from xpl_cli.data.formats.writing import CONVERTED, Names, Piece
+from xpl_cli.data.sets import held
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import Camera, Column
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
@@ -205,13 +207,15 @@ class StandardWriter:
                     is_lossy = camera.kind == "color" and form == trajectory.FORMS[0]
                     writer.put_images(name, _jpegs(frames, samples.setdefault(name, [])) if is_lossy else frames)
                 for name, value in beside.items():
-                    (writer.put if np.ndim(value) > 2 else writer.keep)(name, value)
+                    (writer.put if _is_of_steps(value) else writer.keep)(name, value)
                 for name, value in _instruction(episode).items():
                     if name not in episode.columns:
                         writer.keep(name, value)
                 writer.subtasks = _subtasks(episode.extras.get(spec.Trajectory.SUBTASKS))
         except TrajectoryError as error:
             raise DataError(f"{episode.key}: {error}") from None
+        if problems := held.problems(path):
+            raise DataError(f"{episode.key} would not be of the standard's form: {replace(problems[0], file=None)}")
         worst = {name: min(values) for name, values in samples.items() if values}
         return Piece({name: value for name, value in worst.items() if value != float("inf")})
 
@@ -258,6 +262,14 @@ def _beside_images(episode: Episode) -> dict[str, Any]:
             if values.shape[-2:] == (size, size):
                 found["/".join(names.stored((*name.split("/")[:-1], leaf)))] = values
     return {name: value for name, value in found.items() if name not in episode.columns}
+
+
+def _is_of_steps(matrix: Any) -> bool:
+    """Tell whether what lies beside images is a matrix for each step."""
+    try:
+        return np.ndim(matrix) > 2
+    except ValueError:  # rows of several lengths, which whoever keeps them refuses by their name
+        return False
 
 
 def _subtasks(value: object) -> list[Any] | None:
