@@ -238,6 +238,18 @@ def _facts(path: Path) -> None:
             file.create_dataset("fact", data=np.zeros(1 << 20), compression="gzip", chunks=(1 << 18,))
 
 
+def _series(kind: Any) -> Make:
+    """Return what writes the standard's form with a series of another kind than numbers."""
+
+    def make(path: Path) -> None:
+        path.mkdir()
+        made.standard(path / "episode_0.hdf5")
+        with h5py.File(path / "episode_0.hdf5", "a") as file:
+            file.create_dataset("state/odd", (len(file["state/left_arm_joint_states"]), 6), kind)
+
+    return make
+
+
 def _demos(path: Path) -> None:
     with h5py.File(made.libero(path), "a") as file:
         file["data/demo_9"] = file["data/demo_0"]
@@ -262,6 +274,10 @@ HDF5: dict[str, Make] = {
     "camera of 25 megapixels": _hdf5(
         lambda file: file.create_dataset("observations/images/top", (5, 5000, 5000, 3), "u1", chunks=(1, 50, 50, 3))
     ),
+    "a series of bytes": _series("V8"),
+    "a series of complex numbers": _series("c8"),
+    "a series of records": _series(np.dtype([("x", "f4")])),
+    "a series of lists": _series(h5py.vlen_dtype(np.float32)),
     "images that grow": _images((4, 4), (4000, 4000)),
     "images that turn": _images((64, 32), (32, 64)),
     "10 links by 12 levels": _hdf5(_web(10, 12)),

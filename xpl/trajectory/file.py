@@ -183,6 +183,8 @@ class EpisodeFile:
             is_column = path not in _READS and dataset.ndim == 1 and self._is_per_step(path, dataset)
             return ("text", None) if is_column else ("constant", reads(dataset))
         if dataset.dtype.kind not in "biuf":
+            if names.is_series(path):
+                raise TrajectoryError(f"{storage.where(dataset)}: expected numbers for each step, got {dataset.dtype}")
             return "constant", NO_VALUE  # what somebody else put beside it
         if self._is_per_step(path, dataset):
             return "row", None
