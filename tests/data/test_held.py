@@ -81,6 +81,16 @@ def test_a_problem_names_its_dataset(tmp_path: Path, spoil: Spoil, path: str | N
     assert problem.missing == ("action" if path is None else None)
 
 
+@pytest.mark.parametrize("rate", [float("nan"), float("inf")])
+def test_a_number_that_is_none_is_a_problem(tmp_path: Path, rate: float) -> None:
+    """It is within any bounds of a schema."""
+    file = _written(tmp_path / "episode.hdf5")
+    with h5py.File(file, "r+") as opened:
+        _put("additional_info/frequency", rate)(opened)
+    (problem,) = held.problems(file)
+    assert str(problem).endswith(f"additional_info/frequency: expected a number, got the text '{rate}'")
+
+
 def test_a_file_that_is_none_of_hdf5_is_told_in_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "ep0.hdf5").write_bytes(b"spec: v1")
     ended = xpl("spec", "validate", tmp_path / "ep0.hdf5")

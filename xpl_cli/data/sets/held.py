@@ -103,7 +103,10 @@ def _stood_for(path: names.Place, dataset: Dataset) -> Any:
     if storage.is_encoded(dataset) and names.is_image(path, sdk.Camera.COLOR) and dataset.dtype.kind in "SO":
         return [np.zeros(1, np.uint8)] * min(dataset.shape[0], 2)
     if dataset.dtype.kind in "biuf":
-        return np.broadcast_to(np.zeros((), dataset.dtype), dataset.shape) if dataset.shape else dataset[()]
+        if dataset.shape:
+            return np.broadcast_to(np.zeros((), dataset.dtype), dataset.shape)
+        value = dataset[()]
+        return value if np.isfinite(value) else str(value)  # NaN is within any bounds of a schema
     if storage.hdf5().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 1:
         return storage.text(dataset)
     return f"{dataset.shape} {dataset.dtype}"
