@@ -131,6 +131,8 @@ def test_a_name_that_is_taken_is_refused(name: str, change: dict[str, Any], said
             "limits: [3.0, -3.0]",
             r"embodiments/desk_arm.yml:9:\d+ .*expected \[from, to\] in rad",
         ),
+        ("axis: [0, 0, 1]", "axis: [0, 0, 0]", r"axis: expected a direction, got \[0, 0, 0\]"),
+        ("axis: [0, 0, 1]", "axis: [0, .nan, 1]", "axis: expected a direction"),
         ("name: desk_arm", "name: desk", "expected the file's name desk_arm"),
         ("kind: parallel_gripper", "kind: claw", "desk_arm.yml:11:"),
         ("arms: [single]", "arms: [left]", "desk_arm.yml:4:"),

@@ -6,6 +6,7 @@ makes of them what `xpl.robots` knows. Files of projects (`embodiments/NAME.yml`
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -110,6 +111,9 @@ def _contradictions(robot: Entry, file: str, base: Entry | None) -> Iterator[Pro
         limits = joint["limits"]
         if limits is not None and not limits[0] < limits[1]:
             yield Problem(("arm", "joints", place, "limits"), f"expected [from, to] in rad, got {limits}")
+        axis = joint.get("axis")
+        if axis is not None and not 1e-6 < math.hypot(*axis) < 1e6:
+            yield Problem(("arm", "joints", place, "axis"), f"expected a direction, got {axis}")
     if base is None:
         yield from (Problem((), fault) for fault in robots.faults(robot))
 
