@@ -74,8 +74,8 @@ WAITING = [_result(f"XPL20{number}", Outcome.NOT_RUN) for number in range(2, 7)]
             [PARITY, _result("XPL262", proof={"rows": 20}), LEAP],
             PAIRS,
             (
-                "GREEN contract, parity (24 pairs; 2 conventions assumed; independent: kinematics of the authors' rows; "
-                "one mistake may be in both (XPL237))"
+                "GREEN contract, parity (24 pairs; 2 conventions assumed; independent: kinematics of the authors' "
+                "rows; one mistake may be in both (XPL237))"
             ),
         ),
         ([NONE_ASSUMED], PAIRS, "GREEN contract, parity (3 pairs; no convention assumed; one reading twice)"),
