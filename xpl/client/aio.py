@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from xpl import _spec as spec
 from xpl.client.base import ClientBase
-from xpl.client.connection import ended, refused_handshake, wrong_address
+from xpl.client.connection import ended, parsed, refused_handshake
 from xpl.client.errors import ServerConnectionError
 
 if TYPE_CHECKING:
@@ -120,6 +120,7 @@ class _Suspending:
 
     async def open(self, timeout: float | None) -> None:
         connect = _connect()
+        parsed(self._there.url)
         try:
             self._socket = await connect(self._there.url, **_options(connect, self._there, timeout))
         except Exception as error:  # noqa: BLE001 - mapped
@@ -157,6 +158,8 @@ class _Suspending:
                 # Said, but not waited for: the other side may be the one that does not answer.
                 closing = asyncio.ensure_future(opened.close())
                 await asyncio.wait({closing}, timeout=_GOODBYE_S)
+                if not closing.done():
+                    opened.transport.abort()
 
     async def pause(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
@@ -193,10 +196,8 @@ def _options(connect: Any, there: Address, timeout: float | None) -> dict[str, A
 
 
 def _connection_problem(error: Exception, url: str) -> Exception:
-    from websockets.exceptions import InvalidURI, WebSocketException
+    from websockets.exceptions import WebSocketException
 
-    if isinstance(error, InvalidURI):
-        return wrong_address(url, error)
     if isinstance(error, ssl.SSLError):
         return ServerConnectionError(f"no secure connection to {url}: {error}")
     return refused_handshake(error, url) if isinstance(error, WebSocketException) else error

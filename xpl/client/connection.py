@@ -45,7 +45,7 @@ class BlockingTransport:
         self._socket: socket.socket | None = None
         self._protocol: Any = None
         self._messages: list[bytes | str] = []
-        self._fragments: list[bytes] = []
+        self._begun = bytearray()
         self._is_text = False
         self._open = False
         self._ended = False
@@ -54,14 +54,8 @@ class BlockingTransport:
     async def open(self, timeout: float | None) -> None:
         """Connect within `timeout` seconds."""
         from websockets.client import ClientProtocol
-        from websockets.exceptions import InvalidURI
-        from websockets.uri import parse_uri
 
-        deadline = None if timeout is None else time.monotonic() + timeout
-        try:
-            uri = parse_uri(self._there.url)
-        except InvalidURI as error:
-            raise wrong_address(self._there.url, error) from None
+        deadline, uri = _after(timeout), parsed(self._there.url)
         try:
             raw = socket.create_connection((uri.host, uri.port), _left(deadline))
             raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -69,7 +63,7 @@ class BlockingTransport:
             if uri.secure:
                 context = self._there.ssl_context or ssl.create_default_context()
                 self._socket = context.wrap_socket(raw, server_hostname=uri.host)
-            self._open, self._ended, self._messages, self._fragments = False, False, [], []
+            self._open, self._ended, self._messages, self._begun = False, False, [], bytearray()
             self._protocol = ClientProtocol(uri, max_size=spec.LIMITS["frame_bytes"])
             request = self._protocol.connect()
             if self._there.authorization is not None:
@@ -113,20 +107,15 @@ class BlockingTransport:
 
     async def receive(self, timeout: float | None) -> bytes:
         """Return the next binary message: xpl's wire knows no text."""
-        deadline = None if timeout is None else time.monotonic() + timeout
+        deadline = _after(timeout)
         while True:
-            message = await self.receive_any(_left(deadline))
+            message = self._next(deadline)
             if not isinstance(message, str):
                 return message
 
     async def receive_any(self, timeout: float | None) -> bytes | str:
         """Return the next message, binary or text."""
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while not self._messages:
-            if self._ended:
-                self._end()
-            self._read(deadline)
-        return self._messages.pop(0)
+        return self._next(_after(timeout))
 
     async def close(self) -> None:
         """Close the connection, if there is one; waits for nobody."""
@@ -150,15 +139,13 @@ class BlockingTransport:
         if self._ping_interval and time.monotonic() - self._seen > self._ping_interval:
             self._seen = time.monotonic()
             self._protocol.send_ping(os.urandom(4))
-        try:
-            while True:
-                connected.settimeout(0.0)
+        # One piece a look: a server that never stops talking must not keep the turn, nor fill the memory.
+        connected.settimeout(0.0)
+        with contextlib.suppress(BlockingIOError, ssl.SSLWantReadError):
+            if len(self._messages) < spec.LIMITS["pipelined"]:
                 self._feed(connected.recv(_CHUNK))
-                if self._ended:
-                    return
-        except (BlockingIOError, ssl.SSLWantReadError):
-            connected.settimeout(_LOOK_S)
-            self._flush()
+        connected.settimeout(_LOOK_S)
+        self._flush()
 
     def is_at(self, connected: socket.socket) -> bool:
         """Tell whether this is still the connection over a socket."""
@@ -183,17 +170,24 @@ class BlockingTransport:
             if data:
                 connected.sendall(data)
 
+    def _next(self, deadline: float | None) -> bytes | str:
+        while not self._messages:
+            if self._ended:
+                self._end()
+            self._read(deadline)
+        return self._messages.pop(0)
+
     def _read(self, deadline: float | None) -> None:
         connected = self._connected()
-        left = _left(deadline)
-        if left is not None and left <= 0.0:
-            raise TimeoutError("no answer in time")
-        connected.settimeout(left)
+        connected.settimeout(_left(deadline))
         try:
             data = connected.recv(_CHUNK)
         except socket.timeout:
             raise TimeoutError("no answer in time") from None
         self._feed(data)
+        with contextlib.suppress(OSError):  # a pong, or a farewell: what was received counts all the same
+            connected.settimeout(_left(deadline))
+            self._flush()
 
     def _feed(self, data: bytes) -> None:
         if data:
@@ -203,8 +197,6 @@ class BlockingTransport:
         if self._open:
             self._take(self._protocol.events_received())
         self._ended = self._ended or not data or self._protocol.parser_exc is not None
-        with contextlib.suppress(OSError):  # a pong, or a farewell: what was received counts all the same
-            self._flush()
 
     def _take(self, frames: Iterable[Any]) -> None:
         from websockets.frames import Opcode
@@ -214,14 +206,16 @@ class BlockingTransport:
                 self._ended = True
             elif frame.opcode in (Opcode.BINARY, Opcode.TEXT, Opcode.CONT):
                 if frame.opcode is not Opcode.CONT:
-                    self._fragments, self._is_text = [], frame.opcode is Opcode.TEXT
-                self._fragments.append(frame.data)
+                    self._is_text = frame.opcode is Opcode.TEXT
+                if frame.fin and frame.opcode is not Opcode.CONT:  # the usual one, not copied
+                    self._take_message(frame.data)
+                    continue
+                self._begun += frame.data
                 if frame.fin:
-                    self._take_message()
+                    self._take_message(bytes(self._begun))
+                    self._begun = bytearray()
 
-    def _take_message(self) -> None:
-        whole = self._fragments[0] if len(self._fragments) == 1 else b"".join(self._fragments)
-        self._fragments = []
+    def _take_message(self, whole: bytes) -> None:
         self._messages.append(bytes(whole).decode(errors="replace") if self._is_text else whole)
 
     def _end(self) -> NoReturn:
@@ -231,13 +225,25 @@ class BlockingTransport:
 def ended(received: Any) -> Exception:
     """Return why a connection ended, by the close frame that came: the server's own reason, or that it was lost."""
     if received is not None and received.code == spec.CLOSE_CODES["server_failed"]:
-        return ServerFailedError(f"the policy server ended: {received.reason}")
-    return ConnectionResetError("no close frame" if received is None else f"{received.code} {received.reason}")
+        return ServerFailedError(f"the policy server ended: {' '.join(received.reason.split())}")
+    return ConnectionResetError(
+        "no close frame" if received is None else f"{received.code} {' '.join(received.reason.split())}"
+    )
 
 
-def wrong_address(url: str, error: Exception) -> ServerConnectionError:
-    """Return the error for an address that is none."""
-    return ServerConnectionError(f"a policy server's address is ws://host:port, got {url!r}: {error}")
+def parsed(url: str) -> Any:
+    """Return an address in its parts.
+
+    Raises:
+        ServerConnectionError: it is none.
+    """
+    from websockets.exceptions import InvalidURI
+    from websockets.uri import parse_uri
+
+    try:
+        return parse_uri(url)
+    except (InvalidURI, ValueError) as error:  # ValueError: an IPv6 address without an end, a port that is no number
+        raise ServerConnectionError(f"a policy server's address is ws://host:port, got {url!r}: {error}") from None
 
 
 def refused_handshake(error: Exception, url: str) -> Exception:
@@ -252,8 +258,22 @@ def refused_handshake(error: Exception, url: str) -> Exception:
     return ConnectionError(f"{error}; {wires.spoken()}")  # something answers there, but no policy server of ours
 
 
+def _after(timeout: float | None) -> float | None:
+    return None if timeout is None else time.monotonic() + timeout
+
+
 def _left(deadline: float | None) -> float | None:
-    return None if deadline is None else max(1e-3, deadline - time.monotonic())
+    """Return the seconds until a deadline, which holds whatever arrives; None without one.
+
+    Raises:
+        TimeoutError: there are none.
+    """
+    if deadline is None:
+        return None
+    left = deadline - time.monotonic()
+    if left <= 0.0:
+        raise TimeoutError("no answer in time")
+    return left
 
 
 def _look_after(reference: weakref.ref[BlockingTransport], connected: socket.socket) -> None:

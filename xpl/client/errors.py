@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from xpl import _spec as spec
+from xpl.wire import telling
 
 _SPOILING = (
     spec.ErrorReason.WORKER_DIED,
@@ -19,11 +20,17 @@ _SPOILING = (
 class ClientError(RuntimeError):
     """Base class of what can go wrong between an environment and a policy server.
 
+    Args:
+        text: what went wrong; whatever a server put into it steers no terminal and is bounded.
+
     Attributes:
         spoils_trial: the infrastructure failed, and the trial says nothing about the policy.
     """
 
     spoils_trial = False
+
+    def __init__(self, text: str = "") -> None:
+        super().__init__(telling.visible(text))
 
 
 class PolicyServerError(ClientError):

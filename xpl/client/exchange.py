@@ -380,12 +380,23 @@ def _map(value: object) -> Mapping[str, Any]:
 def _payload(answer: codec.Frame, request: codec.Frame) -> Payload:
     payload = answer.payload
     if answer.message_type == spec.Message.ERROR:
-        code, message = payload.get(spec.Payload.CODE), str(payload.get(spec.Payload.MESSAGE))
-        known = str(code) if code in _CODES else spec.ErrorCode.INTERNAL
-        details = payload.get(spec.Payload.DETAILS)
-        details = details if isinstance(details, Mapping) else {}
-        kind = EnvironmentMismatchError if details.get("reason") == spec.ErrorReason.MISMATCH else PolicyServerError
-        raise kind(known, message, details)
+        raise _error(payload)
     if answer.message_type != spec.ANSWERS[request.message_type]:
-        raise ClientError(f"{request.message_type} was answered by {answer.message_type}")
+        raise ClientError(f"{request.message_type} was answered by {answer.message_type:.80}")
     return codec.unpacked(payload)
+
+
+def _error(payload: Payload) -> PolicyServerError:
+    """Return the error that a server answers with; a code of another generation stands for one of its own.
+
+    Raises:
+        WireError: code or reason is there and no text.
+    """
+    details = _map(payload.get(spec.Payload.DETAILS))
+    code, reason = payload.get(spec.Payload.CODE), details.get("reason")
+    for name, value in ((spec.Payload.CODE, code), ("reason", reason)):
+        if not isinstance(value, (str, type(None))):
+            raise codec.WireError(f"the {name} of an error must be text, got {type(value).__name__}")
+    kind = EnvironmentMismatchError if reason == spec.ErrorReason.MISMATCH else PolicyServerError
+    known = code if isinstance(code, str) and code in _CODES else spec.ErrorCode.INTERNAL
+    return kind(known, str(payload.get(spec.Payload.MESSAGE)), details)

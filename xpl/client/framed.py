@@ -106,7 +106,7 @@ class FramedConversation(Conversation):
         answer = await self._exchange.request(spec.Message.INFER, {spec.Payload.OBSERVATION: obs})
         if spec.Payload.ACTIONS not in answer:
             raise ClientError(
-                f"the server's answer to infer has no {spec.Payload.ACTIONS!r}; it has {', '.join(answer)}"
+                f"the server's answer to infer has no {spec.Payload.ACTIONS!r}; it has {', '.join(answer):.400}"
             )
         self._exchange.step += 1
         return answer[spec.Payload.ACTIONS]

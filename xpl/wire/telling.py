@@ -34,6 +34,21 @@ def sendable(text: str, longest: int = SENTENCE) -> str:
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
+def visible(text: str) -> str:
+    r"""Return a peer's text for who reads it on a terminal: what is not printed is written out, such as `\x1b`.
+
+    Line ends and tabs stay; what is longer than a traceback may be loses its middle.
+    """
+    text = sendable(text, TRACEBACK)
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() or char in "\n\t" else _written_out(char) for char in text)
+
+
+def _written_out(char: str) -> str:
+    return char.encode("unicode_escape").decode("ascii")
+
+
 def text_of(value: object) -> str:
     """Return `str(value)`, also of an object that raises when it is asked for it."""
     try:
