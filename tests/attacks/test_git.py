@@ -23,14 +23,12 @@ MODEL = "class Model:\n    pass\n"
 STATIC = ("--gate", "static", "--no-cache")
 
 
-def git(folder: Path, *arguments: str) -> str:
+def git(folder: Path, *arguments: str, asked: str = "") -> str:
     """Run git as somebody, always at the same time: git walks through history by dates, and tests by its ways."""
     who = ["-c", "user.name=Somebody", "-c", "user.email=somebody@example.org", "-c", "commit.gpgsign=false"]
     command = [str(shutil.which("git")), *who, *arguments]
     env = {**os.environ, **dict.fromkeys(("GIT_AUTHOR_DATE", "GIT_COMMITTER_DATE"), "2026-01-01T00:00:00Z")}
-    done = subprocess.run(
-        command, cwd=folder, check=True, capture_output=True, text=True, stdin=subprocess.DEVNULL, env=env
-    )
+    done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, input=asked, env=env)
     return done.stdout.strip()
 
 
@@ -296,6 +294,31 @@ def test_a_pattern_that_takes_for_ever_is_given_up(repository: Path, monkeypatch
     with pytest.raises(UserError, match=r"did not end within .*\.gitignore") as caught:
         Repository.of(repository).changed("HEAD")
     assert caught.value.code == ExitCode.USAGE
+
+
+def test_a_few_trees_that_stand_for_any_number_of_files_are_refused(
+    repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tree = git(repository, "rev-parse", "HEAD^{tree}")
+    for _ in range(28):
+        entries = "".join(f"040000 tree {tree}\t{name}\n" for name in "abc")
+        tree = git(repository, "mktree", asked=entries)
+    bomb = git(repository, "commit-tree", "-m", "many", tree)
+    monkeypatch.setattr("xpl_cli.basics.git.command._MOST_BYTES", 1 << 20)
+    with pytest.raises(UserError, match="ls-tree answers more than 1 MB") as caught:
+        Repository.of(repository).changed(bomb)
+    assert caught.value.code == ExitCode.USAGE
+
+
+def test_content_that_a_repository_lacks_is_named(repository: Path, tmp_path: Path) -> None:
+    blob = git(repository, "rev-parse", "main:policy/Foo/model.py")
+    (repository / ".git" / "objects" / blob[:2] / blob[2:]).unlink()
+    found = Repository.of(repository)
+    with pytest.raises(UserError, match=r"lacks the content of 'policy/Foo/model\.py'") as caught:
+        found.export("main", "policy/Foo", tmp_path / "base", largest=1 << 20)
+    assert caught.value.code == ExitCode.USAGE
+    with pytest.raises(UserError, match=f"lacks the content of object {blob}"):
+        list(found._contents([blob]))
 
 
 @pytest.mark.slow

@@ -11,7 +11,10 @@ content, so no attribute of a branch matters.
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
+import tempfile
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -44,6 +47,9 @@ _ENVIRONMENT: Final = {
 }
 _LONGEST_S: Final = 60.0
 """Patterns of stars are matched in exponential time, and whoever changes a package may write some."""
+_MOST_BYTES: Final = 64 << 20
+"""Of an answer: some 500,000 files of a listing."""
+_MOST_SAID: Final = 4096
 _READING: Final = frozenset(("rev-parse", "merge-base", "ls-tree", "ls-files", "cat-file", "config"))
 
 
@@ -67,35 +73,60 @@ class Git:
         """Return what a command answers to what it is asked on its standard input.
 
         Raises:
-            UserError: if it fails, takes a minute, or there is no git.
+            UserError: if it fails, takes a minute, answers too much, or there is no git.
             ValueError: if it is none of the commands that only read.
         """
         if command not in _READING:
             raise ValueError(f"git {command} is not among the commands that only read")
         overruled = (word for name, value in _OVERRULED.items() for word in ("-c", f"{name}={value}"))
         line = ["git", "--no-pager", "--literal-pathspecs", *overruled, command, *arguments]
-        try:
-            done = subprocess.run(
-                line,
-                cwd=self.root,
-                env=self._environment(),
-                capture_output=True,
-                check=False,
-                input=asked,
-                timeout=_LONGEST_S,
-            )
-        except FileNotFoundError:
-            raise UserError("what changed needs git, which is not on PATH") from None
-        except subprocess.TimeoutExpired:
+        with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as said:
+            given.write(asked)
+            given.seek(0)
+            try:
+                process = subprocess.Popen(
+                    line, cwd=self.root, env=self._environment(), stdin=given, stdout=subprocess.PIPE, stderr=said
+                )
+            except FileNotFoundError:
+                raise UserError("what changed needs git, which is not on PATH") from None
+            except ValueError:  # a NUL in an argument
+                raise UserError("what is asked of git holds a NUL, which no name in git has") from None
+            answer = self._read(process, command)
+            if process.returncode:
+                said.seek(0)
+                told = said.read(_MOST_SAID).decode(errors="replace").strip()
+                raise UserError(told or f"git ended with {process.returncode}")
+        return answer
+
+    def _read(self, process: subprocess.Popen[bytes], command: str) -> bytes:
+        """Return what a command writes until it ends.
+
+        Raises:
+            UserError: it takes a minute, or writes more than a repository of code has.
+        """
+        late = threading.Timer(_LONGEST_S, process.kill)
+        with process:
+            late.start()
+            try:
+                answer = process.stdout.read(_MOST_BYTES + 1) if process.stdout else b""
+                if len(answer) <= _MOST_BYTES:
+                    process.wait()
+            finally:
+                is_late = late.finished.is_set()
+                late.cancel()
+                process.kill()
+        if is_late:
             raise UserError(
                 f"git {command} did not end within {_LONGEST_S:.0f} s, as a pattern of a .gitignore can make it",
                 hint=f"look at the patterns in {self.root}",
-            ) from None
-        except ValueError:  # a NUL in an argument
-            raise UserError("what is asked of git holds a NUL, which no name in git has") from None
-        if done.returncode:
-            raise UserError(done.stderr.decode(errors="replace").strip() or f"git ended with {done.returncode}")
-        return done.stdout
+            )
+        if len(answer) > _MOST_BYTES:
+            raise UserError(
+                f"git {command} answers more than {_MOST_BYTES >> 20} MB about {self.root}, expected the files of a "
+                "repository of code: a few trees can stand for any number of names",
+                hint=f"look with: git -C {shlex.quote(str(self.root))} count-objects -v",
+            )
+        return answer
 
     def _environment(self) -> dict[str, str]:
         """Return the environment; what whoever called the tool set for its own calls of git does not count."""

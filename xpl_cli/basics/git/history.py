@@ -148,20 +148,30 @@ class Repository:
         return bool(entries)
 
     def _listed(self, commit: str, name: str) -> Iterator[tuple[str, str, int]]:
-        """Yield id, path and size of the files of a folder."""
+        """Yield id, path and size of the files of a folder.
+
+        Raises:
+            UserError: the repository lacks one.
+        """
         inside = [] if name == "." else [f"{name}/"]
         told = self.git.text("ls-tree", "-r", "-l", "-z", "--full-tree", commit, *inside)
         for entry in told.split("\0"):
             head, _, path = entry.partition("\t")
             if path and head.split()[0] in _FILE_MODES:
-                yield head.split()[2], path, int(head.split()[3])
+                _, _, blob, size = head.split()
+                if not size.isdecimal():  # BAD
+                    raise _lacking(f"{path!r} of commit {commit:.12}")
+                yield blob, path, int(size)
 
     def _contents(self, blobs: list[str]) -> Iterator[bytes]:
         answer = self.git.answer("cat-file", "--batch", asked=_lines(blobs))
         place = 0
-        for _ in blobs:
+        for blob in blobs:
             begin = answer.index(b"\n", place) + 1
-            size = int(answer[place:begin].split()[2])
+            _, *kind = answer[place:begin].split()
+            if kind[:1] != [b"blob"]:  # missing
+                raise _lacking(f"object {blob}")
+            size = int(kind[1])
             yield answer[begin : begin + size]
             place = begin + size + 1
 
@@ -215,6 +225,10 @@ class Repository:
             return set()
         held = zip(small, pointers, strict=True)
         return {name for name, pointer in held if blobs.is_stood_for(self.root / name, pointer)}
+
+
+def _lacking(what: str) -> UserError:
+    return UserError(f"the repository lacks the content of {what}", hint="fetch it; git fsck tells what else is gone")
 
 
 def _lines(blobs: Iterable[str]) -> bytes:
