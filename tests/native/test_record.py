@@ -174,6 +174,7 @@ COUNTED = "{'arm_joint_state': np.full(7, len(CALLS), np.float32), 'ee_joint_sta
         (BODY.format(f"CALLS.append(1); return [{STEP}] * len(CALLS)"), "expected a function of the episode alone"),
         (BODY.format(f"CALLS.append(1); return [{COUNTED}]"), "arm_joint_state by"),
         (BODY.format("import os; os._exit(3)"), "ended without an answer"),
+        (BODY.format(f"return [{STEP}] * 1_000_000"), "may have 10000 action steps, got 1000000"),
     ],
 )
 def test_what_is_wrong_with_native_code_is_told(code: str, told: str, tmp_path: Path) -> None:
@@ -182,6 +183,27 @@ def test_what_is_wrong_with_native_code_is_told(code: str, told: str, tmp_path: 
         recorded(folder)
     assert told in f"{caught.value} {caught.value.hint}"
     assert not (folder / names.PAIRS).exists()
+
+
+GARBAGE = """import os
+
+for name in os.listdir("/proc/self/fd"):
+    try:
+        os.write(int(name), b"\\xff" * 64 if int(name) > 2 else b"")
+    except OSError:
+        pass
+
+
+def answers(config): ...
+"""
+
+
+def test_native_code_that_writes_between_its_answers_is_told_so(tmp_path: Path) -> None:
+    """No length that stands there is taken for one: the file is followed while the code runs."""
+    folder = parity.made(tmp_path / "Foo", None, code=GARBAGE)
+    with pytest.raises(UserError, match=r"native\.py ended without an answer") as caught:
+        recorded(folder)
+    assert caught.value.code == ExitCode.NOT_RUN
 
 
 def test_a_package_without_native_code_is_told_so(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl import ecosystem
-from xpl.action import check_chunk
+from xpl.action import ActionError, check_chunk
 from xpl.embodiment import Embodiment, get_embodiment
 from xpl.episodes import own_index
 from xpl.process.modules import execute, register_package
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from xpl.contract import Config
 
 _SDK = "xpl"
+MOST_STEPS = 10_000
+"""Of one answer, looked at before any is checked or copied."""
 _MOST_LIBRARIES = 64
 _MOST_FILES = 500
 _INSTALLED = {"site-packages", "dist-packages"}
@@ -131,6 +133,8 @@ def _steps(answer: Answer, episode: Episode, robot: Embodiment, action_type: str
     given = Episode.__new__(Episode)
     given.__dict__.update(vars(episode), observations=own(episode.observations), asked=list(episode.asked))
     steps = answer(given)
+    if isinstance(steps, Sequence) and len(steps) > MOST_STEPS:
+        raise ActionError(f"an answer may have {MOST_STEPS} action steps, got {len(steps)}")
     check_chunk(steps, robot, action_type)
     return [{key: np.asarray(value, np.float32) for key, value in step.items()} for step in steps]
 

@@ -202,6 +202,8 @@ class _Run:
                 process.wait(min(life.every_s, _EVERY_S))
                 return None
             why = life.look(time.monotonic())
+            if why is None and written > _MOST_BYTES:
+                why = f"wrote answers of more than {_MOST_BYTES} bytes"
             if why is None and time.monotonic() - began > self._place.limit_s:
                 why = f"did not answer within {time.monotonic() - began:.0f} s"
             if why is not None:
@@ -215,6 +217,8 @@ class _Run:
         with self._told.open("rb") as stream:
             while len(head := stream.read(LENGTH.size)) == LENGTH.size:
                 place += LENGTH.size + LENGTH.unpack(head)[0]
+                if place > _MOST_BYTES:  # no length of an answer: whatever runs there may have written it
+                    break
                 stream.seek(place)
                 count += 1
         if count > self._heard:
