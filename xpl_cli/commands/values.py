@@ -100,6 +100,26 @@ def certificates(value: Path | None) -> Path | None:
     return value
 
 
+def address(value: str | None) -> str | None:
+    """Return the address of a policy server.
+
+    Raises:
+        BadParameter: it is none.
+    """
+    from urllib.parse import urlsplit
+
+    if value is None:
+        return None
+    try:
+        parts = urlsplit(value)
+        host, scheme = parts.hostname if parts.port != 0 else None, parts.scheme.rpartition("+")[2]
+    except ValueError:  # an IPv6 address without an end, a port that is none
+        host = scheme = None
+    if not host or scheme not in ("ws", "wss"):
+        raise typer.BadParameter(f"expected ws://HOST:PORT or wss://HOST:PORT, got {shown(value)}")
+    return value
+
+
 def number(value: Any) -> Any:
     """Return a number that can be reckoned with.
 

@@ -101,6 +101,7 @@ def evaluate(
     ),
     connect: str | None = typer.Option(
         None,
+        callback=values.address,
         metavar="URL",
         help="Use a server that already runs at ws://host:port.",
         rich_help_panel="Servers and machines",

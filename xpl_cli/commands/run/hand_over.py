@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands import values
 from xpl_cli.commands.options import JSON, POLICY, POLICY_ENV, POLICY_GPU, PYTHON, SETTINGS
 
 if TYPE_CHECKING:
@@ -37,7 +38,9 @@ def hand_over(
     rehearse: bool = typer.Option(False, "--rehearse", help="Call the stand-in instead: the way, and no numbers."),
     out: Path | None = typer.Option(None, metavar="DIR", help="Record the run there."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the run in --out."),
-    connect: str | None = typer.Option(None, metavar="URL", help="Use a server that already runs at ws://host:port."),
+    connect: str | None = typer.Option(
+        None, callback=values.address, metavar="URL", help="Use a server that already runs at ws://host:port."
+    ),
     dry_run: bool = typer.Option(False, "--dry-run", help="Print the command line, and start nothing."),
     settings: list[str] = SETTINGS,
     policy_env: str | None = POLICY_ENV,
