@@ -65,6 +65,29 @@ def test_as_deep_as_may_be() -> None:
     assert json_text.parse("[" * 64 + "]" * 64)
 
 
+@given(
+    st.integers(17, 400),
+    st.sampled_from(["{0}", "[1, -{0}]", '{{"a":{0}.0}}', "[\n{0}e1]", "[{0}.5e3]", "1e{1}", "[0.1E+{1}]"]),
+)
+def test_no_large_number_is_overlooked(digits: int, form: str) -> None:
+    """Texts are looked through for what may be one before each number is looked at."""
+    text = form.format("9" * digits, digits)
+    value = json.loads(text)
+    found = [
+        abs(one)
+        for one in (value if isinstance(value, list) else value.values() if isinstance(value, dict) else [value])
+    ]
+    is_large = any(one == float("inf") or (isinstance(one, int) and one >= 2**63) for one in found)
+    try:
+        assert json_text.parse(text, finite=True) == value
+    except json_text.JsonError:
+        assert is_large
+    else:
+        assert not any(
+            one == float("inf") or one >= 2**64 for one in found if isinstance(one, int) or one == float("inf")
+        )
+
+
 @pytest.mark.parametrize("text", ["NaN", "[-Infinity]", '{"a": 1e999}', "-9223372036854775809", "[1" + "0" * 400 + "]"])
 def test_other_numbers_are_refused_where_that_is_asked(text: str) -> None:
     json_text.parse(text)
