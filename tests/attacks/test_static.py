@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -389,3 +390,10 @@ def test_the_readers_withstand_a_fuzzer_that_sees_their_branches(tmp_path: Path)
         check=False,
     )
     assert run.returncode == 0, run.stderr[-5000:]
+
+
+def test_a_pipe_in_the_place_of_the_manifest_is_reported(adapter: Path) -> None:
+    (adapter / "policy.yml").unlink()
+    os.mkfifo(adapter / "policy.yml")
+    [result] = static(adapter, "required-files").results
+    assert [finding.message for finding in result.findings if "is no file of the package" in finding.message]

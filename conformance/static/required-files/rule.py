@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
@@ -16,7 +17,7 @@ def required_files(source: Source) -> Iterator[Finding]:
     ## What it does
     Compares the adapter's folder with the list of files in the standard; `process_data.sh` and `train.sh` are required
     unless `policy.yml` declares `evaluation_only: true`. An adapter of the ecosystem has no place to declare it, and is
-    not asked for these two.
+    not asked for these two. A `policy.yml` that is there and no file is reported, too.
 
     ## Why it matters
     Launchers call these scripts by name. A missing one ends a benchmark run after the queue time was spent.
@@ -34,6 +35,14 @@ def required_files(source: Source) -> Iterator[Finding]:
     required = list(files["required"])
     if not source.is_ecosystem and not source.manifest.evaluation_only:
         required += files["training"]
+    manifest = files["manifest"]
+    if os.path.lexists(source.path / manifest) and not source.has(manifest):
+        yield Finding(
+            message=f"{manifest} is no file of the package: nobody can read what it declares",
+            expected=f"a file {manifest} in the adapter's folder, or none",
+            got="a folder, a pipe, a device, or a link that leads out",
+            fix=Fix("advice", f"replace it by a file, as a fresh `xpl new-policy` writes {manifest}"),
+        )
     for name in required:
         if not source.has(name):
             yield Finding(
