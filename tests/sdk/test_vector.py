@@ -42,6 +42,7 @@ CLIENT = """
         def __init__(self, config):
             self.count = config.get("num_envs") or 1
             self.options = {}
+            self.closed = config.get("closed")
             print("made")
             if config.get("misfortune"):
                 self.suffer(config["misfortune"])
@@ -102,6 +103,8 @@ CLIENT = """
 
         def close(self):
             print("closed")
+            if self.closed:
+                open(f"{self.closed}/{os.getpid()}", "x").close()
 
     def make(config):
         return Env(config)
@@ -328,19 +331,22 @@ def test_more_workers_than_environments_are_refused(client: Path, count: int, wo
 # -- processes ---------------------------------------------------------------------------------------------------------
 
 
-def test_nothing_outlives_a_parent_that_is_killed(client: Path) -> None:
+def test_nothing_outlives_a_parent_that_is_killed(client: Path, tmp_path: Path) -> None:
+    """And each environment is closed to the end, although nobody reads any more what it prints."""
     mark = uuid.uuid4().hex
     code = """
         import sys
         from pathlib import Path
         from xpl.vector import VectorEnv
-        env = VectorEnv(Path(sys.argv[1]), {"num_envs": 2, "child": True}, workers=2)
+        env = VectorEnv(Path(sys.argv[1]), {"num_envs": 2, "child": True, "closed": sys.argv[2]}, workers=2)
         env.reset([5, 5])
         print("ready", flush=True)
         env.take_action_batch([{"do": "hang"}, {"do": "go on"}], [0, 1])
     """
+    closed = tmp_path / "closed"
+    closed.mkdir()
     parent = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(code), str(client)],
+        [sys.executable, "-c", textwrap.dedent(code), str(client), str(closed)],
         cwd=ROOT, env={**os.environ, MARK: mark}, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert parent.stdout is not None
@@ -350,6 +356,7 @@ def test_nothing_outlives_a_parent_that_is_killed(client: Path) -> None:
         parent.kill()
         parent.wait()
     wait_until(lambda: not processes(mark), "all of them are gone")
+    assert len(list(closed.iterdir())) == 2
 
 
 def test_another_interpreter_needs_no_sdk_of_its_own(

@@ -7,6 +7,7 @@ processes that run an adapter's evaluation loop (`xpl.loop.worker`), are such pr
 from __future__ import annotations
 
 import faulthandler
+import io
 import os
 import select
 import signal
@@ -22,6 +23,8 @@ from xpl.process.link import Channel, Head
 from xpl.wire.frame import PackingError
 
 if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
     from xpl.wire.arrays import Data
 
     Handle = Callable[[Head, Sequence[memoryview]], tuple[Head, list[Data]]]
@@ -127,7 +130,8 @@ def _answer(stream: Channel, handle: Handle) -> None:
 def joined(descriptor: int, leaving: Leaving | None = None) -> Channel:
     """Return the link to the parent, and prepare this process for it.
 
-    What runs here may print: standard output is joined to standard error, so the link stays clean. A thread watches the
+    What runs here may print: standard output is joined to standard error, so the link stays clean, and nothing fails
+    for want of a reader when the parent is gone: least of all an arm that says that it stops. A thread watches the
     link, so that the process ends with its parent even while it computes. SIGUSR1 prints where it is.
 
     Args:
@@ -135,7 +139,12 @@ def joined(descriptor: int, leaving: Leaving | None = None) -> Channel:
         leaving: what is to be done before the process ends; SIGTERM is waited for then, too.
     """
     os.dup2(2, 1)
-    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    sys.stdout, sys.stderr = (
+        io.TextIOWrapper(
+            io.BufferedWriter(_Output(number, "w", closefd=False)), "utf-8", "backslashreplace", line_buffering=True
+        )
+        for number in (1, 2)
+    )
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which ends this process in order
     faulthandler.register(signal.SIGUSR1, all_threads=True)
     os.set_inheritable(descriptor, False)  # noqa: FBT003 - positional only
@@ -145,6 +154,17 @@ def joined(descriptor: int, leaving: Leaving | None = None) -> Channel:
     if leaving is not None:
         _end_on_sigterm(leaving)
     return Channel(channel)
+
+
+class _Output(io.FileIO):
+    """A descriptor whose reader may go: what is written then is dropped."""
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        """Write, or drop."""
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            return memoryview(data).nbytes
 
 
 def _watch(descriptor: int, leaving: Leaving | None) -> None:
