@@ -16,15 +16,13 @@ import sys
 import threading
 import traceback
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Callable, NoReturn
+from typing import TYPE_CHECKING, Any, Callable, NoReturn
 
 from xpl.process import link
 from xpl.process.link import Channel, Head
 from xpl.wire.frame import PackingError
 
 if TYPE_CHECKING:
-    from _typeshed import ReadableBuffer
-
     from xpl.wire.arrays import Data
 
     Handle = Callable[[Head, Sequence[memoryview]], tuple[Head, list[Data]]]
@@ -159,7 +157,7 @@ def joined(descriptor: int, leaving: Leaving | None = None) -> Channel:
 class _Output(io.FileIO):
     """A descriptor whose reader may go: what is written then is dropped."""
 
-    def write(self, data: ReadableBuffer, /) -> int:
+    def write(self, data: Any, /) -> int:  # noqa: ANN401 - a buffer, for which Python 3.9 has no type
         """Write, or drop."""
         try:
             return super().write(data)
