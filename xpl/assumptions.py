@@ -30,7 +30,7 @@ class Assumption:
 
     @property
     def where(self) -> str:
-        """Its place as people read it: `native.images[0].channels`."""
+        """Its place as people read it: `model_io.images[0].channels`."""
         return written(self.path)
 
 

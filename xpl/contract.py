@@ -29,7 +29,7 @@ Result = dict[str, Any]
 Config = Mapping[str, Any]
 """Values of deploy.yml after overrides, or the configuration of an environment."""
 Entry = Mapping[str, Any]
-"""A map of a document: of the block `native`, of a robot's file, of a change to one."""
+"""A map of a document: of the block `model_io`, of a robot's file, of a change to one."""
 Payload = dict[str, Any]
 """The entries of a frame of the wire."""
 Announcement = Mapping[str, Any]

@@ -139,7 +139,7 @@ class Gripper(Document):
     """What the policy's gripper commands mean: `position` or `binary`."""
 
     command: str | None = one(str)
-    native: GripperValues | None = one(GripperValues)
+    model_io: GripperValues | None = one(GripperValues)
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class History(Document):
 
 
 @dataclass(frozen=True)
-class Native(Document):
+class ModelIO(Document):
     """What the model itself reads and answers. `xpl.convert` compiles the block as it is written (`data`).
 
     Attributes:
@@ -200,7 +200,7 @@ class Manifest(Document):
     Attributes:
         inputs: None where the manifest does not say.
         cameras: needs by camera of the standard; None where the manifest does not say.
-        native: what the model itself reads and answers; None without a block.
+        model_io: what the model itself reads and answers; None without a block.
         model_class: class of model.py that is served.
         variants: merge patches by name (`xpl.variants`).
         assumed: what it says by `{assumed: value, why: reason}`.
@@ -232,7 +232,7 @@ class Manifest(Document):
     waivers: tuple[Waiver, ...] = many(Waiver)
     cameras: Mapping[str, CameraNeeds] = named(CameraNeeds)
     gripper: Gripper | None = one(Gripper)
-    native: Native | None = one(Native)
+    model_io: ModelIO | None = one(ModelIO)
     assumed: tuple[Assumption, ...] = ()
     data: Entry = field(default_factory=dict, compare=False, repr=False)
 
@@ -252,7 +252,7 @@ class Manifest(Document):
     @property
     def reach(self) -> int:
         """Control steps that the history reaches over, the newest observation included; 1 without one."""
-        of_model = 1 if self.native is None or self.native.history is None else self.native.history.reach
+        of_model = 1 if self.model_io is None or self.model_io.history is None else self.model_io.history.reach
         return max(of_model, self.temporal.history)
 
     @property

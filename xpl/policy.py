@@ -59,7 +59,7 @@ class _Environment:
     rng: np.random.Generator
     frames: deque[_Frame]
     step: int = -1
-    # Of native conversions: the last quaternions that were encoded, and the last command of each answer.
+    # Of model_io conversions: the last quaternions that were encoded, and the last command of each answer.
     signs: dict[str, np.ndarray] = field(default_factory=dict)
     commands: Memory = field(default_factory=Memory)
     predictions: dict[int, np.ndarray] = field(default_factory=dict)
@@ -89,7 +89,7 @@ class Policy:
         seed: the run seed; 0 is a seed like any other.
         chunk: action steps that one call returns, or None where no manifest declares it.
         history: observations that `predict` sees per environment.
-        interface: the model's own interface (`xpl.convert`), where the manifest has a block `native`; else None.
+        interface: the model's own interface (`xpl.convert`), where the manifest has a block `model_io`; else None.
         policy_dir: folder of model.py; relative paths start there.
 
     Raises:
@@ -116,7 +116,7 @@ class Policy:
         self.seed: int = self.setting(spec.Deploy.SEED, spec.DEPLOY_DEFAULTS[spec.Deploy.SEED])
         file = getattr(sys.modules.get(type(self).__module__), "__file__", None)
         self.policy_dir = Path(file).resolve().parent if file else Path.cwd()
-        self.interface = self._compiled(None if manifest.native is None else manifest.native.data)
+        self.interface = self._compiled(None if manifest.model_io is None else manifest.model_io.data)
         self._environments: dict[int, _Environment] = {}
         self._order: list[int] | None = None
         self._episodes = EpisodeCounter()
@@ -125,15 +125,15 @@ class Policy:
     # -- what an adapter fills in --------------------------------------------------------------------------------------
 
     def load(self, config: Config) -> None:
-        """Build the native model. Import heavy libraries here, so that the module itself imports anywhere."""
+        """Build the reference. Import heavy libraries here, so that the module itself imports anywhere."""
 
     def encode(self, obs: Observation, env: int) -> Any:
         """Return the model's inputs for one observation (g_in). Pure: neither changes `obs` nor keeps state.
 
-        The default converts as the manifest's block `native` says.
+        The default converts as the manifest's block `model_io` says.
         """
         if self.interface is None:
-            raise NotImplementedError(f"{type(self).__name__} must define encode(obs, env), or have a native block")
+            raise NotImplementedError(f"{type(self).__name__} must define encode(obs, env), or have a model_io block")
         return self.interface.encode(obs, self._environments[env].signs)
 
     def predict(self, inputs: Any, envs: list[int]) -> Any:
@@ -142,7 +142,7 @@ class Policy:
         Args:
             inputs: what `encode` returned, one entry per environment. With history > 1 an entry is a list of
                 `history` encodings, oldest first; the first observation is repeated until the history is full.
-                With a block `native` and no `encode` of your own: a map of the model's inputs, each a (B, ...) array
+                With a block `model_io` and no `encode` of your own: a map of the model's inputs, each a (B, ...) array
                 or a list of B texts.
             envs: environment index of each entry; `self.rng(env)` is its random generator.
 
@@ -154,8 +154,8 @@ class Policy:
     def decode(self, raw: np.ndarray, obs: Observation, env: int) -> list[ActionStep]:
         """Return the action chunk of one environment (g_out).
 
-        The default converts as the manifest's block `native` says; without one it reads each row of `raw`, (H, D), as a
-        flat absolute action. Override it where the model predicts something else, for example deltas to the state in
+        The default converts as the manifest's block `model_io` says; without one it reads each row of `raw`, (H, D), as
+        a flat absolute action. Override it where the model predicts something else, for example deltas to the state in
         `obs`, the newest observation.
         """
         if self.interface is None:
@@ -167,7 +167,7 @@ class Policy:
         return steps
 
     def reset_env(self, env: int) -> None:
-        """Forget native state of one environment that the base class cannot see.
+        """Forget state of a library of one environment that the base class cannot see.
 
         Called when an environment is first observed and at every reset. A failure is raised, never swallowed.
         """
@@ -301,13 +301,13 @@ class Policy:
     def _encodes(self) -> bool:
         return type(self).encode is not Policy.encode
 
-    def _compiled(self, native: Entry | None) -> Interface | None:
-        if native is None:
+    def _compiled(self, model_io: Entry | None) -> Interface | None:
+        if model_io is None:
             return None
         from xpl.convert import compile_interface
 
         folders = checkpoint.folders(self.config, self.policy_dir)
-        return compile_interface(native, self.embodiment, self.action_type, folders, self.chunk)
+        return compile_interface(model_io, self.embodiment, self.action_type, folders, self.chunk)
 
     def _observe(self, observations: Sequence[Observation], envs: list[int]) -> None:
         for env in envs:
@@ -338,7 +338,7 @@ class Policy:
             return encodings  # `Interface.batch` makes a history of them
         if self.history == 1:
             return encodings[-1]
-        # A native block may keep more of them.
+        # A model_io block may keep more of them.
         return [encodings[0]] * (self.history - len(encodings)) + encodings[-self.history :]
 
     def _checked(self, raw: object, envs: list[int]) -> list[np.ndarray]:

@@ -55,7 +55,7 @@ _COMMANDS: Final = {
 _GROUPS: Final = {
     "env": "run.env",
     "checkpoint": "run.checkpoint",
-    "native": "prove.native",
+    "model-io": "prove.model_io",
     "data": "data.group",
     "zoo": "prove.zoo",
     "spec": "maintain.spec",

@@ -1,4 +1,4 @@
-"""ACT of LeRobot, from a checkpoint as its training writes it; policy.yml (`native`) says what it reads and answers."""
+"""ACT of LeRobot, from a checkpoint as its training writes it; `model_io` of policy.yml is its interface."""
 
 from __future__ import annotations
 

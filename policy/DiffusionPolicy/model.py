@@ -1,4 +1,4 @@
-"""Diffusion Policy of LeRobot, from a checkpoint as its training writes it; policy.yml (`native`) is its interface."""
+"""Diffusion Policy of LeRobot, from a checkpoint as training writes it; `model_io` of policy.yml is its interface."""
 
 from __future__ import annotations
 

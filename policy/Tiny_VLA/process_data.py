@@ -17,7 +17,7 @@ from xpl import training
 from xpl.trajectory import open_folder
 
 CHUNK = 16
-"""Steps of an answer that the network learns; native.action.steps says how many are executed."""
+"""Steps of an answer that the network learns; model_io.action.steps says how many are executed."""
 
 
 def prepare(config: dict[str, Any], folder: str, target: Path) -> str:

@@ -22,7 +22,7 @@ from xpl_cli.audit.rules.verdict import CLAIMS, Ended, Word, judge, judged, weak
 from xpl_cli.packages.package import ENV, POLICY
 from xpl_cli.standard import spec
 
-NO_CODE = Circumstances(without_pairs="no native.py")
+NO_CODE = Circumstances(without_pairs="no reference.py")
 PROOF = {"pairs": 24, "assumed": 2}
 
 
@@ -44,7 +44,7 @@ def _said(gates: list[Ended], around: Circumstances = NO_CODE, kind: str = POLIC
 
 # -- what is said ------------------------------------------------------------------------------------------------------
 
-UNPROVEN = "conversions unproven (no native.py)"
+UNPROVEN = "conversions unproven (no reference.py)"
 FINE = "nothing wrong in what ran"
 PAIRS = Circumstances()
 FOUND = (Finding("x"),)
@@ -144,7 +144,7 @@ def test_a_shadow_and_what_was_not_looked_at_prove_nothing() -> None:
     assert _said(_gates()[:1]) == f"PARTIAL static only: {FINE}"
     left_open = replace(NO_CODE, places=("a.py:3", "b.md:1"), unknown=("gripper",), narrowed="x only")
     assert _said(_gates(shadow=True), left_open) == (
-        "OPEN 2 places to fill in (a.py:3 and 1 more), 1 native value unknown (gripper), without the model, x only: "
+        "OPEN 2 places to fill in (a.py:3 and 1 more), 1 model_io value unknown (gripper), without the model, x only: "
         f"{FINE}"
     )
     assert _said([]) == "INCOMPLETE nothing was checked"
@@ -186,7 +186,7 @@ AROUND = st.builds(
     st.sampled_from([(), ("seed",)]),
     st.sampled_from([(), ("model.py:3",)]),
     st.sampled_from([(), ("gripper",)]),
-    st.sampled_from([None, "no native.py"]),
+    st.sampled_from([None, "no reference.py"]),
 )
 
 
@@ -253,7 +253,7 @@ def _audited(adapter: Path, **options: Any) -> str:
 
 def test_what_a_request_leaves_out_is_told(adapter: Path) -> None:
     """By gates, by rules and by rules that are left out; all gates by name are all gates."""
-    assert _audited(adapter, gates=tuple(Gate)) == "GREEN contract; conversions unproven (no native.py)"
+    assert _audited(adapter, gates=tuple(Gate)) == "GREEN contract; conversions unproven (no reference.py)"
     told = _audited(adapter, gates=(Gate.STATIC,), names=("XPL101",))
     assert told == "PARTIAL static only, only XPL101: nothing wrong in what ran"
     assert narrowed(POLICY, Options(gates=(Gate.STATIC, Gate.OFFLINE))) == "static and offline only"
@@ -264,16 +264,16 @@ def test_what_a_request_leaves_out_is_told(adapter: Path) -> None:
 def test_what_a_package_leaves_open_is_told(adapter: Path) -> None:
     mark = spec.data("package")["placeholder"]
     with (adapter / "policy.yml").open("a") as manifest:
-        manifest.write("native: {images: [{input: image, channels: {unknown: nobody says}}]}\n")
-    assert _audited(adapter).startswith("OPEN 1 native value unknown (images[0].channels): nothing wrong")
+        manifest.write("model_io: {images: [{input: image, channels: {unknown: nobody says}}]}\n")
+    assert _audited(adapter).startswith("OPEN 1 model_io value unknown (images[0].channels): nothing wrong")
     readme = (adapter / "README.md").read_text()
     (adapter / "README.md").write_text(f"<!-- {mark}: what it does -->\n{readme}")
-    assert _audited(adapter).startswith("OPEN 1 place to fill in (README.md:1), 1 native value unknown")
+    assert _audited(adapter).startswith("OPEN 1 place to fill in (README.md:1), 1 model_io value unknown")
 
 
-def test_native_code_that_was_not_recorded_has_its_command(adapter: Path) -> None:
-    (adapter / "native.py").write_text("CONVENTIONS = {}\n")
-    reason = "native.py was not recorded: xpl native record policy/Foo"
+def test_model_io_code_that_was_not_recorded_has_its_command(adapter: Path) -> None:
+    (adapter / "reference.py").write_text("CONVENTIONS = {}\n")
+    reason = "reference.py was not recorded: xpl model-io record policy/Foo"
     assert _audited(adapter) == f"GREEN contract; conversions unproven ({reason})"
-    (adapter / "native_pairs.json").write_text("{}\n")
+    (adapter / "golden_pairs.json").write_text("{}\n")
     assert _audited(adapter) == "GREEN contract; conversions unproven (XPL260 proved nothing)"

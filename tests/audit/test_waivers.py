@@ -97,7 +97,7 @@ def test_a_rule_that_could_not_run_judges_no_waiver(adapter: Path) -> None:
 @pytest.mark.slow
 def test_a_waiver_of_a_gate_that_did_not_run_is_not_judged(adapter: Path) -> None:
     """The offline gate judges it when it runs, and says nothing of waivers where none is its own."""
-    assert set(audited(adapter, Gate.OFFLINE, names=("native-provenance", "stale-waiver"))) == {"native-provenance"}
+    assert set(audited(adapter, Gate.OFFLINE, names=("golden-provenance", "stale-waiver"))) == {"golden-provenance"}
     waive(adapter, {"rule": "batch-order", "reason": REASON})
     assert audited(adapter)["stale-waiver"].outcome is Outcome.NOT_APPLICABLE
     offline = audited(adapter, Gate.OFFLINE, names=("batch-order", "stale-waiver"))

@@ -77,7 +77,7 @@ def test_the_weights_are_those_that_are_declared() -> None:
     assert yaml.safe_load((POLICY / "deploy.yml").read_text())["ckpt_name"] == declared["source"]
     length = struct.unpack("<Q", held[:8])[0]
     sizes = json.loads(json.loads(held[8 : 8 + length])["__metadata__"]["sizes"])
-    assert sizes["chunk"] >= manifest["native"]["action"]["steps"] == manifest["temporal"]["chunk"]
+    assert sizes["chunk"] >= manifest["model_io"]["action"]["steps"] == manifest["temporal"]["chunk"]
     assert sizes["dim"] == 7
 
 

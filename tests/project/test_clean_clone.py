@@ -13,11 +13,11 @@ from xpl_cli.standard import spec
 LEFT = [
     *(f"{room}/NAME/{name}" for room in ("envs", "policy") for name in (".venv", ".venv-0123456789ab", ".conda")),
     *(f"policy/NAME/{name}" for name in (spec.data("conventions")["checkpoint"]["directory"], "data", "logs")),
-    *("demos", "native-show", "results", "benchmarks/demos", "NAME.xpl.zip"),
+    *("demos", "model-io-show", "results", "benchmarks/demos", "NAME.xpl.zip"),
     *(f"{folder}/MUJOCO_LOG.TXT" for folder in (".", "envs/mujoco", "policy/NAME")),
     "xpl/__pycache__",
 ]
-"""What `xpl install`, `train`, `record`, `eval`, `native show`, benchmarks, MuJoCo and Python leave."""
+"""What `xpl install`, `train`, `record`, `eval`, `model_io show`, benchmarks, MuJoCo and Python leave."""
 
 
 @pytest.mark.parametrize("kind", ["folder", "file", "link"])

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 ALWAYS = (
     *("xpl", "xpl_cli.audit", "xpl_cli.audit.rules"),
-    *("xpl_cli.standard", "xpl_cli.basics", "xpl_cli.native", "xpl_cli.packages"),
+    *("xpl_cli.standard", "xpl_cli.basics", "xpl_cli.model_io", "xpl_cli.packages"),
 )
 """What a rule of any gate may import; of `xpl_cli.audit` what stands in the package itself."""
 

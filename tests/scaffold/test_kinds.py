@@ -17,7 +17,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.adapters.native import observation
+from tests.support.adapters.model_io import observation
 from tests.support.commands import Ended, xpl
 from tests.support.places import ROOT
 from xpl import Client, get_embodiment
@@ -50,8 +50,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "code, cameras": {"block": False, "cameras": ("cam_head",)},
     "code, history": {"block": False, "history": 2},
     "code, cameras and history": {"block": False, "cameras": ("cam_head",), "history": 2},
-    "reference": {"native_reference": True, "cameras": ("cam_head",), "history": 2},
-    "reference to code": {"native_reference": True, "block": False},
+    "reference": {"reference": True, "cameras": ("cam_head",), "history": 2},
+    "reference to code": {"reference": True, "block": False},
     "torch": {
         "kind": "torch",
         "history": 2,
@@ -68,7 +68,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     },
     "torch, code": {"kind": "torch", "cameras": ("cam_head",), "block": False},
     "lerobot": {"kind": "lerobot", "history": 2, "cameras": ("cam_head:64x48", "cam_third_view")},
-    "lerobot, reference": {"kind": "lerobot", "native_reference": True},
+    "lerobot, reference": {"kind": "lerobot", "reference": True},
     "remote": {"kind": "remote"},
     "remote, everything": {
         "kind": "remote",
@@ -121,9 +121,9 @@ def test_a_scaffold_is_valid_says_what_was_chosen_and_is_rendered_again(variant:
     assert validate_yaml_file(folder / "deploy.yml", "deploy") == []
     (gate,) = engine.audit(folder, "policy", Options(gates=(Gate.STATIC,))).gates
     found = {result.slug for result in gate.results if result.findings or result.outcome is Outcome.ERROR}
-    has_reference = chosen.get("native_reference", False)
-    assert found == {"placeholders", *(["native-sources"] if has_reference else [])}, gate.results
-    assert (folder / "native.py").exists() == has_reference
+    has_reference = chosen.get("reference", False)
+    assert found == {"placeholders", *(["reference-sources"] if has_reference else [])}, gate.results
+    assert (folder / "reference.py").exists() == has_reference
 
     manifest = yaml.safe_load((folder / "policy.yml").read_text())
     cameras = [kinds.camera(text) for text in chosen.get("cameras", ())]
@@ -158,8 +158,8 @@ def test_a_fresh_scaffold_holds_the_pose(variant: str, robot: str, action_type: 
         assert len(chunk) == 3
         for key, value in chunk[-1].items():
             np.testing.assert_allclose(value, obs["state"][key], atol=1e-6)
-    if chosen.get("native_reference"):
-        answer = content.load_module(folder / "native.py").answers({})
+    if chosen.get("reference"):
+        answer = content.load_module(folder / "reference.py").answers({})
         told = answer(SimpleNamespace(observations=seen, asked=[0, 1]))
         assert len(told) == 3
         for key, value in chunk[-1].items():

@@ -96,7 +96,7 @@ def _as_of_an_older_template(folder: Path) -> None:
     [
         {},
         {"eval_only": True, "action_type": "ee", "chunk": 1},
-        {"embodiment": "franka_single", "python": "3.10", "native_reference": True},
+        {"embodiment": "franka_single", "python": "3.10", "reference": True},
         {"embodiment": "tianji_marvin_wuji", "kind": "torch", "block": False},
     ],
     ids=str,

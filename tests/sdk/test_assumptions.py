@@ -15,9 +15,9 @@ ACTION = {"reference": "absolute", "parts": [{"joints": {"arm": "single"}}]}
 
 
 def _manifest(**changes: Any) -> dict[str, Any]:
-    native = {"images": [{**IMAGE, **changes}], "action": ACTION}
+    model_io = {"images": [{**IMAGE, **changes}], "action": ACTION}
     return {
-        "spec": "v1", "name": "Foo", "summary": "a policy", "family": "vla", "native": native,
+        "spec": "v1", "name": "Foo", "summary": "a policy", "family": "vla", "model_io": model_io,
         "temporal": {"kind": "chunk", "chunk": 8}, "embodiments": ["arx_x5_single"], "action_types": ["joint"],
     }  # fmt: skip
 
@@ -30,10 +30,10 @@ def _problems(**changes: Any) -> list[str]:
 def test_an_assumed_value_counts_as_if_it_stood_there() -> None:
     document = _manifest(channels={"assumed": "bgr", "why": "nobody says it"})
     manifest = Manifest.parse(document)
-    assert manifest.native is not None
-    assert manifest.native.images[0]["channels"] == manifest.native.data["images"][0]["channels"] == "bgr"
+    assert manifest.model_io is not None
+    assert manifest.model_io.images[0]["channels"] == manifest.model_io.data["images"][0]["channels"] == "bgr"
     assert [(one.where, one.value, one.why) for one in manifest.assumed] == [
-        ("native.images[0].channels", "bgr", "nobody says it")
+        ("model_io.images[0].channels", "bgr", "nobody says it")
     ]
     assert settled(document) == _manifest(channels="bgr")
     assert not _problems(channels={"assumed": "bgr", "why": "nobody says it"})

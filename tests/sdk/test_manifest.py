@@ -54,8 +54,8 @@ def declared(schema: dict[str, Any]) -> dict[str, Any]:
         (manifest.Waiver, declared(_POLICY["waivers"])),
         (manifest.CameraNeeds, declared(_POLICY["cameras"]["additionalProperties"])),
         (manifest.Gripper, declared(_POLICY["gripper"])),
-        (manifest.Native, declared(spec.schema("native"))),
-        (manifest.History, spec.schema("native")["$defs"]["history"]["properties"]),
+        (manifest.ModelIO, declared(spec.schema("model_io"))),
+        (manifest.History, spec.schema("model_io")["$defs"]["history"]["properties"]),
         (EnvManifest, _ENV),
         (manifest.Task, declared(_ENV["tasks"]["additionalProperties"])),
         (manifest.SeedRange, declared(_ENV["evaluation_seeds"])),
@@ -85,12 +85,12 @@ def test_any_document_is_read(data: object) -> None:
         assert kind.parse(data if not isinstance(data, dict) else None) == kind()
 
 
-def test_a_native_block_may_reach_farther_back_than_the_manifest_says() -> None:
-    native = {"images": [{}], "state": [{}], "history": {"length": 2, "stride": 3, "of": ["images"]}}
-    found = Manifest.parse({"temporal": {"kind": "history", "history": 2}, "native": native})
-    assert found.native is not None
-    assert (found.reach, found.native.remembered) == (4, ("images",))
-    assert Manifest.parse({"native": {**native, "history": {"length": {"unknown": "?"}}}}).reach == 1
+def test_a_model_io_block_may_reach_farther_back_than_the_manifest_says() -> None:
+    model_io = {"images": [{}], "state": [{}], "history": {"length": 2, "stride": 3, "of": ["images"]}}
+    found = Manifest.parse({"temporal": {"kind": "history", "history": 2}, "model_io": model_io})
+    assert found.model_io is not None
+    assert (found.reach, found.model_io.remembered) == (4, ("images",))
+    assert Manifest.parse({"model_io": {**model_io, "history": {"length": {"unknown": "?"}}}}).reach == 1
     assert (Manifest().reach, Manifest.parse({"temporal": {"history": 2}}).reach) == (1, 2)
 
 

@@ -225,7 +225,7 @@ def test_one_forward_pass_serves_a_batch() -> None:
     assert policy.batches == [[2, 3]]
 
 
-def test_native_state_is_forgotten_before_the_first_observation_and_at_reset() -> None:
+def test_model_io_state_is_forgotten_before_the_first_observation_and_at_reset() -> None:
     policy = Tracing(config())
     policy.update_obs(observed(1, 4))
     policy.update_obs(observed(2, 4))
@@ -241,13 +241,13 @@ def test_a_reset_that_fails_raises() -> None:
 
         def reset_env(self, env: int) -> None:
             if self.fails:
-                raise RuntimeError("native reset failed")
+                raise RuntimeError("model_io reset failed")
 
     policy = Fragile(config())
     policy.fails = False
     policy.update_obs(observed(1))
     policy.fails = True
-    with pytest.raises(RuntimeError, match="native reset failed"):
+    with pytest.raises(RuntimeError, match="model_io reset failed"):
         policy.reset()
     with pytest.raises(PolicyStateError):
         policy.get_action()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support.adapters.native import CASES, Case, observation, steps
+from tests.support.adapters.model_io import CASES, Case, observation, steps
 from xpl import training
 from xpl.trajectory import Folder, Writer, open_folder
 from xpl.worker.loading import load_model_class
@@ -47,11 +47,11 @@ def _package(folder: Path, text: str) -> Path:
     return package
 
 
-def _config(case: Case, **native: Any) -> dict[str, Any]:
-    block = {**copy.deepcopy(case.native), **native}
+def _config(case: Case, **model_io: Any) -> dict[str, Any]:
+    block = {**copy.deepcopy(case.model_io), **model_io}
     history = block.get("history", {}).get("length", 1)
     chunk = block["action"].get("steps", CHUNK)
-    manifest = {"temporal": {"chunk": chunk, "history": history}, "native": block}
+    manifest = {"temporal": {"chunk": chunk, "history": history}, "model_io": block}
     return {"env_cfg_type": case.robot, "action_type": case.action_type, "manifest": manifest}
 
 
@@ -104,7 +104,7 @@ def test_answers_decode_to_the_recorded_actions(tmp_path: Path, name: str) -> No
     case = CASES[name]
     package, demonstrations = _package(tmp_path, PLAIN), _set(tmp_path / "set", case)
     config = _config(case)
-    config["manifest"]["native"]["action"].pop("first", None)
+    config["manifest"]["model_io"]["action"].pop("first", None)
     windows = training.windows(package, config, demonstrations)
     interface = training.without_model(package, config).interface
     assert interface is not None
@@ -130,14 +130,14 @@ def _near(one: np.ndarray, other: np.ndarray) -> bool:
 
 def test_an_adapters_own_inputs_are_those_that_are_served(tmp_path: Path) -> None:
     image = {"input": "top", "cameras": ["cam_head"], "channels": "bgr", "layout": "chw", "dtype": "float32"}
-    native = {
+    model_io = {
         "images": [{**image, "range": [0, 1], "mean": [0.4, 0.5, 0.6], "std": [0.2, 0.25, 0.3]}],
         "state": [{"input": "q", "parts": [{"joints": {"arm": "single"}}]}],
         "history": {"length": 2},
-        "action": CASES["one arm, cumulative poses"].native["action"],
+        "action": CASES["one arm, cumulative poses"].model_io["action"],
     }
     case = CASES["one arm, cumulative poses"]
-    config = _config(Case(case.robot, case.action_type, native))
+    config = _config(Case(case.robot, case.action_type, model_io))
     package, demonstrations = _package(tmp_path, OWN), _set(tmp_path / "set", case)
     windows = training.windows(package, config, demonstrations)
     assert windows.inputs["top"].dtype == np.uint8  # type: ignore[union-attr]
@@ -165,7 +165,7 @@ def test_images_that_are_no_bytes_before_their_numbers_are_kept_as_numbers(tmp_p
 def test_statistics_are_of_the_models_own_numbers(tmp_path: Path) -> None:
     case = CASES["two arms, joint deltas"]
     config = _config(case)
-    action = config["manifest"]["native"]["action"]
+    action = config["manifest"]["model_io"]["action"]
     action.update(reference="absolute", normalize={"rule": "min_max", "file": "later.safetensors", "key": "action"})
     package, demonstrations = _package(tmp_path, PLAIN), _set(tmp_path / "set", case)
     found = training.statistics(package, config, demonstrations, horizon=4, first=-1)
@@ -192,7 +192,7 @@ def test_statistics_are_of_the_models_own_numbers(tmp_path: Path) -> None:
 def test_windows_begin_where_the_answer_does(tmp_path: Path) -> None:
     case = CASES["two arms, joint deltas"]
     config = _config(case)
-    config["manifest"]["native"]["action"]["reference"] = "absolute"
+    config["manifest"]["model_io"]["action"]["reference"] = "absolute"
     package, demonstrations = _package(tmp_path, PLAIN), _set(tmp_path / "set", case, (5,))
     now = training.windows(package, config, demonstrations, horizon=3)
     early = training.windows(package, config, demonstrations, horizon=8, first=-1)
@@ -225,7 +225,7 @@ def test_a_set_that_does_not_fit_is_told(tmp_path: Path, change: dict[str, Any],
     if config["env_cfg_type"] != case.robot:
         parts = [{kind: {**how, "arm": "single"}} for part in parts[:3] for kind, how in part.items()]
     if change:
-        config["manifest"]["native"] = {"action": {"reference": "absolute", "parts": parts}}
+        config["manifest"]["model_io"] = {"action": {"reference": "absolute", "parts": parts}}
     package, demonstrations = _package(tmp_path, text), _set(tmp_path / "set", case, (2,))
     with pytest.raises(training.TrainingError, match=told):
         training.windows(package, config, demonstrations)

@@ -36,8 +36,8 @@ from xpl_cli.standard.validate import validate
         ([], None, False),
         ({}, "position", False),
         ({}, {"command": "closed"}, False),
-        ({}, {"command": "position", "native": {"closed": 0.0, "open": 0.08, "unit": "m"}}, True),
-        ({}, {"command": "position", "native": {"closed": 0.0}}, False),
+        ({}, {"command": "position", "model_io": {"closed": 0.0, "open": 0.08, "unit": "m"}}, True),
+        ({}, {"command": "position", "model_io": {"closed": 0.0}}, False),
     ],
 )
 def test_what_is_asked_of_cameras_and_gripper(cameras: Any, gripper: Any, fits: bool) -> None:
@@ -72,7 +72,7 @@ def test_a_schema_for_editors_refers_to_nothing_outside(name: str) -> None:
     text = json.dumps(schema)
     assert "xpl:" not in text
     assert "x-array" not in text
-    assert {"gripper", "native.gripper"} <= schema["definitions"].keys() or "native" not in schema["properties"]
+    assert {"gripper", "model_io.gripper"} <= schema["definitions"].keys() or "model_io" not in schema["properties"]
     file = {"env": ROOT / "envs" / "mujoco" / "env.yml"}.get(name)
     document = yaml.safe_load(_render()[f"{name}.yml"] if file is None else file.read_bytes())
     validator = jsonschema.Draft7Validator(schema)

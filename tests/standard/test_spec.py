@@ -63,9 +63,9 @@ ELSEWHERE = {
     ("xpl_cli/data/probe/chains.py", 7): "joints whose orders are all tried",
     ("xpl_cli/data/probe/parts.py", 7): "joints of an arm",
     ("xpl_cli/data/probe/tracking.py", 7): "steps of latency",
-    ("xpl_cli/native/pictures.py", 7): "a prime that spreads patterns",
-    ("xpl_cli/native/script.py", 7): "a prime that spreads openings",
-    ("xpl_cli/native/show/sheet.py", 7): "pixels",
+    ("xpl_cli/model_io/pictures.py", 7): "a prime that spreads patterns",
+    ("xpl_cli/model_io/script.py", 7): "a prime that spreads openings",
+    ("xpl_cli/model_io/show/sheet.py", 7): "pixels",
     ("xpl_cli/isolation/seccomp.py", 1073741824): "a bit of the kernel",
 }
 # Files that may name what the standard names, and why.
@@ -73,7 +73,7 @@ EXEMPT = {
     "xpl/_spec.py": "generated from the standard",
     "xpl_cli/derived/compiler.py": "reads the standard by these names to make xpl/_spec.py",
     "policy/*/deploy.py": "runs in a simulator's Python, where xpl may not be installed",
-    "policy/*/native.py": "a second reading, which uses nothing of xpl",
+    "policy/*/reference.py": "a second reading, which uses nothing of xpl",
     "policy/*/process_data.py": "a script of the policy's own Python, as anybody writes it",
     "policy/*/train.py": "likewise",
     "policy/*_state/model.py": "likewise",
@@ -252,8 +252,8 @@ def test_an_outline_shows_kind_default_and_need() -> None:
 
 
 def test_words_are_shown_with_formula_source_and_what_others_call_them() -> None:
-    schema = spec.schema("native")
-    outline, page = view.view("native").text(), reference.pages()["native.md"]
+    schema = spec.schema("model_io")
+    outline, page = view.view("model_io").text(), reference.pages()["model_io.md"]
     for choice in choices(schema):
         for word in choice.words:
             for told in (word.meaning, word.formula, word.source, word.known_as):

@@ -407,7 +407,7 @@ def test_from_evaluation_to_verification(played: Run, tmp_path: Path) -> None:
     assert (
         told["audit"]["statement"]
         == made["audit"]["statement"]
-        == "GREEN contract; conversions unproven (no native.py)"
+        == "GREEN contract; conversions unproven (no reference.py)"
     )
     assert (code, told["replay"]["verdict"]) == (0, "agrees")
     assert told["bundle"] == made["bundle"]

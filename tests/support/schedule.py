@@ -29,7 +29,7 @@ _LONG: Final = (
 _WIDE: Final = frozenset({"tests/audit/test_conformance.py"})
 """Files of many tests that share nothing, which several processes may run."""
 _HOURS: Final = (
-    "native/test_mutants.py",
+    "model_io/test_mutants.py",
     "environments/test_mujoco.py",
     "environments/test_tasks.py",
     "audit/offline/test_mutation.py",

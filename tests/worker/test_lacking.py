@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from xpl.convert.errors import NativeError, OpenError
+from xpl.convert.errors import ConversionError, OpenError
 from xpl.worker.belonging import is_third_party
 from xpl.worker.lacking import lacking
 
@@ -50,9 +50,9 @@ NO_HUB = "Can't load tokenizer for 'x'. If you were trying to load it from 'http
         (ConnectionRefusedError(111, "Connection refused"), "server"),
         (KeyError("ckpt_path"), "setting"),
         (_raised(RuntimeError("install it"), ModuleNotFoundError("x", name="flash_attn")), "module"),
-        (OpenError("native leaves a value open"), "open"),
+        (OpenError("model_io leaves a value open"), "open"),
         # and what is the adapter's own
-        (NativeError("native.action: expected each joint of the robot once"), None),
+        (ConversionError("model_io.action: expected each joint of the robot once"), None),
         (FileNotFoundError(2, "", "layout.json"), None),
         (KeyError("horizon"), None),
         (ValueError("horizon must be positive"), None),

@@ -1,6 +1,6 @@
 """What a model answers as the standard's action steps, and back.
 
-Source: spec/v1/native.schema.json, `action`. An answer loses its padding, is denormalised, and cut into parts;
+Source: spec/v1/model_io.schema.json, `action`. An answer loses its padding, is denormalised, and cut into parts;
 each part is counted from what its reference says; parts of one arm make joint angles or a pose.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from xpl import rotation
 from xpl.convert.assembly import assembled
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 from xpl.convert.parts import Part, Position, Rotation, State
 from xpl.convert.vectors import Vector
 from xpl.decoding import decode_rows
@@ -32,7 +32,7 @@ class ActionOutput:
     """The action vector of a model.
 
     Args:
-        entry: `action` of the native block.
+        entry: `action` of the model_io block.
         embodiment: the robot.
         action_type: joint or ee.
         folders: where files of statistics may lie.
@@ -42,12 +42,12 @@ class ActionOutput:
         first, steps: which of the model's steps are handed on; steps is None for all from `first` on.
 
     Raises:
-        NativeError: if it does not make actions of this kind for this robot.
+        ConversionError: if it does not make actions of this kind for this robot.
     """
 
     def __init__(self, entry: Entry, embodiment: Embodiment, action_type: str, folders: Sequence[Path] = ()) -> None:
         self._embodiment, self._action_type = embodiment, action_type
-        self.vector = Vector(entry, embodiment, folders, "native.action")
+        self.vector = Vector(entry, embodiment, folders, "model_io.action")
         self.first: int = entry.get("first", 0)
         self.steps: int | None = entry.get("steps")
         self._reference: str = entry["reference"]
@@ -63,13 +63,13 @@ class ActionOutput:
 
         Raises:
             ActionError: if the answer makes no legal action.
-            NativeError: if its shape is not the block's.
+            ConversionError: if its shape is not the block's.
         """
         kept = {} if memory is None else memory
         needed = self.first + (1 if self.steps is None else self.steps)
         if np.ndim(raw) != 2 or len(raw) < needed:
-            raise NativeError(
-                f"native.action: expected at least {needed} steps (first {self.first}, and those handed on), "
+            raise ConversionError(
+                f"model_io.action: expected at least {needed} steps (first {self.first}, and those handed on), "
                 f"the model gave the shape {np.shape(raw)}; mend first, steps or temporal.chunk"
             )
         columns = self._counted(raw, state, kept)
@@ -88,7 +88,7 @@ class ActionOutput:
             memory: as for `decode`.
 
         Raises:
-            NativeError: if the answer has not the block's width.
+            ConversionError: if the answer has not the block's width.
         """
         kept = {} if memory is None else memory
         columns = self._counted(raw, state, kept)
@@ -181,12 +181,12 @@ class ActionOutput:
     def _rotation_of(self, item: Position) -> Rotation:
         found = next((one for one in self._parts if isinstance(one, Rotation) and one.key == item.key), None)
         if found is None:
-            raise NativeError(
-                f"native.action, {item.label}: applied: body needs the arm's rotation, and no part gives it; add it"
+            raise ConversionError(
+                f"model_io.action, {item.label}: applied: body needs the arm's rotation, and no part gives it; add it"
             )
         if found.frame.told != item.frame.told:
-            raise NativeError(
-                f"native.action, {item.label}: its point and frame differ from its rotation's; say the same for both"
+            raise ConversionError(
+                f"model_io.action, {item.label}: its point and frame differ from its rotation's; say the same for both"
             )
         return found
 
@@ -202,18 +202,18 @@ class ActionOutput:
         labels = [item.label for item in self._parts]
         twice = sorted({label for label in labels if labels.count(label) > 1})
         if twice:
-            raise NativeError(f"native.action has a part twice: {', '.join(twice)}; one command has one place")
+            raise ConversionError(f"model_io.action has a part twice: {', '.join(twice)}; one command has one place")
         keys = {item.key for item in self._parts}
         extra = [item.label for item in self._parts if item.key not in {"", *self._embodiment.dims(self._action_type)}]
         if extra:
-            raise NativeError(
-                f"native.action has {', '.join(extra)}, which {self._action_type} actions do not; "
+            raise ConversionError(
+                f"model_io.action has {', '.join(extra)}, which {self._action_type} actions do not; "
                 "leave it out, say fill, or declare the other action type"
             )
         lacking = [key for key in self._embodiment.dims(self._action_type) if key not in keys]
         if lacking:
-            raise NativeError(
-                f"native.action makes no {self._action_type} actions of {self._embodiment.name}: "
+            raise ConversionError(
+                f"model_io.action makes no {self._action_type} actions of {self._embodiment.name}: "
                 f"no part gives {', '.join(lacking)}; add it, or declare another action type"
             )
 

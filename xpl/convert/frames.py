@@ -9,7 +9,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl import poses, rotation
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
@@ -23,11 +23,11 @@ def side_index(embodiment: Embodiment, side: str) -> int:
     """Return the position of an arm by its name in the spec (single, left, right).
 
     Raises:
-        NativeError: if the robot has no such arm.
+        ConversionError: if the robot has no such arm.
     """
     arms = list(embodiment.data["arms"])
     if side not in arms:
-        raise NativeError(f"{embodiment.name} has no arm {side!r}; say one of {', '.join(arms)}")
+        raise ConversionError(f"{embodiment.name} has no arm {side!r}; say one of {', '.join(arms)}")
     return arms.index(side)
 
 
@@ -44,7 +44,7 @@ class Frame:
         told: point and frame.
 
     Raises:
-        NativeError: if the standard does not know what lies between the two.
+        ConversionError: if the standard does not know what lies between the two.
     """
 
     def __init__(self, embodiment: Embodiment, side: str, point: str, frame: str) -> None:
@@ -59,25 +59,27 @@ class Frame:
             return np.asarray(flange, np.float64)
         return poses.compose(poses.compose(poses.invert(self._outer), flange), self._inner)
 
-    def flange_rotation(self, native: np.ndarray) -> np.ndarray:
+    def flange_rotation(self, model_io: np.ndarray) -> np.ndarray:
         """Return the rotation (..., 4) of the flange in the world, of the point's in the frame."""
-        turn = rotation.multiply(self._outer[_ROTATION], native)
+        turn = rotation.multiply(self._outer[_ROTATION], model_io)
         return rotation.multiply(turn, rotation.conjugate(self._inner[_ROTATION]))
 
-    def flange_position(self, native: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    def flange_position(self, model_io: np.ndarray, turn: np.ndarray) -> np.ndarray:
         """Return where (..., 3) the flange is in the world, of where the point is, and how the flange is turned."""
-        return poses.transform(self._outer, native) - rotation.rotate(turn, self._inner[_POSITION])
+        return poses.transform(self._outer, model_io) - rotation.rotate(turn, self._inner[_POSITION])
 
 
 def tool(embodiment: Embodiment) -> np.ndarray:
     """Return the pose (7,) of the point between the fingertips in the flange.
 
     Raises:
-        NativeError: if the standard does not know it for this robot.
+        ConversionError: if the standard does not know it for this robot.
     """
     known: Mapping[str, Any] | None = embodiment.data["end_effector"].get("tcp")
     if not known:
-        raise NativeError(f"the standard does not know where {embodiment.name} has its fingertips; say point: flange")
+        raise ConversionError(
+            f"the standard does not know where {embodiment.name} has its fingertips; say point: flange"
+        )
     return poses.pose(known["xyz"], rotation.from_rpy(known["rpy"]))
 
 
@@ -85,16 +87,16 @@ def mount(embodiment: Embodiment, side: str) -> np.ndarray:
     """Return the pose (7,) of an arm's base in the world; a single arm stands midway between the mounts of two.
 
     Raises:
-        NativeError: if the standard does not know it for this robot.
+        ConversionError: if the standard does not know it for this robot.
     """
     mounts = embodiment.data.get("mounts")
     if not mounts:
-        raise NativeError(f"the standard does not know where {embodiment.name} is mounted; say frame: world")
+        raise ConversionError(f"the standard does not know where {embodiment.name} is mounted; say frame: world")
     # Written with seven digits, and every pose goes through them.
     turns = {name: rotation.normalise(entry["quaternion"]) for name, entry in mounts.items()}
     if side in mounts:
         return poses.pose(mounts[side]["xyz"], turns[side])
     turn = next(iter(turns.values()))
     if any(not np.allclose(turn, other) for other in turns.values()):
-        raise NativeError(f"the mounts of {embodiment.name} are turned differently; say frame: world")
+        raise ConversionError(f"the mounts of {embodiment.name} are turned differently; say frame: world")
     return poses.pose(np.mean([entry["xyz"] for entry in mounts.values()], axis=0), turn)

@@ -1,4 +1,4 @@
-"""What a native block leaves open: `{unknown: why}` in the place of a value.
+"""What a model_io block leaves open: `{unknown: why}` in the place of a value.
 
 Conversions cannot be compiled from a block with gaps. What does not depend on them still can be tried: `filled` puts a
 plain value in the place of each, and leaves out statistics that are not there.
@@ -48,7 +48,7 @@ class Gap:
     """A value that is open.
 
     Attributes:
-        path: what leads to it, below `native`.
+        path: what leads to it, below `model_io`.
         reason: why it is not known.
     """
 
@@ -61,44 +61,44 @@ class Gap:
         return written(self.path)
 
 
-def gaps(native: object) -> list[Gap]:
-    """Return every value of a native block that is open, in the block's order."""
-    return list(_gaps(native, ()))
+def gaps(model_io: object) -> list[Gap]:
+    """Return every value of a model_io block that is open, in the block's order."""
+    return list(_gaps(model_io, ()))
 
 
-def refuse(native: Entry) -> None:
+def refuse(model_io: Entry) -> None:
     """Stop where a value that conversions need is open.
 
     Raises:
         OpenError: with all of them.
     """
-    needed = [gap for gap in gaps(native) if gap.path[0] not in _TOLD_ONLY]
+    needed = [gap for gap in gaps(model_io) if gap.path[0] not in _TOLD_ONLY]
     if needed:
         told = "; ".join(f"{gap.where} ({gap.reason})" for gap in needed)
         what = "a value" if len(needed) == 1 else f"{len(needed)} values"
         raise OpenError(
-            f"native leaves {what} open that conversions need: {told}; find them out, write {{assumed: value, why: "
+            f"model_io leaves {what} open that conversions need: {told}; find them out, write {{assumed: value, why: "
             "reason} where one has to be chosen, or audit what does not depend on them with `--shadow`"
         )
 
 
-def absent(native: Entry, folders: Sequence[Path]) -> list[str]:
+def absent(model_io: Entry, folders: Sequence[Path]) -> list[str]:
     """Return the names of the files of statistics that lie in none of these folders, each once."""
-    named = [entry["file"] for entry in map(_normalize, _vectors(native)) if "file" in entry]
+    named = [entry["file"] for entry in map(_normalize, _vectors(model_io)) if "file" in entry]
     return [file for file in dict.fromkeys(named) if not any((folder / file).is_file() for folder in folders)]
 
 
-def filled(native: Entry, embodiment: Embodiment, action_type: str, without: Collection[str] = ()) -> dict[str, Any]:
+def filled(model_io: Entry, embodiment: Embodiment, action_type: str, without: Collection[str] = ()) -> dict[str, Any]:
     """Return a block that can be compiled, of one that has gaps or whose statistics are not there.
 
     Args:
-        native: the block.
+        model_io: the block.
         embodiment: the robot.
         action_type: joint or ee; what its actions are made of stands for parts that are open.
         without: names of files of statistics that are left out, as those that are `absent`.
     """
-    result: dict[str, Any] = _plain(native)
-    for given, made in zip(_vectors(native), _vectors(result)):
+    result: dict[str, Any] = _plain(model_io)
+    for given, made in zip(_vectors(model_io), _vectors(result)):
         has_width = not any(gap.path[-1] in _WIDTHS for gap in gaps(given))
         if not has_width or _normalize(given).get("file") in without:
             made.pop("normalize", None)
@@ -109,9 +109,9 @@ def filled(native: Entry, embodiment: Embodiment, action_type: str, without: Col
     return result
 
 
-def _vectors(native: Entry) -> Iterator[Any]:
-    yield from native.get("state", ())
-    yield native["action"]
+def _vectors(model_io: Entry) -> Iterator[Any]:
+    yield from model_io.get("state", ())
+    yield model_io["action"]
 
 
 def _normalize(vector: Entry) -> Mapping[str, Any]:

@@ -1,6 +1,6 @@
 """Images of the standard as a model's image input, and back.
 
-Source: spec/v1/native.schema.json, `images`. Geometry first, on RGB; then colours, numbers, axes.
+Source: spec/v1/model_io.schema.json, `images`. Geometry first, on RGB; then colours, numbers, axes.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 from xpl.convert.resample import resize
 from xpl.observation import get_image
 
@@ -24,7 +24,7 @@ class ImageInput:
     """One image input of a model.
 
     Args:
-        entry: of `images` in the native block.
+        entry: of `images` in the model_io block.
 
     Attributes:
         name: the model's name for it.
@@ -44,19 +44,19 @@ class ImageInput:
         self._scale = np.float32((self._high - self._low) / _BYTES)
         self._mean = np.asarray(entry.get("mean", 0.0), np.float32)
         self._std = np.asarray(entry.get("std", 1.0), np.float32)
-        where = f"native.images {self.name}"
+        where = f"model_io.images {self.name}"
         if len(self.cameras) > 1 and self._stack is None:
-            raise NativeError(
+            raise ConversionError(
                 f"{where}: shows {len(self.cameras)} cameras as one input; say stack: views, width or channels"
             )
         if self.is_bytes and not {"range", "mean", "std"}.isdisjoint(entry):
-            raise NativeError(
+            raise ConversionError(
                 f"{where}: bytes have neither range nor mean and std; say dtype: float32, or leave them out"
             )
         if self._low == self._high:
-            raise NativeError(f"{where}: range is {self._low} at both ends; say what 0 and 255 become")
+            raise ConversionError(f"{where}: range is {self._low} at both ends; say what 0 and 255 become")
         if (self._std == 0).any():
-            raise NativeError(f"{where}: std holds a zero, and images are divided by it; give each channel's own")
+            raise ConversionError(f"{where}: std holds a zero, and images are divided by it; give each channel's own")
 
     def encode(self, obs: Observation) -> np.ndarray:
         """Return what the model gets of one observation, without a batch axis.
@@ -69,8 +69,8 @@ class ImageInput:
             return views[0]
         if len({view.shape for view in views}) > 1:
             sizes = ", ".join(f"{camera} {view.shape}" for camera, view in zip(self.cameras, views))
-            raise NativeError(
-                f"native.images {self.name}: views of one input have one size, these are {sizes}; add a resize"
+            raise ConversionError(
+                f"model_io.images {self.name}: views of one input have one size, these are {sizes}; add a resize"
             )
         if self._stack == "views":
             return np.stack(views)
@@ -80,8 +80,8 @@ class ImageInput:
     def _seen(self, obs: Observation, camera: str) -> np.ndarray:
         try:
             return self.view(get_image(obs, camera))
-        except NativeError as error:
-            raise NativeError(f"native.images {self.name}, {camera}: {error}") from None
+        except ConversionError as error:
+            raise ConversionError(f"model_io.images {self.name}, {camera}: {error}") from None
 
     def view(self, image: np.ndarray) -> np.ndarray:
         """Return one camera's image, (H, W, 3) uint8 RGB, as the model gets it."""
@@ -181,11 +181,11 @@ def _cropped(how: Entry, shape: tuple[int, int]) -> tuple[int, int]:
     else:
         height, width = (int(size * how["fraction"]) for size in shape)
     if height > shape[0] or width > shape[1]:
-        raise NativeError(
+        raise ConversionError(
             f"a crop to {height}x{width} of an image of {shape[0]}x{shape[1]}; crop less, or resize it before"
         )
     if not (height and width):
-        raise NativeError(f"a crop leaves nothing of an image of {shape[0]}x{shape[1]}; say a larger fraction")
+        raise ConversionError(f"a crop leaves nothing of an image of {shape[0]}x{shape[1]}; say a larger fraction")
     return int(height), int(width)
 
 
@@ -214,7 +214,7 @@ def _frame(shape: tuple[int, ...], how: Entry) -> tuple[int, int, int, int]:
     ratio = max(shape[1] / width, shape[0] / height)
     rows, columns = int(shape[0] / ratio), int(shape[1] / ratio)
     if not (rows and columns):
-        raise NativeError(f"nothing is left of an image of {shape[0]}x{shape[1]} in a frame of {height}x{width}")
+        raise ConversionError(f"nothing is left of an image of {shape[0]}x{shape[1]} in a frame of {height}x{width}")
     free = height - rows, width - columns
     if anchor == "center":
         return rows, columns, free[0] // 2, free[1] // 2

@@ -1,4 +1,4 @@
-"""A model's interface, compiled from its native block: observations to inputs, answers to action steps, and back."""
+"""A model's interface, compiled from its model_io block: observations to inputs, answers to action steps, and back."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl.convert.actions import ActionOutput, Memory
 from xpl.convert.assembly import assembled
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 from xpl.convert.gaps import refuse
 from xpl.convert.images import ImageInput
 from xpl.convert.parts import Rotation
@@ -22,32 +22,32 @@ if TYPE_CHECKING:
     from xpl.contract import Entry, Observation, State
     from xpl.embodiment import Embodiment
 
-__all__ = ["Interface", "Memory", "NativeError", "compile_interface"]
+__all__ = ["ConversionError", "Interface", "Memory", "compile_interface"]
 
 _PLACE = "{instruction}"
 
 
 def compile_interface(
-    native: Entry,
+    model_io: Entry,
     embodiment: Embodiment,
     action_type: str,
     folders: Sequence[Path] = (),
     chunk: int | None = None,
 ) -> Interface:
-    """Return the interface that a native block describes.
+    """Return the interface that a model_io block describes.
 
     Args:
-        native: the block `native` of policy.yml, valid by its schema.
+        model_io: the block `model_io` of policy.yml, valid by its schema.
         embodiment: the robot.
         action_type: joint or ee.
         folders: where files of statistics may lie: the package, a checkpoint.
         chunk: action steps that the manifest declares.
 
     Raises:
-        NativeError: if the block leaves a value open, does not fit the robot, or its numbers cannot be had.
+        ConversionError: if the block leaves a value open, does not fit the robot, or its numbers cannot be had.
     """
-    refuse(native)
-    return Interface(native, embodiment, action_type, folders, chunk)
+    refuse(model_io)
+    return Interface(model_io, embodiment, action_type, folders, chunk)
 
 
 class Interface:
@@ -64,27 +64,27 @@ class Interface:
 
     def __init__(
         self,
-        native: Entry,
+        model_io: Entry,
         embodiment: Embodiment,
         action_type: str,
         folders: Sequence[Path],
         chunk: int | None,
     ) -> None:
-        self.images = [ImageInput(entry) for entry in native.get("images", ())]
+        self.images = [ImageInput(entry) for entry in model_io.get("images", ())]
         self.states = {
-            entry["input"]: Vector(entry, embodiment, folders, f"native.state {entry['input']}")
-            for entry in native.get("state", ())
+            entry["input"]: Vector(entry, embodiment, folders, f"model_io.state {entry['input']}")
+            for entry in model_io.get("state", ())
         }
-        self.action = ActionOutput(native["action"], embodiment, action_type, folders)
+        self.action = ActionOutput(model_io["action"], embodiment, action_type, folders)
         if self.action.steps is None:
             self.action.steps = chunk
         elif chunk is not None and self.action.steps != chunk:
-            raise NativeError(
-                f"native.action.steps is {self.action.steps}, and temporal.chunk {chunk}: they are the same steps; "
+            raise ConversionError(
+                f"model_io.action.steps is {self.action.steps}, and temporal.chunk {chunk}: they are the same steps; "
                 "leave one out or make them equal"
             )
-        self._instruction = native.get(spec.Obs.INSTRUCTION)
-        history = native.get("history") or {}
+        self._instruction = model_io.get(spec.Obs.INSTRUCTION)
+        history = model_io.get("history") or {}
         self.history: int = history.get("length", 1)
         self._stride: int = history.get("stride", 1)
         self.span = (self.history - 1) * self._stride + 1
@@ -95,11 +95,11 @@ class Interface:
             *(item.name for item in self.images if "images" not in with_history),
             *(name for name in self.states if "state" not in with_history),
         }
-        names = [*(item.name for item in self.images), *(entry["input"] for entry in native.get("state", ()))]
+        names = [*(item.name for item in self.images), *(entry["input"] for entry in model_io.get("state", ()))]
         names += [*self._text(), *([] if self.mask is None else [self.mask])]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise NativeError(f"native: an input is named twice: {', '.join(twice)}; each has a name of its own")
+            raise ConversionError(f"model_io: an input is named twice: {', '.join(twice)}; each has a name of its own")
 
     def encode(self, obs: Observation, memory: Memory | None = None) -> dict[str, Any]:
         """Return the inputs that one observation makes, under the model's names, without axes of batch and time.
@@ -167,14 +167,14 @@ class Interface:
             like: an observation of the robot; what the inputs do not tell, and the images' sizes, are taken from it.
 
         Raises:
-            NativeError: if an input is missing, or has not the block's width.
+            ConversionError: if an input is missing, or has not the block's width.
             ObservationError: if `like` lacks a camera.
         """
         lacking = [
             name for name in (*(item.name for item in self.images), *self.states, *self._text()) if name not in inputs
         ]
         if lacking:
-            raise NativeError(f"native: no input {', '.join(lacking)}; the inputs are {', '.join(inputs)}")
+            raise ConversionError(f"model_io: no input {', '.join(lacking)}; the inputs are {', '.join(inputs)}")
         vision, state = dict(like.get(spec.Obs.VISION) or {}), dict(like.get(spec.Obs.STATE) or {})
         for item in reversed(self.images):  # of two inputs that show one camera the first counts
             sizes = {camera: get_image(like, camera).shape[:2] for camera in item.cameras}
@@ -205,8 +205,8 @@ class Interface:
         if not isinstance(item, Rotation) or not item.follows:
             return values
         if memory is None:
-            raise NativeError(
-                f"native.state {name}, {item.label}: sign: continuous follows the step before; give encode a memory"
+            raise ConversionError(
+                f"model_io.state {name}, {item.label}: sign: continuous follows the step before; give encode a memory"
             )
         label = f"{name} {item.label}"
         before = memory.get(label)
@@ -225,7 +225,7 @@ class Interface:
         text = get_instruction(obs) or ""
         if not text and how.get("empty", "refuse") == "refuse":
             raise ObservationError(
-                "the observation has no instruction, and the model needs one (native.instruction.empty: refuse)"
+                "the observation has no instruction, and the model needs one (model_io.instruction.empty: refuse)"
             )
         text = text.strip(how["strip"]) if how.get("strip") else text
         text = text.lower() if how.get("case") == "lower" else text

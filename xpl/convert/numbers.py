@@ -1,6 +1,6 @@
 """Normalisation: a vector's numbers as the model gets them, and back.
 
-Source: spec/v1/native.schema.json#/$defs/normalize. The numbers come from the manifest or from a file.
+Source: spec/v1/model_io.schema.json#/$defs/normalize. The numbers come from the manifest or from a file.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl.convert import tables
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 
 if TYPE_CHECKING:
     from xpl.contract import Entry
@@ -36,7 +36,7 @@ class Normalization:
         padded: numbers of the padded vector; statistics may have as many, and the first are used.
 
     Raises:
-        NativeError: if the numbers cannot be had, or are not as many as the vector has.
+        ConversionError: if the numbers cannot be had, or are not as many as the vector has.
     """
 
     def __init__(
@@ -50,14 +50,14 @@ class Normalization:
         one, two = (_numbers(entry, name, folders, width, padded) for name in _NAMES[rule])
         only = np.asarray(entry.get("only", [True] * width), bool)
         if only.shape != (width,):
-            raise NativeError(f"normalize.only has {only.size} entries, expected {width}: one for each number")
+            raise ConversionError(f"normalize.only has {only.size} entries, expected {width}: one for each number")
         span = two if rule == "mean_std" else two - one
         constant = only & (span == 0)
         how = entry.get("constant", "refuse")
         span = np.where(constant, epsilon, span) if how == "epsilon" else span + epsilon
         if how in ("refuse", "epsilon") and (only & (span == 0)).any():
             where = np.flatnonzero(only & (span == 0)).tolist()
-            raise NativeError(
+            raise ConversionError(
                 f"normalize divides by zero in dimensions {where}: the data never moved there; "
                 "say epsilon, constant, or only"
             )
@@ -100,21 +100,21 @@ def _numbers(entry: Entry, name: str, folders: Sequence[Path], width: int, padde
             entry["file"], folders, [*entry.get("key", "").split("/"), entry.get("names", {}).get(name, name)]
         )
     if found is None:
-        raise NativeError(
+        raise ConversionError(
             f"normalize has no {name}, which the rule {entry['rule']} needs; add it to values, or name it"
         )
     try:
         numbers = np.asarray(found, np.float64).reshape(-1)
     except (TypeError, ValueError):
-        raise NativeError(f"normalize: expected a list of numbers as {name}, got {str(found)[:80]}") from None
+        raise ConversionError(f"normalize: expected a list of numbers as {name}, got {str(found)[:80]}") from None
     if numbers.size == padded:  # openpi's own are of the padded vector
         numbers = numbers[:width]
     if numbers.shape != (width,):
-        raise NativeError(
+        raise ConversionError(
             f"normalize has {numbers.size} numbers as {name}, expected {width}: one for each number of the parts"
         )
     if not np.isfinite(numbers).all():
-        raise NativeError(
+        raise ConversionError(
             f"normalize: {name} holds a number that is not finite in {np.flatnonzero(~np.isfinite(numbers))}"
         )
     return numbers
@@ -124,7 +124,7 @@ def _read(file: str, folders: Sequence[Path], words: Sequence[str]) -> Any:
     path = tables.find(file, folders)
     if path is None:
         told = ", ".join(map(str, folders)) or "no folder"
-        raise NativeError(
+        raise ConversionError(
             f"normalize names the file {file}, which is in none of: {told}; copy it, or say where in one of these it is"
         )
     return tables.read(path, words)

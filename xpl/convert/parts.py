@@ -1,6 +1,6 @@
 """Parts of a model's vectors: what one arm, gripper, position or rotation is in the model's numbers, and back.
 
-Source: spec/v1/native.schema.json#/$defs/part. A part reads its numbers out of a state, and writes those of a
+Source: spec/v1/model_io.schema.json#/$defs/part. A part reads its numbers out of a state, and writes those of a
 command into the fields of an arm; a position and a rotation of one arm make its pose together.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl import rotation
 from xpl.convert import rotations
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 from xpl.convert.frames import Frame, side_index
 from xpl.observation import ObservationError
 
@@ -85,7 +85,7 @@ class Joints(Part):
         self.key = arm.prefix + (spec.State.EE_JOINT_STATE if is_hand else spec.State.ARM_JOINT_STATE)
         self.dof = arm.ee_dim if is_hand else arm.dof
         if is_hand and arm.gripper == "parallel_gripper":
-            raise NativeError(f"{embodiment.name} has a parallel gripper there; say gripper, not hand")
+            raise ConversionError(f"{embodiment.name} has a parallel gripper there; say gripper, not hand")
         self._order = _order(entry.get("names"), arm, self.dof)
         self.width = len(self._order)
         if self.width < self.dof:
@@ -128,13 +128,13 @@ class Gripper(Part):
         super().__init__(f"gripper {entry['arm']}")
         arm = embodiment.arms[side_index(embodiment, entry["arm"])]
         if arm.gripper != "parallel_gripper":
-            raise NativeError(f"{embodiment.name} has a hand there; say hand, not gripper")
+            raise ConversionError(f"{embodiment.name} has a hand there; say hand, not gripper")
         self.key = arm.prefix + spec.State.EE_JOINT_STATE
         self._closed, self._open = np.atleast_1d(np.float64(entry["closed"])), np.atleast_1d(np.float64(entry["open"]))
         if self._closed.shape != self._open.shape:
-            raise NativeError(f"{self._closed.size} values closed and {self._open.size} open; give as many of each")
+            raise ConversionError(f"{self._closed.size} values closed and {self._open.size} open; give as many of each")
         if (self._closed == self._open).all():
-            raise NativeError("closed and open are the same; say the model's two values")
+            raise ConversionError("closed and open are the same; say the model's two values")
         self.width = self._closed.size
         self._threshold = entry.get("threshold")
         self.reference = entry.get("reference", "absolute")
@@ -204,10 +204,10 @@ class Rotation(_OfPose):
         self.width = rotations.WIDTHS[self.form]
         self._sign = entry.get("sign", "any")
         if self._sign != "any" and not self.form.startswith("quaternion"):
-            raise NativeError(f"sign is for quaternions, the form is {self.form}; leave it out")
+            raise ConversionError(f"sign is for quaternions, the form is {self.form}; leave it out")
         axes = str(self._euler or "").lower()
         if any(one == two for one, two in zip(axes, axes[1:])):
-            raise NativeError(f"euler {self._euler} turns about one axis twice in a row; say such as xyz")
+            raise ConversionError(f"euler {self._euler} turns about one axis twice in a row; say such as xyz")
 
     def read(self, state: State) -> Numbers:
         """Return the numbers (width,) of a state."""
@@ -229,8 +229,8 @@ class Rotation(_OfPose):
         """Return unit quaternions (..., 4)."""
         try:
             return rotations.decode(values, self.form, self._euler)
-        except NativeError as error:
-            raise NativeError(f"native.action, {self.label}: {error}") from None
+        except ConversionError as error:
+            raise ConversionError(f"model_io.action, {self.label}: {error}") from None
 
     def add(self, base: Numbers, change: Numbers) -> Numbers:
         """Return the rotation that a change leads to."""
@@ -285,22 +285,22 @@ def part(entry: Entry, embodiment: Embodiment) -> Part:
     """Return a part of a vector from its entry in the block.
 
     Raises:
-        NativeError: if it does not fit the robot.
+        ConversionError: if it does not fit the robot.
     """
     ((kind, how),) = entry.items()
     if kind == "fill":
         return Fill(how)
     try:
         return _MADE[kind](how, embodiment)
-    except NativeError as error:
-        raise NativeError(f"{kind} {how['arm']}: {error}") from None
+    except ConversionError as error:
+        raise ConversionError(f"{kind} {how['arm']}: {error}") from None
 
 
 def check_joints(parts: Sequence[Part]) -> None:
     """Check that the joints of each arm stand in a vector once, in one part or in several.
 
     Raises:
-        NativeError: if one is left out, or stands there twice.
+        ConversionError: if one is left out, or stands there twice.
     """
     found: dict[str, list[Joints]] = {}
     for item in parts:
@@ -310,7 +310,7 @@ def check_joints(parts: Sequence[Part]) -> None:
         places = sorted(place for item in several for place in item.joints)
         if not several[0].is_whole and places != list(range(several[0].dof)):
             told = "; ".join(item.label for item in several)
-            raise NativeError(f"expected each joint of {key} once in all parts together; got {told}")
+            raise ConversionError(f"expected each joint of {key} once in all parts together; got {told}")
 
 
 def _order(names: list[str] | None, arm: Arm, width: int) -> Numbers:
@@ -319,22 +319,22 @@ def _order(names: list[str] | None, arm: Arm, width: int) -> Numbers:
         return np.arange(width)
     known = arm.joint_names
     if known is None:
-        raise NativeError("the standard knows no joint names of this arm; leave names out")
+        raise ConversionError("the standard knows no joint names of this arm; leave names out")
     if not set(names) <= set(known):
-        raise NativeError(f"expected joints of the robot, {', '.join(known)}; got {', '.join(names)}")
+        raise ConversionError(f"expected joints of the robot, {', '.join(known)}; got {', '.join(names)}")
     return np.array([known.index(name) for name in names])
 
 
 def _column(values: object, width: int, default: float, word: str) -> Numbers:
     column = np.full(width, default) if values is None else np.asarray(values, np.float64)
     if column.shape != (width,):
-        raise NativeError(f"{word} has {column.size} entries, expected {width}: one for each joint")
+        raise ConversionError(f"{word} has {column.size} entries, expected {width}: one for each joint")
     return column
 
 
 def _of(state: State, key: str, width: int) -> Numbers:
     if key not in state:
-        raise ObservationError(f"the state has no {key!r}, which the native block reads; it has {', '.join(state)}")
+        raise ObservationError(f"the state has no {key!r}, which the model_io block reads; it has {', '.join(state)}")
     try:
         given = np.asarray(state[key])
     except ValueError:  # lists of unequal lengths

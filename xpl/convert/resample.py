@@ -1,6 +1,6 @@
 """Images of another size: each filter as weights of a few pixels in each direction, with numpy alone.
 
-The filters and their formulas are those of spec/v1/native.schema.json#/$defs/filter. Pixel centres lie at half
+The filters and their formulas are those of spec/v1/model_io.schema.json#/$defs/filter. Pixel centres lie at half
 integers. Without antialias the edge pixel is repeated, as OpenCV and torch do; with it, and for lanczos, weights beyond
 the edge are left out and the others scaled to a sum of one, as Pillow and TensorFlow do. Bytes with antialias are
 Pillow's to the last bit: they go through its whole-number arithmetic (libImaging/Resample.c). All other results differ

@@ -1,6 +1,6 @@
 """Rotations in the forms that models write them, and the standard's unit quaternions ``[w, x, y, z]``.
 
-Source: spec/v1/native.schema.json#/$defs/rotation; the tests hold every form against scipy's Rotation.
+Source: spec/v1/model_io.schema.json#/$defs/rotation; the tests hold every form against scipy's Rotation.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from xpl import rotation
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 
 WIDTHS = {
     "quaternion_wxyz": 4,
@@ -45,13 +45,13 @@ def decode(values: np.ndarray, form: str, euler: str | None = None) -> np.ndarra
     (Gram-Schmidt, the first vector keeps its direction).
 
     Raises:
-        NativeError: if the numbers are no rotation, such as a quaternion of length zero.
+        ConversionError: if the numbers are no rotation, such as a quaternion of length zero.
     """
     array = np.asarray(values, np.float64)
     if form in ("quaternion_wxyz", "quaternion_xyzw"):
         found = array if form == "quaternion_wxyz" else np.roll(array, 1, axis=-1)
         if not (np.linalg.norm(found, axis=-1) > 1e-6).all():
-            raise NativeError("a quaternion of the model has length zero, which is no rotation")
+            raise ConversionError("a quaternion of the model has length zero, which is no rotation")
         return rotation.normalise(found)
     if form == "axis_angle":
         return rotation.from_axis_angle(array)
@@ -72,7 +72,7 @@ def _orthogonal(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     rest = second - (one * second).sum(-1, keepdims=True) * one
     height = np.linalg.norm(rest, axis=-1, keepdims=True)
     if not ((lengths > 1e-6).all() and (height > 1e-6).all()):
-        raise NativeError("two vectors of the model's rotation are zero or parallel, which is no rotation")
+        raise ConversionError("two vectors of the model's rotation are zero or parallel, which is no rotation")
     two = rest / height
     return np.stack((one, two, np.cross(one, two)), axis=-2)
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from xpl import json_text
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 
 SIZE_LIMIT = 64 * 2**20
 """Bytes that a file of numbers may have, and that an array in it may unpack to."""
@@ -36,10 +36,10 @@ def read(path: Path, key: Sequence[str]) -> Any:
         key: words; in NPZ and safetensors joined by / or by a dot.
 
     Raises:
-        NativeError: if it is too large, is not what its ending says, or has no such key.
+        ConversionError: if it is too large, is not what its ending says, or has no such key.
     """
     if path.stat().st_size > SIZE_LIMIT:
-        raise NativeError(
+        raise ConversionError(
             f"{path} is larger than files of numbers may be: {path.stat().st_size} bytes, at most {SIZE_LIMIT}"
         )
     words = [word for word in key if word]
@@ -55,10 +55,10 @@ def names(path: Path) -> list[str]:
     """Return the names of a safetensors file's arrays.
 
     Raises:
-        NativeError: if it is too large, or is not one.
+        ConversionError: if it is too large, or is not one.
     """
     if path.stat().st_size > SIZE_LIMIT:
-        raise NativeError(f"{path} is larger than files of numbers may be: at most {SIZE_LIMIT} bytes")
+        raise ConversionError(f"{path} is larger than files of numbers may be: at most {SIZE_LIMIT} bytes")
     return sorted(_safetensors(path))
 
 
@@ -66,7 +66,7 @@ def _name(words: Sequence[str], there: Mapping[str, Any], path: Path) -> str:
     for joint in ("/", "."):
         if joint.join(words) in there:
             return joint.join(words)
-    raise NativeError(f"{path} has no {'/'.join(words)}; it has {', '.join(sorted(there))[:400]}")
+    raise ConversionError(f"{path} has no {'/'.join(words)}; it has {', '.join(sorted(there))[:400]}")
 
 
 def _npz(path: Path, words: Sequence[str]) -> np.ndarray:
@@ -75,13 +75,13 @@ def _npz(path: Path, words: Sequence[str]) -> np.ndarray:
             sizes = {entry.filename[: -len(".npy")]: entry.file_size for entry in archive.infolist()}
         name = _name(words, sizes, path)
         if sizes[name] > SIZE_LIMIT:
-            raise NativeError(f"{path}: {name} unpacks to {sizes[name]} bytes, at most {SIZE_LIMIT}")
+            raise ConversionError(f"{path}: {name} unpacks to {sizes[name]} bytes, at most {SIZE_LIMIT}")
         with np.load(path, allow_pickle=False) as opened:
             found: np.ndarray = opened[name]
     except (OSError, EOFError, MemoryError, ValueError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
-        if isinstance(error, NativeError):
+        if isinstance(error, ConversionError):
             raise
-        raise NativeError(f"{path} is not a file of numpy arrays: {error}") from None
+        raise ConversionError(f"{path} is not a file of numpy arrays: {error}") from None
     return found
 
 
@@ -89,14 +89,14 @@ def _document(path: Path) -> Any:
     try:
         return json_text.parse(path.read_bytes())
     except json_text.JsonError as error:
-        raise NativeError(f"{path}: {error}") from None
+        raise ConversionError(f"{path}: {error}") from None
 
 
 def _entry(document: object, words: Sequence[str], path: Path) -> Any:
     for word in words:
         if not isinstance(document, Mapping) or word not in document:
             there = ", ".join(map(str, document)) if isinstance(document, Mapping) else type(document).__name__
-            raise NativeError(f"{path} has no {'/'.join(words)}: at {word!r} there is {there[:400]}")
+            raise ConversionError(f"{path} has no {'/'.join(words)}: at {word!r} there is {there[:400]}")
         document = document[word]
     return document
 
@@ -114,4 +114,4 @@ def _safetensors(path: Path) -> dict[str, np.ndarray]:
             if name != "__metadata__" and entry["dtype"] in _KINDS
         }
     except (AttributeError, OverflowError, ValueError, KeyError, TypeError, RecursionError, struct.error) as error:
-        raise NativeError(f"{path} is not a safetensors file: {error}") from None
+        raise ConversionError(f"{path} is not a safetensors file: {error}") from None

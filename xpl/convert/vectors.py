@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 from xpl.convert.numbers import Normalization
 from xpl.convert.parts import check_joints, part
 
@@ -23,7 +23,7 @@ class Vector:
     """Parts, normalisation and padding of one vector.
 
     Args:
-        entry: of `state`, or `action`, in the native block.
+        entry: of `state`, or `action`, in the model_io block.
         embodiment: the robot.
         folders: where a file of statistics may lie.
         where: how errors call it.
@@ -39,21 +39,21 @@ class Vector:
         try:
             self.parts = [part(item, embodiment) for item in entry["parts"]]
             check_joints(self.parts)
-        except NativeError as error:
-            raise NativeError(f"{where}, {error}") from None
+        except ConversionError as error:
+            raise ConversionError(f"{where}, {error}") from None
         for index, item in enumerate(self.parts):
             if item.kind == "fill":  # there may be several
                 item.label = f"{item.label} {index}"
         self.width = sum(item.width for item in self.parts)
         self.padded: int = entry.get("pad", self.width)
         if self.padded < self.width:
-            raise NativeError(
+            raise ConversionError(
                 f"{where}.pad is {self.padded}, but its parts have {self.width} numbers; say at least that"
             )
         try:
             self._numbers = Normalization(entry.get("normalize"), self.width, folders, self.padded)
-        except NativeError as error:
-            raise NativeError(f"{where}.{error}") from None
+        except ConversionError as error:
+            raise ConversionError(f"{where}.{error}") from None
 
     def normalized(self, values: np.ndarray) -> np.ndarray:
         """Return numbers (..., width) as the model gets them, (..., padded)."""
@@ -65,16 +65,16 @@ class Vector:
         """Return numbers (..., width) of the model's, (..., padded).
 
         Raises:
-            NativeError: if there are more or fewer.
+            ConversionError: if there are more or fewer.
         """
         if values.ndim < 1 or values.shape[-1] != self.padded:
-            raise NativeError(
+            raise ConversionError(
                 f"{self._where}: expected steps of {self.padded} numbers, the model gave the shape {values.shape}; "
                 "mend its parts or pad"
             )
         kept = values[..., : self.width]
         if not np.isfinite(kept).all():
-            raise NativeError(f"{self._where}: the model gave a number that is not finite")
+            raise ConversionError(f"{self._where}: the model gave a number that is not finite")
         return self._numbers.decode(kept)
 
     def cut(self, values: np.ndarray) -> Iterator[tuple[Part, np.ndarray]]:

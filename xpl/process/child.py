@@ -157,7 +157,7 @@ def joined(descriptor: int, leaving: Leaving | None = None) -> Channel:
 class _Output(io.FileIO):
     """A descriptor whose reader may go: what is written then is dropped."""
 
-    def write(self, data: Any, /) -> int:  # noqa: ANN401 - a buffer, for which Python 3.9 has no type
+    def write(self, data: Any, /) -> int:
         """Write, or drop."""
         try:
             return super().write(data)

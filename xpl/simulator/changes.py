@@ -5,7 +5,7 @@ change counts from decides what a simulator is told:
 
 - ``measured``: the pose of the arm now. The arm goes to the commanded pose, however it was disturbed.
 - ``commanded``: the command before, at first the observed pose. A policy whose own changes were added up to poses
-  (`delta_command` of the native interface) has each of them executed as the model said it, in chunks of any length.
+  (`delta_command` of the model_io block) has each of them executed as the model said it, in chunks of any length.
 """
 
 from __future__ import annotations

@@ -4,13 +4,13 @@
     from xpl.trajectory import open_folder
 
     numbers = statistics(".", config, open_folder("demos/lift_cube"), horizon=16)
-    ...                                         # write them where `native.normalize` of policy.yml looks for them
+    ...                                         # write them where `model_io.normalize` of policy.yml looks for them
     found = windows(".", config, open_folder("demos/lift_cube"), horizon=16)
     batch = found.batch([0, 7, 40])           # as `predict` gets it, and what the model should have answered
 
-Each recorded observation is shown to the adapter, without its model, and goes through its `encode`: the block `native`,
-or its own. Each recorded action goes through the inverse of its `decode`. Numpy; h5py and Pillow to read a set.
-`xpl.training.lerobot` is a whole training on top of it, of policies that are LeRobot's.
+Each recorded observation is shown to the adapter, without its model, and goes through its `encode`: the block
+`model_io`, or its own. Each recorded action goes through the inverse of its `decode`. Numpy; h5py and Pillow to read a
+set. `xpl.training.lerobot` is a whole training on top of it, of policies that are LeRobot's.
 """
 
 from __future__ import annotations

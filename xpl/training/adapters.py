@@ -43,22 +43,22 @@ def without_model(
         as_bytes: images stay uint8: what comes after geometry, colours and layout is left out.
 
     Raises:
-        TrainingError: model.py is none of `xpl.Policy`, or has no block `native`.
-        NativeError: the block does not fit the robot, or its numbers cannot be had.
+        TrainingError: model.py is none of `xpl.Policy`, or has no block `model_io`.
+        ConversionError: the block does not fit the robot, or its numbers cannot be had.
     """
     manifest = copy.deepcopy(dict(manifest_of(folder, config)))
     base = load_model_class(Path(folder).resolve(), Manifest.parse(manifest).model_class)
     if not issubclass(base, Policy):
         raise TrainingError(f"{folder}: {base.__name__} is no xpl.Policy; its conversions cannot be asked for")
-    native = manifest.get("native")
-    if native is None:
-        raise TrainingError(f"{folder}: policy.yml has no block native, by which recorded actions become the model's")
+    model_io = manifest.get("model_io")
+    if model_io is None:
+        raise TrainingError(f"{folder}: policy.yml has no block model_io, by which recorded actions become the model's")
     if not normalized:
-        for vector in (*native.get("state", ()), native["action"]):
+        for vector in (*model_io.get("state", ()), model_io["action"]):
             vector.pop("normalize", None)
     if not images:
-        native.pop("images", None)
-    for entry in native.get("images", ()) if as_bytes else ():
+        model_io.pop("images", None)
+    for entry in model_io.get("images", ()) if as_bytes else ():
         for key in ("range", "mean", "std"):
             entry.pop(key, None)
         entry["dtype"] = "uint8"

@@ -45,7 +45,7 @@ _IMAGES = "observation.images"
 
 
 def prepare(package: Path, kind: str) -> None:
-    """Write config.json and the processors with the numbers that `native.normalize` reads.
+    """Write config.json and the processors with the numbers that `model_io.normalize` reads.
 
     Args:
         package: folder of the policy.

@@ -1,4 +1,4 @@
-"""The numbers that `native.normalize` needs, of a set's own values before normalisation."""
+"""The numbers that `model_io.normalize` needs, of a set's own values before normalisation."""
 
 from __future__ import annotations
 

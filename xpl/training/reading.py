@@ -37,7 +37,7 @@ def windows(
     Args:
         folder: the package.
         config: of the run, as `$XPL_CONFIG` has it; its checkpoint, or the package, holds the numbers of
-            `native.normalize`.
+            `model_io.normalize`.
         demonstrations: the set, in the standard's form; `xpl data convert` brings others there.
         horizon: steps H of an answer; by default those that the block and the manifest hand on.
         first: which control step the answer begins with, counted from the newest observation: -1 for a model that also
@@ -45,7 +45,7 @@ def windows(
 
     Raises:
         TrainingError: the set does not fit the adapter: another robot, other commands, no steps.
-        NativeError: the block does not fit the robot, or its numbers cannot be had.
+        ConversionError: the block does not fit the robot, or its numbers cannot be had.
     """
     policy = without_model(folder, config)
     terse = without_model(folder, config, as_bytes=True)
@@ -125,11 +125,11 @@ def read_all(asked: Shown, horizon: int | None, first: int, pixels: Mapping[str,
 
 def _interface(policy: Policy) -> Interface:
     if policy.interface is None:
-        raise TrainingError(f"{type(policy).__name__} has no block native, by which actions become the model's")
+        raise TrainingError(f"{type(policy).__name__} has no block model_io, by which actions become the model's")
     if type(policy).decode is not Policy.decode:
         raise TrainingError(
             f"{type(policy).__name__} decodes by code of its own, which has no inverse; "
-            "say what it does in native.action"
+            "say what it does in model_io.action"
         )
     return policy.interface
 
@@ -203,7 +203,7 @@ def _column(name: str, values: Sequence[Any]) -> Values:
     if len(shapes) > 1:
         raise TrainingError(
             f"input {name} has rows of several shapes in this set: {', '.join(map(str, sorted(shapes)))}; "
-            "add a resize to native.images, or train on episodes that are alike"
+            "add a resize to model_io.images, or train on episodes that are alike"
         )
     return np.stack(values)
 

@@ -29,7 +29,7 @@ def load(order: Order) -> Any:
     """Return an adapter's model.
 
     Args:
-        order: `policy_dir`, `config` and `manifest`; `shadow`: without the native model (`xpl.worker.shadow`);
+        order: `policy_dir`, `config` and `manifest`; `shadow`: without the reference (`xpl.worker.shadow`);
             `watch`: what it does to its observations is noted (`xpl.worker.watch`).
     """
     policy_dir, config, manifest = Path(order["policy_dir"]), order["config"], order["manifest"]

@@ -77,7 +77,7 @@ def lacking(error: BaseException, policy_dir: Path, config: Config) -> dict[str,
 
     Returns:
         a map of `kind` and `name`: a third-party `module`, a shared `library`, the `checkpoint`, a `device`, values
-        that the native block leaves `open`, the benchmark's `env_cfg`, the `upstream` code, a `file` elsewhere, a
+        that the model_io block leaves `open`, the benchmark's `env_cfg`, the `upstream` code, a `file` elsewhere, a
         `server`, a `setting` that scripts give; what a `shadow` cannot give in place of the real one; or that the
         adapter is a `whole` without a shadow.
     """

@@ -84,9 +84,9 @@ class _Shadow(Policy):
     def __init__(self, config: Config) -> None:
         manifest = Manifest.parse(config.get("manifest"))
         declared = manifest.shadow
-        if not self._encodes and manifest.native is None:
+        if not self._encodes and manifest.model_io is None:
             name = type(self).__name__
-            raise UndividedError(f"shadow mode needs an adapter with encode, or a block native; {name} has neither")
+            raise UndividedError(f"shadow mode needs an adapter with encode, or a block model_io; {name} has neither")
         super().__init__(config)
         width = action_dim(self.embodiment, self.action_type)
         steps = self.chunk if self.interface is None else self.interface.action.steps
@@ -121,15 +121,15 @@ class _Shadow(Policy):
 
     def predict(self, inputs: Any, envs: list[int]) -> Any:
         """Return a chunk for each environment, (H, D) float32, that depends on its inputs alone."""
-        if isinstance(inputs, Mapping):  # a block native batches them by name
+        if isinstance(inputs, Mapping):  # a block model_io batches them by name
             inputs = [{name: values[row] for name, values in inputs.items()} for row in range(len(envs))]
         answers = [self._shadow_answers.of(value) for value in inputs]
         if self.interface is None or not self._shadow_converts:
             return answers
-        return [self._in_native_words(self.interface, answer, env) for answer, env in zip(answers, envs)]
+        return [self._in_model_terms(self.interface, answer, env) for answer, env in zip(answers, envs)]
 
     def reset_env(self, env: int) -> None:
-        """Let the adapter forget native state, as far as there is any."""
+        """Let the adapter forget state of a library, as far as there is any."""
         with contextlib.suppress(NotLoadedError):  # what belongs to the model
             super().reset_env(env)
 
@@ -144,16 +144,16 @@ class _Shadow(Policy):
     def _encodes(self) -> bool:
         return super(_Shadow, type(self)).encode is not Policy.encode
 
-    def _compiled(self, native: Entry | None) -> Interface | None:
-        """Compile a block native with plain values where it is open, or where statistics are not there."""
-        if native is None:
+    def _compiled(self, model_io: Entry | None) -> Interface | None:
+        """Compile a block model_io with plain values where it is open, or where statistics are not there."""
+        if model_io is None:
             return None
         from xpl.convert.gaps import absent, filled
 
-        lacking = absent(native, checkpoint.folders(self.config, self.policy_dir))
-        return super()._compiled(filled(native, self.embodiment, self.action_type, lacking))
+        lacking = absent(model_io, checkpoint.folders(self.config, self.policy_dir))
+        return super()._compiled(filled(model_io, self.embodiment, self.action_type, lacking))
 
-    def _in_native_words(self, interface: Interface, answer: np.ndarray, env: int) -> np.ndarray:
+    def _in_model_terms(self, interface: Interface, answer: np.ndarray, env: int) -> np.ndarray:
         """Return the chunk that a model would answer for these absolute actions (H, D) of the standard."""
         known = self._environments[env]
         steps = decode_rows(answer, self.embodiment, self.action_type)

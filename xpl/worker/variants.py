@@ -1,9 +1,9 @@
-"""Answers the same questions with one word of the native block after another: an errand (`xpl.worker.errand`).
+"""Answers the same questions with one word of the model_io block after another: an errand (`xpl.worker.errand`).
 
 What an audit looks for the mistake with, where an adapter and its model differ. The model is loaded once; only its
 conversions are compiled again. That says something of adapters whose conversions are those of the block alone.
 
-    as `xpl.worker.inprocess.load` reads, further "blocks", "calls" (as in `xpl.worker.native`), "seconds"
+    as `xpl.worker.inprocess.load` reads, further "blocks", "calls" (as in `xpl.worker.reference`), "seconds"
     one map for the load, whose result is None, or the reason why the block does not convert here; one for each block
     in its order, as far as the seconds reach: its result is the chunk of every question
 """
@@ -34,9 +34,9 @@ _MOST_BYTES = 256 << 20
 
 
 def unfit(model: Any) -> str | None:
-    """Return why a model's conversions are not those of its native block, None if they are."""
+    """Return why a model's conversions are not those of its model_io block, None if they are."""
     if not isinstance(model, Policy) or model.interface is None:
-        return "the adapter has no native block"
+        return "the adapter has no model_io block"
     own = [name for name in ("encode", "decode") if getattr(type(model), name) is not getattr(Policy, name)]
     return f"the adapter converts in code: {', '.join(own)}" if own else None
 
@@ -46,7 +46,7 @@ def variants(model: Policy, blocks: Sequence[Entry], order: Order) -> Iterator[b
 
     Args:
         model: the adapter's; its `interface` is exchanged.
-        blocks: native blocks; pictures that the first one makes are remembered.
+        blocks: model_io blocks; pictures that the first one makes are remembered.
         order: `calls` and `seconds`.
     """
     until = time.monotonic() + order["seconds"]

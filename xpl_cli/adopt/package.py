@@ -93,7 +93,7 @@ def adoption(path: Path, given: Entry, *, merge: bool, scripts: bool, trained: T
     Args:
         path: its folder.
         given: values of the user's own, by dotted key of the manifest; they outrank what is read.
-        trained: a checkpoint that says what the files do not, and fills the native block.
+        trained: a checkpoint that says what the files do not, and fills the model_io block.
         merge: add to a manifest that is there.
         scripts: also make the scripts that are missing.
 

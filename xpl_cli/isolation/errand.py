@@ -1,6 +1,6 @@
 """Errands: a module of the SDK in a policy's interpreter that reads one file, writes answers to another, and ends.
 
-For what is asked of an adapter, or of its native code, without a server. The module has `main(asked, answers)`; the
+For what is asked of an adapter, or of its reference code, without a server. The module has `main(asked, answers)`; the
 answers are packed maps (`xpl.wire.packed`), each after its length, that of loading first (`xpl.worker.inprocess`). They
 are read once, here.
 """

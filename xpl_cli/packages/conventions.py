@@ -1,4 +1,4 @@
-"""Which conventions an adapter and its model have to share: those that native.py names the sources of."""
+"""Which conventions an adapter and its model have to share: those that reference.py names the sources of."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 
 if TYPE_CHECKING:
-    from xpl.manifest import Manifest, Native
+    from xpl.manifest import Manifest, ModelIO
 
 _IMAGES = ("camera", "image_channels", "image_orientation", "image_range", "image_size")
 _OF_PARTS: Mapping[str, tuple[str, ...]] = {
@@ -46,10 +46,10 @@ class Value:
     word: str
 
 
-def declared(native: Native) -> dict[str, list[Value]]:
+def declared(model_io: ModelIO) -> dict[str, list[Value]]:
     """Return by convention the values that a block gives it, of those that code names by one word."""
-    entries = [("images", image) for image in native.images]
-    for vector in (*native.state, native.action):
+    entries = [("images", image) for image in model_io.images]
+    for vector in (*model_io.state, model_io.action):
         entries += [(kind, how) for part in _list(vector.get("parts")) for kind, how in part.items()]
     found: dict[str, list[Value]] = {}
     for kind, entry in entries:
@@ -64,31 +64,31 @@ def applying(manifest: Manifest) -> list[str]:
     """Return the conventions that apply to a policy, sorted.
 
     Args:
-        manifest: policy.yml. Its native block says what there is to agree on; without one, its inputs and actions do.
+        manifest: policy.yml. Its model_io block says what there is to agree on; without one, its inputs and actions do.
     """
-    native = manifest.native
-    found = _of_manifest(manifest) if native is None else _of_block(native)
+    model_io = manifest.model_io
+    found = _of_manifest(manifest) if model_io is None else _of_block(model_io)
     return sorted({"action_reference", "chunk", *found})
 
 
-def _of_block(native: Native) -> Iterator[str]:
-    if native.images:
+def _of_block(model_io: ModelIO) -> Iterator[str]:
+    if model_io.images:
         yield from _IMAGES
-    steps = [step for image in native.images for step in _list(image.get("steps"))]
+    steps = [step for image in model_io.images for step in _list(image.get("steps"))]
     if any({"resize", "letterbox"} & set(step) for step in steps):
         yield "image_filter"
-    vectors = [*native.state, native.action]
+    vectors = [*model_io.state, model_io.action]
     for kind in (kind for vector in vectors for part in _list(vector.get("parts")) for kind in part):
         yield from _OF_PARTS.get(kind, ())
     if any(vector.get("normalize") is not None or "pad" in vector for vector in vectors):
         yield "normalization"
-    if native.history is not None and native.history.length != 1:
+    if model_io.history is not None and model_io.history.length != 1:
         yield "history"
-    if native.instruction is not None:
+    if model_io.instruction is not None:
         yield _TEXT
-    if native.draws:
+    if model_io.draws:
         yield "sampling"
-    if native.recurrent:
+    if model_io.recurrent:
         yield "recurrent"
 
 

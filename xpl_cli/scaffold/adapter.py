@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.scaffold.template import Files
 
-_NATIVE = spec.data("package")["files"]["native"]
+_REFERENCE = spec.data("package")["files"]["reference"]
 """The file that is written only where it was asked for."""
 
 State = Literal["written", "unchanged", "replaced"]
@@ -160,7 +160,7 @@ def render(answers: Answers) -> Files:
     """
     training = spec.data("package")["files"]["training"]
     said = context.context(answers)
-    leave_out = [*(training if said["evaluation_only"] else ()), *([] if answers.native_reference else [_NATIVE])]
+    leave_out = [*(training if said["evaluation_only"] else ()), *([] if answers.reference else [_REFERENCE])]
     files = templates.render(POLICY, said, leave_out, answers.kind)
     return locked(files, POLICY, asdict(answers))
 

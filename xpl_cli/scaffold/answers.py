@@ -23,8 +23,8 @@ class Answers:
         history: observations kept per environment.
         ensembling: decay of temporal ensembling, None for none.
         cameras: cameras that the policy reads, as in `cam_head` or `cam_head:640x480`.
-        block: conversions are compiled from a native block in policy.yml, where the kind can have one.
-        native_reference: a native.py, which answers through the authors' own code.
+        block: conversions are compiled from a model_io block in policy.yml, where the kind can have one.
+        reference: a reference.py, which answers through the authors' own code.
     """
 
     name: str
@@ -39,4 +39,4 @@ class Answers:
     ensembling: float | None = None
     cameras: tuple[str, ...] = ()
     block: bool = False
-    native_reference: bool = False
+    reference: bool = False

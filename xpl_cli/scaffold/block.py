@@ -1,4 +1,4 @@
-"""The native block that a scaffold begins with: a model that speaks the standard's own words."""
+"""The block model_io that a scaffold begins with: a model that speaks the standard's own words."""
 
 from __future__ import annotations
 

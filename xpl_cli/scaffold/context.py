@@ -32,7 +32,7 @@ def context(answers: Answers) -> dict[str, Any]:
     kind = kinds.kinds()[answers.kind]
     environment = kind.python(answers.python)
     inputs = kinds.inputs(kind, answers.cameras, answers.embodiment, answers.action_type)
-    native = _native(answers) if answers.block and kind.block else None
+    model_io = _model_io(answers) if answers.block and kind.block else None
     scripts = {name: _arguments(names, settings) for name, names in package["scripts"].items()}
     return {
         **asdict(answers),
@@ -52,8 +52,8 @@ def context(answers: Answers) -> dict[str, Any]:
         "managers": manifest["environment"]["properties"]["manager"]["enum"],
         "inputs": inputs,
         "has_gripper": _has_gripper(answers),
-        "native": native and {name: list(map(_flow, entries)) for name, entries in native.items()},
-        "conventions": _conventions(answers, inputs, native) if answers.native_reference else {},
+        "model_io": model_io and {name: list(map(_flow, entries)) for name, entries in model_io.items()},
+        "conventions": _conventions(answers, inputs, model_io) if answers.reference else {},
         "action_keys": ", ".join(map(json.dumps, block.keys(answers))),
         "gripper_commands": _gripper_commands(),
         "environment": environment,
@@ -63,23 +63,23 @@ def context(answers: Answers) -> dict[str, Any]:
     }
 
 
-def _native(answers: Answers) -> dict[str, list[Any]]:
-    """Return the images and the parts of the native block."""
+def _model_io(answers: Answers) -> dict[str, list[Any]]:
+    """Return the images and the parts of the model_io block."""
     return {"images": block.images(answers), "parts": block.parts(answers)}
 
 
-def _conventions(answers: Answers, inputs: Mapping[str, Any], native: Entry | None) -> dict[str, str]:
-    """Return the conventions that native.py has to name, with what each is about."""
+def _conventions(answers: Answers, inputs: Mapping[str, Any], model_io: Entry | None) -> dict[str, str]:
+    """Return the conventions that reference.py has to name, with what each is about."""
     manifest: dict[str, Any] = {
         "inputs": inputs,
         "action_types": [answers.action_type],
         "gripper": {"command": _gripper_commands()[0]} if _has_gripper(answers) else None,
         "temporal": {"history": answers.history},
     }
-    if native is not None:
-        vector, history = {"parts": native["parts"]}, {"length": answers.history}
-        manifest["native"] = {"images": native["images"], "state": [vector], "history": history, "action": vector}
-    words = spec.schema("native")["$defs"]["convention"]["oneOf"]
+    if model_io is not None:
+        vector, history = {"parts": model_io["parts"]}, {"length": answers.history}
+        manifest["model_io"] = {"images": model_io["images"], "state": [vector], "history": history, "action": vector}
+    words = spec.schema("model_io")["$defs"]["convention"]["oneOf"]
     return {word["const"]: word["description"] for word in words if word["const"] in applying(Manifest.parse(manifest))}
 
 

@@ -63,7 +63,7 @@ class Kind:
     Attributes:
         about: what the adapter is built on, in one line.
         refuses: option that does not fit to the reason.
-        block: whether its conversions can be compiled from a native block.
+        block: whether its conversions can be compiled from a model_io block.
         environment: of its own Python.
         evaluation_only: nothing is trained here.
         optional: inputs besides those that the author names.

@@ -74,7 +74,8 @@ def _additional(error: _Error) -> Iterator[Problem]:
     known = list(error.schema.get("properties", ()))
     for key in error.instance:
         if key not in known:
-            near = nearest(key, [name for name in known if name not in error.instance] or known)
+            renamed = error.schema.get("x-renamed", {}).get(key)
+            near = renamed or nearest(key, [name for name in known if name not in error.instance] or known)
             names = "" if near else f": expected {', '.join(known)}"
             yield Problem(
                 (*_path(error), str(key)),

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 KEY: Final = "unknown"
-_OWN: Final = frozenset(("native",))
+_OWN: Final = frozenset(("model_io",))
 """Parts that keep their gaps, since those who read them have values for them (`xpl.convert.gaps`)."""
 
 Place = tuple[str | int, ...]

@@ -19,7 +19,7 @@ from xpl_cli.audit.rules.registry import entries, own
 from xpl_cli.audit.rules.verdict import PARITY, Verdict, Word, judged
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.words import listed
-from xpl_cli.native import pairs
+from xpl_cli.model_io import pairs
 from xpl_cli.packages.package import POLICY
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class Audited:
             )
         for claim in verdict.proven:
             if claim.claim is PARITY and claim.numbers.get("pairs") != (count := pairs.read(adapter).count):
-                yield f"the audit compared {claim.numbers.get('pairs')} native pairs, and the adapter has {count}"
+                yield f"the audit compared {claim.numbers.get('pairs')} golden pairs, and the adapter has {count}"
         if self.said.get("proven") != made["proven"]:
             yield f"the audit says otherwise what is proven: its rules and the adapter make it {verdict}"
         if not str(self.said.get("statement")).startswith(f"{verdict.word.upper()} "):

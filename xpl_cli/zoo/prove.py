@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _SERVES: Final = "XPL201"
 """The rule that says whether an adapter could be served."""
-_STATIC, _SERVED, _NATIVE, _WEIGHTS = range(1, 5)
+_STATIC, _SERVED, _PARITY, _WEIGHTS = range(1, 5)
 _LONGEST: Final = 300
 _ELSEWHERE: Final = re.compile(r"(?<![\w.:/])/(?:[\w.+-]+/)+([\w.+-]+)")
 """An absolute path, and the last name in it; no part of an address or of a relative path."""
@@ -161,7 +161,7 @@ def _level(report: TargetReport, verdict: Verdict, evaluated: Played | None) -> 
     parity = next((item for item in verdict.unproven if item.claim is PARITY), None)
     if parity is not None:
         return _SERVED, _short(parity.reason)
-    return (_NATIVE, "no recorded run of its weights was given") if evaluated is None else (_WEIGHTS, None)
+    return (_PARITY, "no recorded run of its weights was given") if evaluated is None else (_WEIGHTS, None)
 
 
 def _missed(gate: GateReport) -> str | None:

@@ -22,7 +22,7 @@ def demonstrations_fit(demonstrations: Demonstrated) -> Iterator[Finding | Proof
     ## What it does
     Shows the served policy observations of recorded episodes (`--demos PATH`, or what `demonstrations.yml` names), and
     compares the actions that it predicts with those that were commanded, part by part over its horizon. Then every
-    single change that is known is tried: other words of the `native` block; of an adapter that converts in code,
+    single change that is known is tried: other words of the `model_io` block; of an adapter that converts in code,
     changes of what it is shown and commands; and for all, other histories, instructions and rates. A change that leaves
     80 % of the error or less, with 99 % certainty 92 % (paired bootstrap over episodes), is a finding. So is a camera,
     the instruction or the history where the block hands it over, and without it all commands are exactly the same.
@@ -68,7 +68,7 @@ def _unread(demonstrations: Demonstrated) -> Iterator[Finding]:
         yield blame(
             f"{name} does not reach the model: {without}, the policy commands the same in all demonstrations that were "
             "tried",
-            expected=f"commands that depend on {name}, as the native block hands it to the model",
+            expected=f"commands that depend on {name}, as the model_io block hands it to the model",
             got=f"equal commands with {name} as recorded and {without}",
             evidence={
                 "cause": {"words": f"{name}: unread", "convention": convention},
@@ -91,7 +91,7 @@ def _finding(demonstrations: Demonstrated, best: Change) -> Finding:
     picture, part = drawn(demonstrations.ruler, given, best.given, best.words)
     changed = demonstrations.ruler.errors(best.given, range(len(given)))
     table = demonstrations.table(changed)
-    where = "in the block `native`" if best.in_block else "in encode, predict or decode"
+    where = "in the block `model_io`" if best.in_block else "in encode, predict or decode"
     evidence: dict[str, Any] = {
         "cause": {
             "words": best.words,

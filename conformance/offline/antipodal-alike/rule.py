@@ -9,7 +9,7 @@ from xpl_cli.audit.offline.rotations import LARGE, rotation_difference, told_as_
 from xpl_cli.audit.offline.semantics import Episode, Semantics
 from xpl_cli.audit.served.inputs import antipodal, turned
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.native import names
+from xpl_cli.model_io import names
 from xpl_cli.packages.package import Package
 
 
@@ -18,11 +18,11 @@ def antipodal_alike(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A quaternion and its negative are answered differently, although the model is told one sign.
 
     ## What it does
-    Where the block `native` of `policy.yml` says which of q and -q the model is told (`sign: positive_w`,
+    Where the block `model_io` of `policy.yml` says which of q and -q the model is told (`sign: positive_w`,
     `sign: continuous`), or tells it a form of rotation without a sign: shows the same poses once with q and once with
     -q, in the first observation of an episode, in a pose that is turned far, and in the second observation only. The
     actions must be the same motions. A model that was trained on signs as they come may answer them differently.
-    Without a block only `native-parity` can judge.
+    Without a block only `golden-parity` can judge.
 
     ## Why it matters
     Simulators and drivers change the sign at will, often in the middle of a motion. A model that was trained with
@@ -56,7 +56,7 @@ def antipodal_alike(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
         found = rotation_difference(*pair)
         if found is not None:
             yield blame(
-                f"quaternions that change their sign {where} change the motion, although the native block says that "
+                f"quaternions that change their sign {where} change the motion, although the model_io block says that "
                 "the model is told one sign",
                 expected="the same action, up to the sign of its quaternions",
                 got=found,
@@ -71,16 +71,18 @@ def _require_a_sign(package: Package) -> None:
     Raises:
         NotApplicable: if the block does not, or leaves poses to code.
     """
-    native = package.manifest.native
-    if not native and (package.path / names.PAIRS).is_file():
-        raise NotApplicable("native-parity compares the answers to both signs with the model's own")
-    if not native:
-        raise NotApplicable("nothing says how the model was trained to take q and -q: no native block, no native pairs")
-    told = [part for entry in native.state for part in entry["parts"]]
-    as_they_come = told_as_they_come(native)
+    model_io = package.manifest.model_io
+    if not model_io and (package.path / names.PAIRS).is_file():
+        raise NotApplicable("golden-parity compares the answers to both signs with the model's own")
+    if not model_io:
+        raise NotApplicable(
+            "nothing says how the model was trained to take q and -q: no model_io block, no golden pairs"
+        )
+    told = [part for entry in model_io.state for part in entry["parts"]]
+    as_they_come = told_as_they_come(model_io)
     if as_they_come:
         raise NotApplicable(
             f"the model is told signs as they come ({', '.join(as_they_come)}), and may tell them apart"
         )
-    if native.code and not any("rotation" in part for part in told):
-        raise NotApplicable("the native block leaves conversions to code, and does not say which sign they give")
+    if model_io.code and not any("rotation" in part for part in told):
+        raise NotApplicable("the model_io block leaves conversions to code, and does not say which sign they give")

@@ -28,7 +28,8 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
     One action queue for all environments: environment 1 continues the chunk of environment 0.
 
     ## Use instead
-    `xpl.Policy` keeps history and generators per environment; native state belongs in a dict keyed by environment.
+    `xpl.Policy` keeps history and generators per environment; state of a library belongs in a dict keyed by
+    environment.
 
     ## Fix safety
     No automatic fix.

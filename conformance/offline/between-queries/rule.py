@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from xpl import _spec as spec
 from xpl.contract import ObservationDict
-from xpl.manifest import Native
+from xpl.manifest import ModelIO
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.served import inputs
 from xpl_cli.audit.served.compare import answers, first_step, same
@@ -15,7 +15,7 @@ from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.session import Answer
 
 _GROUPS = {"images": spec.Obs.VISION, "state": spec.Obs.STATE}
-"""Parts of an observation, as the native block calls them."""
+"""Parts of an observation, as the model_io block calls them."""
 _Second = Callable[..., "Answer"]
 """Plays the episode with these observations after the first question, and returns the second answer."""
 
@@ -29,7 +29,7 @@ def between_queries(probe: Probe) -> Iterator[Finding]:
     answer must follow the newest observation: it must not be what an adapter answers that saw none of them, or all but
     the newest; and what is older must not move it more than four times as far. With a declared history the observations
     in between must count, too: a change of theirs moves the answer by at least a thousandth of what a change of the
-    newest does. Where the native block says which inputs have a history, that is asked of each.
+    newest does. Where the model_io block says which inputs have a history, that is asked of each.
 
     ## Why it matters
     A policy that looks at the world once per chunk of its own runs open loop while the benchmark believes in
@@ -76,8 +76,8 @@ def _with_a_history(
 ) -> Iterator[Finding]:
     """Find that what is older counts for more than the newest observation, or for nothing."""
     manifest = probe.package.manifest
-    native, span = manifest.native or Native(), manifest.reach
-    stride = 1 if native.history is None else native.history.stride
+    model_io, span = manifest.model_io or ModelIO(), manifest.reach
+    stride = 1 if model_io.history is None else model_io.history.stride
     everything = inputs.present(newest)
     renewed = second(*between, _changed(newest, everything))
     before = list(between)
@@ -89,7 +89,7 @@ def _with_a_history(
         how = f"moves by {by_newest:.2g} of its spread with the newest, by {by_older:.2g} with the one {stride} before"
         yield _finding(f"{how}: it follows what is older", all_shown)
         return
-    alone: list[tuple[str, ...]] = [(_GROUPS[name],) for name in native.remembered]
+    alone: list[tuple[str, ...]] = [(_GROUPS[name],) for name in model_io.remembered]
     for parts in alone or [tuple(_GROUPS.values())]:
         names = [name for name in everything if name.partition(".")[0] in parts]
         others = second(*(_changed(obs, names) for obs in between), newest)

@@ -20,7 +20,7 @@ def first_action_near(motions: Motions, parity: Parity) -> Iterator[Finding]:
     ## What it does
     With every embodiment and action type that the manifest declares, compares the first action of an episode with the
     observed pose. The robot has to be able to get there in one control step: by its joint speeds where these are known.
-    Where first actions in the native pairs are nearer than half as far, the audit fails. Where they are not, it warns,
+    Where first actions in the golden pairs are nearer than half as far, the audit fails. Where they are not, it warns,
     and the verdict says that a mistake may be in both.
 
     ## Why it matters
@@ -32,7 +32,7 @@ def first_action_near(motions: Motions, parity: Parity) -> Iterator[Finding]:
 
     ## Use instead
     Absolute targets in the order of `xpl.action.pack`, in the frames and units of the standard. A trained policy may
-    leap because the scripted pictures mean nothing to it: native pairs tell whether it does, and without them a waiver
+    leap because the scripted pictures mean nothing to it: golden pairs tell whether it does, and without them a waiver
     may say so.
 
     ## Fix safety
@@ -45,7 +45,7 @@ def first_action_near(motions: Motions, parity: Parity) -> Iterator[Finding]:
             state = answer.obs[spec.Obs.STATE]
             found = list(jumps(motion.embodiment, state, answer.chunk[0], motions.frequency))
             if found:
-                leap, own = _farthest(found), _native_leap(parity, motion, motions.frequency)
+                leap, own = _farthest(found), _golden_leap(parity, motion, motions.frequency)
                 is_foreign = own is not None and leap > _FOREIGN * own
                 yield blame(
                     f"the first {motion.action_type} action for {motion.embodiment.name} is farther from the observed "
@@ -62,17 +62,17 @@ def first_action_near(motions: Motions, parity: Parity) -> Iterator[Finding]:
 
 _FOREIGN = 2.0
 """How many times as far as the model's own first actions one has to be for the leap not to be the model's."""
-_LOOK = "look for sides exchanged, another unit or frame, or differences not added; native-parity compares all answers"
+_LOOK = "look for sides exchanged, another unit or frame, or differences not added; golden-parity compares all answers"
 _SHARED = (
-    "it is what the model does with scripted pictures, or native.py and the adapter share a mistake: hold both against "
-    "rows of the authors' data (native.samples) or demonstrations"
+    "it is what the model does with scripted pictures, or reference.py and the adapter share a mistake: hold both "
+    "against rows of the authors' data (model_io.samples) or demonstrations"
 )
 
 
 def _beside(own: float | None, *, is_foreign: bool) -> str:
     if own is None:
         return ""
-    return ", which those in native_pairs.json do not" if is_foreign else ", as those in native_pairs.json do"
+    return ", which those in golden_pairs.json do not" if is_foreign else ", as those in golden_pairs.json do"
 
 
 def _farthest(found: Iterable[Excess]) -> float:
@@ -80,8 +80,8 @@ def _farthest(found: Iterable[Excess]) -> float:
     return max((excess.value / excess.limit for excess in found), default=1.0)
 
 
-def _native_leap(parity: Parity, motion: Motion, frequency: float) -> float | None:
-    """Return how far native first actions are, in steps of the robot, at least 1; None without pairs of this robot."""
+def _golden_leap(parity: Parity, motion: Motion, frequency: float) -> float | None:
+    """Return how far golden first actions are, in steps of the robot, at least 1; None without pairs of this robot."""
     told = parity.recorded
     asked = [
         (session, question)

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from xpl import _spec as sdk
-from xpl.convert import NativeError
+from xpl.convert import ConversionError
 from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
 from xpl_cli.audit.served.probe import Probe
-from xpl_cli.native.kinematics import declared, witness
-from xpl_cli.native.kinematics.witness import Verdict
+from xpl_cli.model_io.kinematics import declared, witness
+from xpl_cli.model_io.kinematics.witness import Verdict
 
 
 @rule(code="XPL262", requirement="XPL-NAT-7")
@@ -18,7 +18,8 @@ def kinematics_agree(probe: Probe) -> Iterator[Finding | Proof]:
     """Joints and poses that were recorded together contradict each other in the conventions that are declared.
 
     ## What it does
-    Reads the rows that `native.samples` names, computes from their joints where the flange was, and compares with their
+    Reads the rows that `model_io.samples` names, computes from their joints where the flange was, and compares with
+    their
     poses: as declared, and in every other form, order, point, frame and unit. Nothing of the adapter runs.
 
     ## Why it matters
@@ -39,9 +40,9 @@ def kinematics_agree(probe: Probe) -> Iterator[Finding | Proof]:
         found = declared.verdicts(package.manifest, [package.path])
     except declared.NoWitnessError as error:
         raise NotApplicable(str(error)) from None
-    except NativeError as error:
+    except ConversionError as error:
         what = {"expected": "rows that fit the block and the robot", "got": "other ones"}
-        yield _finding(str(error), "mend native.samples", **what)
+        yield _finding(str(error), "mend model_io.samples", **what)
         return
     if all(verdict.outcome == witness.OPEN for verdict in found):
         raise NotApplicable(f"kinematics cannot tell: {found[0].because}")
@@ -57,7 +58,7 @@ def _of(verdict: Verdict) -> Finding:
         advice = "compare frame and tool with the authors' robot; what no word says is done in encode and decode"
     else:
         expected = verdict.change
-        advice = f"say {verdict.change} in native, where the authors' code agrees"
+        advice = f"say {verdict.change} in model_io, where the authors' code agrees"
     evidence = verdict.document()
     return _finding(verdict.sentence, advice, expected=expected, got=verdict.replaced, evidence=evidence)
 

@@ -53,8 +53,8 @@ def shared_clients(probe: Probe) -> Iterator[Finding]:
 
     ## Use instead
     `xpl.Policy` keeps observations, history and generators per environment, and no two clients have an environment
-    number in common. Keep native state in a map by environment and drop single entries in `reset_env(env)`; or leave
-    `serving` out, and each client gets a model of its own.
+    number in common. Keep state of a library in a map by environment and drop single entries in `reset_env(env)`; or
+    leave `serving` out, and each client gets a model of its own.
 
     ## Fix safety
     No automatic fix.

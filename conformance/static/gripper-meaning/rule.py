@@ -21,7 +21,7 @@ def gripper_meaning(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Compares `gripper` in `policy.yml` with the embodiments: it is null exactly where all of them have hands. Where
-    `native` tells what the model itself speaks, closed and open are two values.
+    `model_io` tells what the model itself speaks, closed and open are two values.
 
     ## Why it matters
     Between closed and open, one policy commands an opening and another means nothing. A gripper that knows two states
@@ -56,13 +56,13 @@ def gripper_meaning(source: Source) -> Iterator[Finding]:
             expected="null",
             got=f"command: {declared.command}",
         )
-    native = None if declared is None else declared.native
-    if native is not None and native.closed == native.open:
+    model_io = None if declared is None else declared.model_io
+    if model_io is not None and model_io.closed == model_io.open:
         yield _finding(
             source,
             "closed and open are one value for the model: no gripper command can be told from another",
             expected="two values",
-            got=f"closed {native.closed}, open {native.open}",
+            got=f"closed {model_io.closed}, open {model_io.open}",
         )
 
 

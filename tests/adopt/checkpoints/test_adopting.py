@@ -27,7 +27,7 @@ def adopted(folder: Path, *sources: Path, merge: bool = False, **given: Any) -> 
     return chosen, yaml.safe_load(chosen.files[sdk.File.POLICY_YML])
 
 
-def test_the_native_block_and_what_is_unknown_come_from_the_checkpoint(adapter: Path, tmp_path: Path) -> None:
+def test_the_model_io_block_and_what_is_unknown_come_from_the_checkpoint(adapter: Path, tmp_path: Path) -> None:
     """What the user says stays: an adapter may hand on fewer steps than the model answers."""
     checkpoint = trained.lerobot(tmp_path / "run", n_action_steps=100)
     chosen, manifest = adopted(adapter, checkpoint, embodiments=["aloha_agilex"], **{"temporal.chunk": 16})
@@ -35,9 +35,9 @@ def test_the_native_block_and_what_is_unknown_come_from_the_checkpoint(adapter: 
     assert manifest["temporal"]["chunk"] == 16
     assert manifest["temporal"]["kind"] == "chunk"
     assert manifest["inputs"]["required"]
-    assert manifest["native"]["state"][0]["input"] == "observation.state"
+    assert manifest["model_io"]["state"][0]["input"] == "observation.state"
     assert len(chosen.findings.open) >= 8
-    assert "native.state.0.parts.1.gripper.closed" in chosen.findings.open
+    assert "model_io.state.0.parts.1.gripper.closed" in chosen.findings.open
 
 
 def test_a_manifest_that_is_there_gets_the_block_and_keeps_the_rest(adapter: Path, tmp_path: Path) -> None:
@@ -46,4 +46,4 @@ def test_a_manifest_that_is_there_gets_the_block_and_keeps_the_rest(adapter: Pat
     (adapter / sdk.File.POLICY_YML).write_text(before, encoding="utf-8")
     chosen, manifest = adopted(adapter, trained.lerobot(tmp_path / "run", n_action_steps=8), merge=True)
     assert chosen.files[sdk.File.POLICY_YML].decode().startswith(before)
-    assert manifest["native"]["action"]["normalize"]["key"] == "action"
+    assert manifest["model_io"]["action"]["normalize"]["key"] == "action"

@@ -17,7 +17,7 @@ from xpl_cli.basics.errors import UserError
 def read(*folders: Path, robot: str = "aloha_agilex", **choices: Any) -> tuple[Any, dict[str, Any]]:
     """Return what folders say, and the block made of it, as a tree."""
     found, _ = registry.read(folders)
-    return found, block.native(found, get_embodiment(robot), block.Choices(**choices))
+    return found, block.model_io(found, get_embodiment(robot), block.Choices(**choices))
 
 
 def places(tree: Any) -> dict[str, str]:

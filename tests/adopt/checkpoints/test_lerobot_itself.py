@@ -27,7 +27,7 @@ pytestmark = [
 
 @pytest.mark.parametrize("kind", ["act", "diffusion"])
 def test_a_checkpoint_of_lerobot_is_served_and_equals_lerobot(tmp_path: Path, kind: str) -> None:
-    """new-policy, native record, audit: parity over histories, resets and several environments."""
+    """new-policy, model_io record, audit: parity over histories, resets and several environments."""
     checkpoint = tmp_path / "shirts"
     subprocess.run([PYTHON, str(MAKER), kind, str(checkpoint)], check=True, capture_output=True)
     made = xpl(
@@ -35,7 +35,7 @@ def test_a_checkpoint_of_lerobot_is_served_and_equals_lerobot(tmp_path: Path, ki
         cwd=tmp_path,
     )
     assert made.returncode == ExitCode.CLEAN, made.stderr
-    recorded = xpl("native", "record", "policy/Shirts", "--python", PYTHON, "--json", cwd=tmp_path)
+    recorded = xpl("model-io", "record", "policy/Shirts", "--python", PYTHON, "--json", cwd=tmp_path)
     assert recorded.returncode == ExitCode.CLEAN, recorded.stderr
     rules = ("--select", "XPL260", "--select", "XPL261")
     audited = xpl(

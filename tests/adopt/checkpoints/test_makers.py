@@ -20,7 +20,7 @@ TWO, ONE = "aloha_agilex", "franka_single"
 def read(*folders: Path, robot: str = TWO, key: str | None = None, **choices: Any) -> tuple[Any, dict[str, Any]]:
     """Return what folders say, and the block made of it, as a tree."""
     found, _ = registry.read(folders, key)
-    return found, block.native(found, get_embodiment(robot), block.Choices(**choices))
+    return found, block.model_io(found, get_embodiment(robot), block.Choices(**choices))
 
 
 def source(tree: Any, key: str) -> str:

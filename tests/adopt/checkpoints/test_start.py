@@ -17,7 +17,7 @@ from xpl.convert.gaps import gaps
 from xpl.manifest import Manifest
 from xpl_cli.adopt.checkpoints import block, start
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.native import reading
+from xpl_cli.model_io import reading
 from xpl_cli.packages.conventions import applying
 from xpl_cli.standard.validate import validate_yaml
 
@@ -51,7 +51,7 @@ def test_every_maker_s_checkpoint_makes_a_package_with_a_valid_manifest(tmp_path
     manifest, problems = validate_yaml(text, sdk.File.POLICY_YML, "policy")
     assert not problems, [problem.told for problem in problems]
     assert manifest["spec"] == "v1"
-    assert len([key for key in begun.findings.open if key.startswith("native.")]) == len(gaps(manifest["native"]))
+    assert len([key for key in begun.findings.open if key.startswith("model_io.")]) == len(gaps(manifest["model_io"]))
     assert all(leaf.evidence for leaf in begun.findings.told.values())
     ast.parse(begun.files[sdk.File.MODEL_PY])
 
@@ -64,10 +64,10 @@ def test_comments_say_the_source_beside_each_value(tmp_path: Path) -> None:
     assert "# seen: policy_preprocessor_step_2_normalizer_processor.safetensors observation.state min..max" in text
 
 
-def test_native_py_of_a_whole_checkpoint_names_every_convention(tmp_path: Path) -> None:
+def test_model_io_py_of_a_whole_checkpoint_names_every_convention(tmp_path: Path) -> None:
     """What applies has a source; what nobody says is assumed; nothing of ours is imported."""
     begun = begin(trained.lerobot(tmp_path / "p", "diffusion", n_obs_steps=2, n_action_steps=8), gripper=(0.0, 1.0))
-    found = reading.read(begun.files["native.py"].decode())
+    found = reading.read(begun.files["reference.py"].decode())
     manifest = yaml.safe_load(begun.files[sdk.File.POLICY_YML])
     assert set(applying(Manifest.parse(manifest))) <= set(found.conventions)
     assert not found.problems
@@ -77,7 +77,7 @@ def test_native_py_of_a_whole_checkpoint_names_every_convention(tmp_path: Path) 
     assert not found.conventions["history"].is_assumed
 
 
-def test_native_py_converts_as_the_parts_say(tmp_path: Path) -> None:
+def test_model_io_py_converts_as_the_parts_say(tmp_path: Path) -> None:
     """Order by names, degrees and grippers between two values, both ways."""
     import numpy as np
 
@@ -92,8 +92,8 @@ def test_native_py_converts_as_the_parts_say(tmp_path: Path) -> None:
     for path in folder.glob("*.safetensors"):
         trained.safetensors(path, wide)
     begun = begin(folder, trained.lerobot_dataset(tmp_path / "shirts", names), robot=None, gripper=(0.08, 0.0))
-    text = begun.files["native.py"].decode()
-    space: dict[str, Any] = {"__file__": "native.py"}
+    text = begun.files["reference.py"].decode()
+    space: dict[str, Any] = {"__file__": "reference.py"}
     exec(text, space)  # noqa: S102 - our own, without the imports of its functions
     observed = {
         "left_arm_joint_state": np.arange(6.0),
@@ -109,10 +109,10 @@ def test_native_py_converts_as_the_parts_say(tmp_path: Path) -> None:
         assert back[key] == pytest.approx(values, abs=1e-5)
 
 
-def test_no_native_py_while_something_is_open(tmp_path: Path) -> None:
+def test_no_model_io_py_while_something_is_open(tmp_path: Path) -> None:
     begun = begin(trained.lerobot(tmp_path / "p", n_action_steps=8))
-    assert "native.py" not in begun.files
-    assert "native.state.0.parts.1.gripper.closed" in begun.notes[-1]
+    assert "reference.py" not in begun.files
+    assert "model_io.state.0.parts.1.gripper.closed" in begun.notes[-1]
 
 
 def test_the_robot_is_the_data_s_or_the_user_s_word(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_the_command_writes_links_and_counts(tmp_path: Path) -> None:
     chunk = next(fact for fact in told["facts"] if fact["key"] == "temporal.chunk")
     assert (chunk["value"], chunk["evidence"][0]["file"]) == (8, "config.json")
     assert (tmp_path / "policy" / "Shirts" / "checkpoints" / "run1").resolve() == folder
-    assert any("native record" in command for command in told["next"])
+    assert any("model-io record" in command for command in told["next"])
     refused = xpl(*given, "--chunk", "4", "--cameras", "cam_head", cwd=tmp_path)
     assert refused.returncode == ExitCode.USAGE
     assert "--chunk, --cameras do not go with --from" in refused.stderr
@@ -158,6 +158,6 @@ def test_names_of_strangers_stay_text(tmp_path: Path) -> None:
     name = "observation.images.a\"'\n#{{ 1 }}: [head"
     folder = trained.lerobot(tmp_path / "p", cameras={name: (8, 8)}, n_action_steps=8)
     begun = begin(folder, cameras={name: "cam_head"}, gripper=(0.0, 1.0))
-    assert yaml.safe_load(begun.files[sdk.File.POLICY_YML])["native"]["images"][0]["input"] == name
-    tree = ast.parse(begun.files["native.py"])
+    assert yaml.safe_load(begun.files[sdk.File.POLICY_YML])["model_io"]["images"][0]["input"] == name
+    tree = ast.parse(begun.files["reference.py"])
     assert name in {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}

@@ -9,9 +9,9 @@ import numpy as np
 
 from xpl_cli.audit.offline.parity.around import Around
 from xpl_cli.audit.offline.parity.course import Course
-from xpl_cli.native.alternatives.signals import Signal
-from xpl_cli.native.pairs import Session
-from xpl_cli.native.script import played, whole
+from xpl_cli.model_io.alternatives.signals import Signal
+from xpl_cli.model_io.pairs import Session
+from xpl_cli.model_io.script import played, whole
 
 CALLS = whole(1)
 ANSWERS: Any = tuple(tuple({} for _ in call.ask) for call in CALLS if call.ask)

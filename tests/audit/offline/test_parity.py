@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from tests.support.adapters import parity
 from xpl import Policy
-from xpl.manifest import Native
+from xpl.manifest import ModelIO
 from xpl.wire import packed
 from xpl.worker import variants
 from xpl_cli.audit.engine import engine
@@ -25,8 +25,8 @@ from xpl_cli.audit.offline.parity.judgement import Judgement
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, Result
 from xpl_cli.audit.rules.options import Options
-from xpl_cli.native import names, pairs, record, script
-from xpl_cli.native.pairs import Session
+from xpl_cli.model_io import names, pairs, record, script
+from xpl_cli.model_io.pairs import Session
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
@@ -51,11 +51,11 @@ def session(seed: int, takes: int = 1, steps: int = 3, noise: float = 0.0) -> Se
     return Session("franka_single", "ee", 0, {"cam_head": (12, 16)}, takes, script.brief(), tuple(answers))
 
 
-def chunks(native: Session, take: int = 0) -> list[pairs.Chunk]:
-    """Return the native answers as an adapter's."""
+def chunks(golden: Session, take: int = 0) -> list[pairs.Chunk]:
+    """Return the golden answers as an adapter's."""
     return [
-        [{key: values.copy() for key, values in step.items()} for step in native.chunk(question, take)]
-        for question in native.questions
+        [{key: values.copy() for key, values in step.items()} for step in golden.chunk(question, take)]
+        for question in golden.questions
     ]
 
 
@@ -66,39 +66,39 @@ def chunks(native: Session, take: int = 0) -> list[pairs.Chunk]:
 @given(st.integers(0, 1000), st.integers(0, 3), st.integers(0, 2), st.integers(0, 6))
 def test_any_number_that_differs_is_found_where_it_differs_first(seed: int, number: int, step: int, index: int) -> None:
     """Equal answers have no deviation, nor has a quaternion of the other sign."""
-    native = session(seed)
-    given = chunks(native)
+    golden = session(seed)
+    given = chunks(golden)
     for chunk in given[::2]:
         for one in chunk:
             one["ee_pose"][3:] *= -1
-    assert Judgement(native, given, 1e-4, {}).deviation is None
+    assert Judgement(golden, given, 1e-4, {}).deviation is None
     given[number][step]["ee_pose"][index] += 0.01
-    found = Judgement(native, given, 1e-4, {}).deviation
+    found = Judgement(golden, given, 1e-4, {}).deviation
     assert found is not None
     assert (found.part, found.question.number, found.step) == (f"ee_pose[{index}]", number, step)
     assert (found.pairs, found.parts) == (1, (found.part,))
-    assert found.given - found.native == pytest.approx(0.01, abs=1e-5) or index >= 3
+    assert found.given - found.golden == pytest.approx(0.01, abs=1e-5) or index >= 3
     assert found.share == pytest.approx(0.01 / found.span, rel=1e-3)
 
 
 def test_what_two_recordings_differ_by_is_no_difference() -> None:
     """Twice the noise, besides the tolerance."""
-    native = session(1)
-    given = chunks(native)
+    golden = session(1)
+    given = chunks(golden)
     given[0][0]["ee_pose"][0] += 0.01
-    assert Judgement(native, given, 1e-4, {"ee_pose": 0.004}).deviation is not None
-    assert Judgement(native, given, 1e-4, {"ee_pose": 0.006}).deviation is None
-    assert Native.parse({"tolerance": 0.02}).tolerance == 0.02
-    assert Native().tolerance == 1e-3
+    assert Judgement(golden, given, 1e-4, {"ee_pose": 0.004}).deviation is not None
+    assert Judgement(golden, given, 1e-4, {"ee_pose": 0.006}).deviation is None
+    assert ModelIO.parse({"tolerance": 0.02}).tolerance == 0.02
+    assert ModelIO().tolerance == 1e-3
 
 
-def test_a_chunk_may_be_the_beginning_of_the_native_one_and_no_more() -> None:
+def test_a_chunk_may_be_the_beginning_of_the_model_io_one_and_no_more() -> None:
     """What an adapter hands on is compared; what the model never said is told."""
-    native = session(2)
-    shorter = [chunk[:2] for chunk in chunks(native)]
-    assert Judgement(native, shorter, 1e-4, {}).deviation is None
-    assert Compared(native, [[chunk] for chunk in shorter]).too_long is None
-    assert Compared(native, [[chunk * 2] for chunk in chunks(native)]).too_long == (6, 3)
+    golden = session(2)
+    shorter = [chunk[:2] for chunk in chunks(golden)]
+    assert Judgement(golden, shorter, 1e-4, {}).deviation is None
+    assert Compared(golden, [[chunk] for chunk in shorter]).too_long is None
+    assert Compared(golden, [[chunk * 2] for chunk in chunks(golden)]).too_long == (6, 3)
 
 
 def test_questions_that_are_asked_again_keep_what_was_before_them() -> None:
@@ -223,7 +223,7 @@ class Model(Policy):
         rows = zip(inputs["image"], inputs["state"], inputs["prompt"])
         return np.stack([np.tanh(self.network(*row) + DRAWN) for row, env in zip(rows, envs)])
 """
-NATIVE_SAMPLER = parity.NATIVE.replace(
+REFERENCE_SAMPLER = parity.REFERENCE.replace(
     "said = network(image.astype(np.float32), state, prompt)",
     "said = np.tanh(network(image.astype(np.float32), state, prompt) + 0.1 * episode.rng.normal(size=(4, 8)))",
 )
@@ -239,26 +239,28 @@ NATIVE_SAMPLER = parity.NATIVE.replace(
 def test_a_model_that_takes_a_seed_is_compared_draw_by_draw(
     drawn: str, sound: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The generator that native code is handed draws what the adapter's draws."""
+    """The generator that reference code is handed draws what the adapter's draws."""
     model = SAMPLER.replace("DRAWN", drawn)
     monkeypatch.setattr(Parity, "cause", lambda *_: None)
-    folder = recorded(parity.made(tmp_path / "Foo", parity.block(sampling="seeded"), model=model, code=NATIVE_SAMPLER))
+    folder = recorded(
+        parity.made(tmp_path / "Foo", parity.block(sampling="seeded"), model=model, code=REFERENCE_SAMPLER)
+    )
     assert audited(folder).outcome is (Outcome.PASS if sound else Outcome.FAIL)
 
 
 @pytest.mark.slow
 def test_a_model_that_takes_none_is_compared_in_distribution(tmp_path: Path) -> None:
     """Another generator is no difference, a gripper that is turned round is one, with its cause."""
-    native = NATIVE_SAMPLER.replace("episode.rng", "np.random.default_rng()")
+    golden = REFERENCE_SAMPLER.replace("episode.rng", "np.random.default_rng()")
     model = SAMPLER.replace("DRAWN", "0.1 * self.own.normal(size=(4, 8))")
     block = parity.block(sampling="free")
-    folder = recorded(parity.made(tmp_path / "Foo", block, model=model, code=native, deterministic=False))
+    folder = recorded(parity.made(tmp_path / "Foo", block, model=model, code=golden, deterministic=False))
     assert pairs.read(folder).sessions[0].takes == record.TAKES
     assert audited(folder).outcome is Outcome.PASS
     block["action"]["parts"][1]["gripper"].update(closed=1.0, open=0.0)
-    parity.made(folder, block, model=model, code=native, deterministic=False)
+    parity.made(folder, block, model=model, code=golden, deterministic=False)
     finding = only(audited(folder))
-    assert "ee_joint_state[0] is not distributed as the native model's" in finding.message
+    assert "ee_joint_state[0] is not distributed as the reference's" in finding.message
     assert "with `gripper: closed and open exchanged (action)`" in finding.message
 
 
@@ -293,7 +295,7 @@ def test_an_adapter_that_refuses_a_question_is_told_so(tmp_path: Path) -> None:
     """With the question and its error."""
     model = parity.MODEL.replace("rows = zip", "assert not inputs['prompt'][0].startswith('Task: open'); rows = zip")
     finding = only(audited(recorded(parity.made(tmp_path / "Foo", model=model))))
-    assert "does not answer what the native model answers" in finding.message
+    assert "does not answer what the reference answers" in finding.message
     assert "AssertionError" in str(finding.got)
 
 
@@ -351,25 +353,25 @@ class Encoding(Counting):
 
 def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> None:
     """And each block gets the answers that it would have got by itself."""
-    native = {"state": parity.BLOCK["state"], "action": parity.BLOCK["action"]}
-    manifest = {"temporal": {"kind": "chunk", "chunk": 1}, "native": native}
+    golden = {"state": parity.BLOCK["state"], "action": parity.BLOCK["action"]}
+    manifest = {"temporal": {"kind": "chunk", "chunk": 1}, "model_io": golden}
     config = {"env_cfg_type": "franka_single", "action_type": "joint", "manifest": manifest}
     model = Counting(config)
-    absolute = {**native, "action": {**native["action"], "reference": "absolute"}}
-    broken = {**native, "action": {**native["action"], "pad": 3}}
+    absolute = {**golden, "action": {**golden["action"], "reference": "absolute"}}
+    broken = {**golden, "action": {**golden["action"], "pad": 3}}
     course = Course(Session("franka_single", "joint", 0, {}, 1, script.brief()))
     order = {"calls": course.told(script.brief()), "seconds": 100.0}
-    told = [packed.decode(one) for one in variants.variants(model, [native, absolute, broken, native], order)]
+    told = [packed.decode(one) for one in variants.variants(model, [golden, absolute, broken, golden], order)]
     assert model.calls == 3
-    assert "NativeError" in told[2]["error"]
+    assert "ConversionError" in told[2]["error"]
     delta, other, again = (told[place]["result"] for place in (0, 1, 3))
     assert len(delta) == 4
     assert np.array_equal(delta[0][0]["arm_joint_state"], again[0][0]["arm_joint_state"])
     assert not np.allclose(delta[0][0]["arm_joint_state"], other[0][0]["arm_joint_state"])
-    alone = Counting({**config, "manifest": {**manifest, "native": absolute}})
+    alone = Counting({**config, "manifest": {**manifest, "model_io": absolute}})
     (same,) = [packed.decode(one) for one in variants.variants(alone, [absolute], order)]
     assert np.array_equal(same["result"][2][0]["arm_joint_state"], other[2][0]["arm_joint_state"])
     assert variants.unfit(model) is None
     assert "encode" in str(variants.unfit(Encoding(config)))
-    assert "no native block" in str(variants.unfit(Counting({**config, "manifest": {}})))
-    assert list(variants.variants(model, [native], {**order, "seconds": -1.0})) == []
+    assert "no model_io block" in str(variants.unfit(Counting({**config, "manifest": {}})))
+    assert list(variants.variants(model, [golden], {**order, "seconds": -1.0})) == []

@@ -312,12 +312,12 @@ def test_the_shadow_reads_tensors_and_refuses_what_it_cannot_read() -> None:
         shadow_of(object)
 
 
-class _Native(Policy):
+class _OfModel(Policy):
     def predict(self, inputs: Any, envs: Any) -> Any:
         raise AssertionError
 
 
-def test_the_shadow_of_an_adapter_with_a_native_block_answers_in_the_models_words(tmp_path: Path) -> None:
+def test_the_shadow_of_an_adapter_with_a_model_io_block_answers_in_the_models_words(tmp_path: Path) -> None:
     """Also where the block is open, and where its statistics are not there: commands that the robot can follow."""
     parts = [
         {"joints": {"arm": "left", "unit": "deg"}},
@@ -326,14 +326,14 @@ def test_the_shadow_of_an_adapter_with_a_native_block_answers_in_the_models_word
         {"gripper": {"arm": "right", "closed": 0.0, "open": 0.08}},
     ]
     normalize = {"rule": "mean_std", "file": "stats.json"}
-    native = {
+    model_io = {
         "state": [{"input": "s", "parts": parts[2:], "normalize": normalize}],
         "action": {"reference": "delta_state", "parts": parts, "normalize": normalize, "pad": 32},
     }
     config = {"env_cfg_type": "arx_x5", "action_type": "joint"}
     with pytest.raises(UndividedError):
-        shadow_of(_Native)(config)
-    policy = shadow_of(_Native)({**config, "manifest": {"temporal": {"chunk": 6}, "native": native}})
+        shadow_of(_OfModel)(config)
+    policy = shadow_of(_OfModel)({**config, "manifest": {"temporal": {"chunk": 6}, "model_io": model_io}})
     rng = np.random.default_rng(0)
     state = {f"{side}_{key}": rng.uniform(0, 1, width) for side in ("left", "right") for key, width in KEYS.items()}
     policy.update_obs_batch([{"state": state, "env_idx": env} for env in range(2)])

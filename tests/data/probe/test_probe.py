@@ -99,14 +99,14 @@ def test_a_set_that_says_another_rate_than_its_times_is_contradicted() -> None:
     assert "the set says 10 Hz, which is not so" in answer.evidence
 
 
-def test_a_draft_is_a_native_block_and_what_is_open_says_why() -> None:
+def test_a_draft_is_a_model_io_block_and_what_is_open_says_why() -> None:
     """It fits its schema, and holds what was measured."""
     motions, how = TUNED["pose xyzw beside joints"]
     found = probe(write([motion(*one) for one in motions], how))
     made = yaml.safe_load(draft.text(found))
-    assert not validate.validate(made["native"], "native")
-    parts = made["native"]["action"]["parts"]
-    assert made["native"]["action"]["reference"] == "absolute"
+    assert not validate.validate(made["model_io"], "model_io")
+    parts = made["model_io"]["action"]["parts"]
+    assert made["model_io"]["action"]["reference"] == "absolute"
     assert parts[1]["rotation"]["form"] == "quaternion_xyzw"
     assert parts[2]["gripper"] == {"arm": "single", "closed": 0.0, "open": 1.0}
     assert made["embodiment"] == {"robot": "franka_single"}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.support.adapters.native import observation
+from tests.support.adapters.model_io import observation
 from xpl.convert import compile_interface
 from xpl.embodiment import get_embodiment
 
@@ -74,7 +74,7 @@ def test_a_gripper_is_a_delta_if_it_says_so() -> None:
 
 
 def test_joint_words() -> None:
-    """Native = sign * angle in unit + offset, in the model's order."""
+    """ModelIO = sign * angle in unit + offset, in the model's order."""
     names = [f"joint{index}" for index in (7, 6, 5, 4, 3, 2, 1)]
     how = {
         "arm": "single",
@@ -92,7 +92,7 @@ def test_joint_words() -> None:
 
 
 @pytest.mark.parametrize(
-    ("how", "native", "opening"),
+    ("how", "model_io", "opening"),
     [
         ({"closed": 0.0, "open": 0.08}, [0.02], 0.25),  # metres between the fingers
         ({"closed": 1.0, "open": -1.0}, [0.5], 0.25),  # robosuite's command
@@ -106,10 +106,10 @@ def test_joint_words() -> None:
         ({"closed": [0.0, 0.0], "open": [0.0, -0.04], "threshold": -0.02}, [9.0, -0.03], 1.0),
     ],
 )
-def test_gripper_words(how: dict[str, Any], native: list[float], opening: float) -> None:
+def test_gripper_words(how: dict[str, Any], model_io: list[float], opening: float) -> None:
     """The model's values of closed and open say unit, direction and number of fingers."""
     action = _action([JOINTS, {"gripper": {"arm": "single", **how}}])
-    (step,) = action.decode(np.array([[*HOME, *native]]), STATE)
+    (step,) = action.decode(np.array([[*HOME, *model_io]]), STATE)
     assert step["ee_joint_state"] == pytest.approx([opening])
 
 

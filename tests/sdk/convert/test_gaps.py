@@ -1,4 +1,4 @@
-"""What a native block leaves open is told whole, and what does not depend on it can be tried."""
+"""What a model_io block leaves open is told whole, and what does not depend on it can be tried."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import jsonschema
 import numpy as np
 import pytest
 
-from tests.support.adapters.native import CASES, observation, steps
+from tests.support.adapters.model_io import CASES, observation, steps
 from xpl import get_embodiment
-from xpl.convert import NativeError, compile_interface
+from xpl.convert import ConversionError, compile_interface
 from xpl.convert.gaps import absent, filled, gaps
 from xpl_cli.standard import spec
 
@@ -44,14 +44,14 @@ OPEN: dict[str, Any] = {
 
 def test_all_that_is_open_is_named_in_one_sentence() -> None:
     assert len(gaps(OPEN)) == 11
-    with pytest.raises(NativeError) as raised:
+    with pytest.raises(ConversionError) as raised:
         compile_interface(OPEN, ROBOT, "joint")
     told = str(raised.value)
-    assert "native leaves 10 values open" in told
+    assert "model_io leaves 10 values open" in told
     assert "\n" not in told
     for gap in gaps(OPEN):
         assert (f"{gap.where} ({gap.reason})" in told) == (gap.path != ("sampling",))
-    alone = {"action": CASES["hands, absolute"].native["action"], "sampling": {"unknown": "-"}}
+    alone = {"action": CASES["hands, absolute"].model_io["action"], "sampling": {"unknown": "-"}}
     compile_interface(alone, get_embodiment("tianji_marvin_wuji"), "joint")
 
 
@@ -66,11 +66,11 @@ def test_the_rest_of_an_open_block_converts() -> None:
     assert step["arm_joint_state"] == pytest.approx(obs["state"]["arm_joint_state"], abs=1e-6)
 
 
-VALID = jsonschema.Draft202012Validator(spec.schema("native"))
+VALID = jsonschema.Draft202012Validator(spec.schema("model_io"))
 
 
-def opened(native: dict[str, Any], path: tuple[Any, ...]) -> dict[str, Any]:
-    block: dict[str, Any] = copy.deepcopy(native)
+def opened(model_io: dict[str, Any], path: tuple[Any, ...]) -> dict[str, Any]:
+    block: dict[str, Any] = copy.deepcopy(model_io)
     inner: Any = block
     for part in path[:-1]:
         inner = inner[part]
@@ -78,10 +78,10 @@ def opened(native: dict[str, Any], path: tuple[Any, ...]) -> dict[str, Any]:
     return block
 
 
-def places(native: dict[str, Any], value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+def places(model_io: dict[str, Any], value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
-        yield from places(native, item, (*path, key))
-        if isinstance(key, str) and VALID.is_valid(opened(native, (*path, key))):
+        yield from places(model_io, item, (*path, key))
+        if isinstance(key, str) and VALID.is_valid(opened(model_io, (*path, key))):
             yield (*path, key)
 
 
@@ -91,10 +91,10 @@ def test_a_block_converts_with_any_one_value_open(name: str) -> None:
     case = CASES[name]
     obs = observation(case.robot)
     turns = np.random.default_rng(0)
-    found = list(places(case.native, case.native))
+    found = list(places(case.model_io, case.model_io))
     assert len(found) > 2
     for path in found:
-        block = opened(case.native, path)
+        block = opened(case.model_io, path)
         assert [gap.path for gap in gaps(block)] == [path]
         interface = compile_interface(
             filled(block, case.embodiment, case.action_type), case.embodiment, case.action_type
@@ -109,13 +109,13 @@ def test_a_block_converts_with_any_one_value_open(name: str) -> None:
 def test_statistics_that_are_not_there_are_told_once(tmp_path: Path) -> None:
     normalize = {"rule": "mean_std", "file": "stats.json"}
     vector = {"parts": [{"joints": {"arm": "single"}}, {"gripper": {"arm": "single", "closed": 0.0, "open": 1.0}}]}
-    native = {
+    model_io = {
         "state": [{"input": "s", **vector, "normalize": normalize}],
         "action": {"reference": "absolute", **vector, "normalize": normalize},
     }
-    assert absent(native, [tmp_path]) == ["stats.json"]
-    made = filled(native, ROBOT, "joint", absent(native, [tmp_path]))
+    assert absent(model_io, [tmp_path]) == ["stats.json"]
+    made = filled(model_io, ROBOT, "joint", absent(model_io, [tmp_path]))
     assert "normalize" not in made["action"]
     (tmp_path / "stats.json").write_text("{}")
-    assert absent(native, [tmp_path]) == []
-    assert filled(native, ROBOT, "joint", absent(native, [tmp_path])) == native
+    assert absent(model_io, [tmp_path]) == []
+    assert filled(model_io, ROBOT, "joint", absent(model_io, [tmp_path])) == model_io

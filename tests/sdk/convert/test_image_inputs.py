@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from xpl.convert import NativeError
+from xpl.convert import ConversionError
 from xpl.convert.images import ImageInput
 
 RED, GREEN, BLUE = (255, 0, 0), (0, 255, 0), (0, 0, 255)
@@ -144,21 +144,21 @@ def test_numbers_that_are_not_rounded() -> None:
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        ({"cameras": ("cam_head", "cam_left_wrist")}, "native.images image: shows 2 cameras as one input; say stack"),
-        ({"range": [0, 1]}, "native.images image: bytes have neither range"),
-        ({"dtype": "float32", "range": [1, 1]}, "native.images image: range is 1 at both ends"),
-        ({"dtype": "float32", "std": [1, 0, 1]}, "native.images image: std holds a zero"),
+        ({"cameras": ("cam_head", "cam_left_wrist")}, "model_io.images image: shows 2 cameras as one input; say stack"),
+        ({"range": [0, 1]}, "model_io.images image: bytes have neither range"),
+        ({"dtype": "float32", "range": [1, 1]}, "model_io.images image: range is 1 at both ends"),
+        ({"dtype": "float32", "std": [1, 0, 1]}, "model_io.images image: std holds a zero"),
     ],
 )
 def test_a_block_that_means_nothing_is_refused(more: dict[str, Any], told: str) -> None:
-    with pytest.raises(NativeError, match=told):
+    with pytest.raises(ConversionError, match=told):
         _input(**more)
 
 
 @pytest.mark.parametrize(
     ("step", "told"),
     [
-        ({"crop": {"to": [3, 1]}}, "native.images image, cam_head: a crop to 3x1 of an image of 2x2; crop less"),
+        ({"crop": {"to": [3, 1]}}, "model_io.images image, cam_head: a crop to 3x1 of an image of 2x2; crop less"),
         ({"crop": {"fraction": 0.3}}, "a crop leaves nothing of an image of 2x2"),
         ({"letterbox": {"to": [1, 1], "filter": "area"}}, None),
     ],
@@ -168,11 +168,11 @@ def test_a_step_that_does_not_fit_the_picture(step: dict[str, Any], told: str | 
     if told is None:
         assert made.encode(_obs(cam_head=CORNERS)).shape == (1, 1, 3)
         return
-    with pytest.raises(NativeError, match=told):
+    with pytest.raises(ConversionError, match=told):
         made.encode(_obs(cam_head=CORNERS))
 
 
 def test_views_of_different_sizes_are_no_input() -> None:
     obs = _obs(cam_head=CORNERS, cam_left_wrist=CORNERS[:1])
-    with pytest.raises(NativeError, match=r"native.images image: views of one input have one size"):
+    with pytest.raises(ConversionError, match=r"model_io.images image: views of one input have one size"):
         _input(cameras=("cam_head", "cam_left_wrist"), stack="views").encode(obs)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.adapters.native import CASES, observation
+from tests.support.adapters.model_io import CASES, observation
 from xpl.action import ActionError
-from xpl.convert import NativeError, compile_interface
+from xpl.convert import ConversionError, compile_interface
 from xpl.embodiment import get_embodiment
 from xpl.observation import ObservationError
 
@@ -149,32 +149,35 @@ def _changed(**more: Any) -> dict[str, Any]:
 
 
 UNFIT: list[tuple[dict[str, Any], str]] = [
-    (_changed(parts=[{"joints": {"arm": "left"}}, GRIPPER]), "native.action, joints left: franka_single"),
-    (_changed(parts=[GRIPPER]), "native.action .* no part gives arm_joint_state"),
-    (_changed(parts=[*ACTION["parts"], GRIPPER]), "native.action has a part twice: gripper single"),
-    (_changed(parts=[*ACTION["parts"], {"position": {"arm": "single"}}]), "native.action has position single"),
-    (_changed(pad=7), "native.action.pad is 7, but its parts have 8 numbers"),
-    (_changed(steps=4), "native.action.steps is 4, and temporal.chunk 8"),
+    (_changed(parts=[{"joints": {"arm": "left"}}, GRIPPER]), "model_io.action, joints left: franka_single"),
+    (_changed(parts=[GRIPPER]), "model_io.action .* no part gives arm_joint_state"),
+    (_changed(parts=[*ACTION["parts"], GRIPPER]), "model_io.action has a part twice: gripper single"),
+    (_changed(parts=[*ACTION["parts"], {"position": {"arm": "single"}}]), "model_io.action has position single"),
+    (_changed(pad=7), "model_io.action.pad is 7, but its parts have 8 numbers"),
+    (_changed(steps=4), "model_io.action.steps is 4, and temporal.chunk 8"),
     (_changed(normalize={"unknown": "ask the authors"}), r"action.normalize \(ask the authors\)"),
-    (_changed(normalize={"rule": "mean_std", "file": "gone.json"}), "native.action.normalize names the file gone.json"),
-    (_state({"joints": {"arm": "single", "sign": [1, -1]}}), "native.state q, joints single: sign has 2 entries"),
-    (_state({"joints": {"arm": "single", "names": ["a"]}}), "native.state q, joints single: .* got a"),
-    (_state({"hand": {"arm": "single"}}), "native.state q, hand single: .* say gripper"),
-    (_state({"gripper": {"arm": "single", "closed": 1, "open": 1}}), "native.state q, gripper single: .* the same"),
-    (_state({"gripper": {"arm": "single", "closed": [1, 2], "open": 1}}), "native.state q, gripper single: 2 values"),
+    (
+        _changed(normalize={"rule": "mean_std", "file": "gone.json"}),
+        "model_io.action.normalize names the file gone.json",
+    ),
+    (_state({"joints": {"arm": "single", "sign": [1, -1]}}), "model_io.state q, joints single: sign has 2 entries"),
+    (_state({"joints": {"arm": "single", "names": ["a"]}}), "model_io.state q, joints single: .* got a"),
+    (_state({"hand": {"arm": "single"}}), "model_io.state q, hand single: .* say gripper"),
+    (_state({"gripper": {"arm": "single", "closed": 1, "open": 1}}), "model_io.state q, gripper single: .* the same"),
+    (_state({"gripper": {"arm": "single", "closed": [1, 2], "open": 1}}), "model_io.state q, gripper single: 2 values"),
     (
         _state({"rotation": {"arm": "single", "form": "matrix", "sign": "positive_w"}}),
-        "native.state q, rotation .* sign",
+        "model_io.state q, rotation .* sign",
     ),
-    (_state({"rotation": {"arm": "single", "form": "euler", "euler": "xxy"}}), "native.state q, rotation .* euler"),
-    ({"state": [JOINTS, JOINTS]}, "native: an input is named twice: q"),
-    ({"state": [JOINTS], "history": {"length": 2, "mask": "q"}}, "native: an input is named twice: q"),
+    (_state({"rotation": {"arm": "single", "form": "euler", "euler": "xxy"}}), "model_io.state q, rotation .* euler"),
+    ({"state": [JOINTS, JOINTS]}, "model_io: an input is named twice: q"),
+    ({"state": [JOINTS], "history": {"length": 2, "mask": "q"}}, "model_io: an input is named twice: q"),
 ]
 
 
 @pytest.mark.parametrize(("block", "told"), UNFIT)
 def test_a_block_that_does_not_fit_is_refused(block: dict[str, Any], told: str) -> None:
-    with pytest.raises(NativeError, match=told):
+    with pytest.raises(ConversionError, match=told):
         _interface(chunk=8, **block)
 
 
@@ -182,22 +185,24 @@ def test_a_hand_is_no_gripper_and_what_is_not_known_is_no_frame() -> None:
     gripper = {"gripper": {"arm": "left", "closed": 0, "open": 1}}
     hand = get_embodiment("tianji_marvin_wuji")
     for part, told in (
-        (gripper, "native.state s, gripper left: .* say hand"),
-        ({"position": {"arm": "left", "frame": "base"}}, "native.state s, position left: .* frame: world"),
-        ({"position": {"arm": "left", "point": "tcp"}}, "native.state s, position left: .* point: flange"),
-        ({"joints": {"arm": "left", "names": ["a"]}}, "native.state s, joints left: .* leave names out"),
+        (gripper, "model_io.state s, gripper left: .* say hand"),
+        ({"position": {"arm": "left", "frame": "base"}}, "model_io.state s, position left: .* frame: world"),
+        ({"position": {"arm": "left", "point": "tcp"}}, "model_io.state s, position left: .* point: flange"),
+        ({"joints": {"arm": "left", "names": ["a"]}}, "model_io.state s, joints left: .* leave names out"),
     ):
-        native = {**CASES["hands, absolute"].native, "state": [{"input": "s", "parts": [part]}]}
-        with pytest.raises(NativeError, match=told):
-            compile_interface(native, hand, "joint")
+        model_io = {**CASES["hands, absolute"].model_io, "state": [{"input": "s", "parts": [part]}]}
+        with pytest.raises(ConversionError, match=told):
+            compile_interface(model_io, hand, "joint")
 
 
 def test_a_change_in_the_moving_frame_needs_the_rotation() -> None:
     position = {"position": {"arm": "single", "applied": "body"}}
-    with pytest.raises(NativeError, match=r"native.action, position single: applied: body needs the arm's rotation"):
+    with pytest.raises(
+        ConversionError, match=r"model_io.action, position single: applied: body needs the arm's rotation"
+    ):
         _interface("ee", action={"reference": "delta_state", "parts": [position, GRIPPER]})
     turn = {"rotation": {"arm": "single", "form": "matrix", "point": "tcp"}}
-    with pytest.raises(NativeError, match="position single: its point and frame differ"):
+    with pytest.raises(ConversionError, match="position single: its point and frame differ"):
         _interface("ee", action={"reference": "delta_state", "parts": [position, turn, GRIPPER]})
 
 
@@ -213,14 +218,14 @@ def test_a_change_in_the_moving_frame_needs_the_rotation() -> None:
 def test_an_answer_that_does_not_fit_is_refused(raw: np.ndarray, told: str) -> None:
     action = copy.deepcopy(ACTION)
     action["parts"][1]["gripper"]["threshold"] = 0.5
-    with pytest.raises(NativeError, match=f"native.action: {told}"):
+    with pytest.raises(ConversionError, match=f"model_io.action: {told}"):
         _interface(chunk=8, action=action).decode(raw, observation("franka_single"))
 
 
 def test_what_is_no_rotation_names_its_part() -> None:
     parts = [{"rotation": {"arm": "single", "form": "rot6d_rows"}}, GRIPPER]
     interface = _interface("ee", action={"reference": "absolute", "parts": parts})
-    with pytest.raises(NativeError, match=r"native.action, rotation single: .* no rotation"):
+    with pytest.raises(ConversionError, match=r"model_io.action, rotation single: .* no rotation"):
         interface.decode(np.zeros((1, 7)), observation("franka_single"))
     with pytest.raises(ActionError):
         interface.decode(np.array([[1, 0, 0, 0, 1, 0, 55.0]]), observation("franka_single"))
@@ -229,7 +234,7 @@ def test_what_is_no_rotation_names_its_part() -> None:
 def test_an_observation_that_lacks_something_is_refused() -> None:
     interface = _interface(state=[JOINTS])
     for state, told in (
-        ({}, "no 'arm_joint_state', which the native block reads"),
+        ({}, "no 'arm_joint_state', which the model_io block reads"),
         ({"arm_joint_state": np.zeros(6)}, r"shape \(6,\), expected \(7,\)"),
         ({"arm_joint_state": np.full(7, np.inf)}, "not finite"),
         ({"arm_joint_state": ["0.5"] * 7}, "arm_joint_state holds <U3, expected numbers"),
@@ -240,5 +245,5 @@ def test_an_observation_that_lacks_something_is_refused() -> None:
             interface.encode({"state": state})
     with pytest.raises(ObservationError, match="no 'state' map"):
         interface.encode({})
-    with pytest.raises(NativeError, match="no input q"):
+    with pytest.raises(ConversionError, match="no input q"):
         interface.observe({}, observation("franka_single"))

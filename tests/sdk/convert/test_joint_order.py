@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xpl.convert import Interface, NativeError, compile_interface
+from xpl.convert import ConversionError, Interface, compile_interface
 from xpl.embodiment import get_embodiment
 
 ROBOT = get_embodiment("arx_x5")
@@ -18,8 +18,8 @@ GRIPPERS = [{"gripper": {"arm": arm, "closed": 0, "open": 1}} for arm in ("left"
 
 def _interface(parts: list[dict[str, Any]], reference: str = "absolute") -> Interface:
     vector = [*parts, *GRIPPERS]
-    native = {"state": [{"input": "q", "parts": vector}], "action": {"reference": reference, "parts": vector}}
-    return compile_interface(native, ROBOT, "joint")
+    model_io = {"state": [{"input": "q", "parts": vector}], "action": {"reference": reference, "parts": vector}}
+    return compile_interface(model_io, ROBOT, "joint")
 
 
 def _state(draw: np.random.Generator) -> dict[str, np.ndarray]:
@@ -69,5 +69,5 @@ def test_words_of_a_part_are_of_its_joints_only() -> None:
     ],
 )
 def test_a_joint_that_is_left_out_or_stands_there_twice_is_told(parts: list[dict[str, Any]], told: str) -> None:
-    with pytest.raises(NativeError, match=told):
+    with pytest.raises(ConversionError, match=told):
         _interface(parts)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 from xpl.convert.numbers import Normalization
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def test_statistics_of_the_padded_vector_are_cut() -> None:
     values = {"low": [0.0] * 32, "high": [2.0] * 3 + [0.0] * 29}
     how = {"rule": "quantiles", "values": values}
     assert Normalization(how, 3, padded=32).encode(np.ones(3)).tolist() == [0, 0, 0]
-    with pytest.raises(NativeError, match="32 numbers as low, expected 3"):
+    with pytest.raises(ConversionError, match="32 numbers as low, expected 3"):
         Normalization(how, 3, padded=16)
 
 
@@ -159,5 +159,5 @@ def test_numbers_that_cannot_be_had(how: dict[str, Any], told: str, tmp_path: Pa
     for name in ("broken.json", "broken.npz", "broken.safetensors"):
         (tmp_path / name).write_text("{")
     (tmp_path / "text.json").write_text('{"a": "many", "b": 3}')
-    with pytest.raises(NativeError, match=told):
+    with pytest.raises(ConversionError, match=told):
         Normalization({"rule": "quantiles", **how}, 2, [tmp_path])

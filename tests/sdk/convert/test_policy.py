@@ -1,4 +1,4 @@
-"""An adapter with a native block writes load and predict: batches, histories, resets and questions put twice."""
+"""An adapter with a model_io block writes load and predict: batches, histories, resets and questions put twice."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support.adapters.native import observation
-from xpl.convert import NativeError
+from tests.support.adapters.model_io import observation
+from xpl.convert import ConversionError
 from xpl.policy import Policy
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 STEP = 0.1
 
 
-class Native(Policy):
+class ModelIO(Policy):
     def load(self, config: Mapping[str, Any]) -> None:
         self.given: list[dict[str, Any]] = []
         self.fails = False
@@ -29,13 +29,13 @@ class Native(Policy):
         return np.full((len(envs), 2, 8), STEP)
 
 
-def _policy(cls: type[Policy] = Native, *, reference: str = "delta_command", chunk: int = 2, **native: Any) -> Any:
+def _policy(cls: type[Policy] = ModelIO, *, reference: str = "delta_command", chunk: int = 2, **model_io: Any) -> Any:
     action = {
         "reference": reference,
         "parts": [{"joints": {"arm": "single"}}, {"gripper": {"arm": "single", "closed": 0.0, "open": 1.0}}],
     }
     state = [{"input": "q", "parts": [{"joints": {"arm": "single"}}]}]
-    manifest = {"temporal": {"chunk": chunk}, "native": {"state": state, "action": action, **native}}
+    manifest = {"temporal": {"chunk": chunk}, "model_io": {"state": state, "action": action, **model_io}}
     return cls({"env_cfg_type": "franka_single", "action_type": "joint", "manifest": manifest})
 
 
@@ -143,7 +143,7 @@ def test_signs_are_those_of_the_environment_and_the_episode() -> None:
 def test_an_encode_of_ones_own_is_given_as_ever() -> None:
     """Lists of the manifest's history, even where the block keeps more observations."""
 
-    class Own(Native):
+    class Own(ModelIO):
         def encode(self, obs: Mapping[str, Any], env: int) -> float:
             return float(obs["state"]["arm_joint_state"][0])
 
@@ -157,6 +157,6 @@ def test_an_encode_of_ones_own_is_given_as_ever() -> None:
 def test_a_block_that_does_not_fit_stops_the_start() -> None:
     gripper = {"gripper": {"arm": "single", "closed": 0, "open": 1}}
     action = {"reference": "absolute", "steps": 5, "parts": [{"joints": {"arm": "single"}}, gripper]}
-    manifest = {"temporal": {"chunk": 2}, "native": {"action": action}}
-    with pytest.raises(NativeError, match=r"native.action.steps is 5, and temporal.chunk 2"):
-        Native({"env_cfg_type": "franka_single", "manifest": manifest})
+    manifest = {"temporal": {"chunk": 2}, "model_io": {"action": action}}
+    with pytest.raises(ConversionError, match=r"model_io.action.steps is 5, and temporal.chunk 2"):
+        ModelIO({"env_cfg_type": "franka_single", "manifest": manifest})

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from xpl import rotation
-from xpl.convert import NativeError, rotations
+from xpl.convert import ConversionError, rotations
 
 TURNS = Rotation.random(64, random_state=7)
 WXYZ = TURNS.as_quat(scalar_first=True)
@@ -72,5 +72,5 @@ def test_what_a_model_regresses_becomes_a_rotation(form: str) -> None:
     ],
 )
 def test_what_is_no_rotation_is_refused(form: str, numbers: list[float]) -> None:
-    with pytest.raises(NativeError, match="no rotation"):
+    with pytest.raises(ConversionError, match="no rotation"):
         rotations.decode(np.array(numbers, float), form)

@@ -1,4 +1,4 @@
-"""Every word of the native vocabulary is used by a block that is valid, compiles, and converts there and back."""
+"""Every word of the model_io vocabulary is used by a block that is valid, compiles, and converts there and back."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.adapters.native import CAMERAS, CASES, Case, observation, steps, vocabulary, words
+from tests.support.adapters.model_io import CAMERAS, CASES, Case, observation, steps, vocabulary, words
 from xpl import rotation
 from xpl_cli.standard import spec
 
-SCHEMA = spec.schema("native")
+SCHEMA = spec.schema("model_io")
 NAMES = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 SEEDS = st.integers(0, 10_000)
 SIZES = dict.fromkeys(CAMERAS, (24, 32))
@@ -22,13 +22,13 @@ FEW = settings(max_examples=8, derandomize=True, deadline=None)
 
 
 def test_no_word_is_left_out() -> None:
-    used = {word for case in CASES.values() for word in words(SCHEMA, case.native, SCHEMA)}
+    used = {word for case in CASES.values() for word in words(SCHEMA, case.model_io, SCHEMA)}
     assert vocabulary(SCHEMA) - used == set()
 
 
 @NAMES
 def test_the_cases_are_valid(case: Case) -> None:
-    jsonschema.Draft202012Validator(SCHEMA).validate(case.native)
+    jsonschema.Draft202012Validator(SCHEMA).validate(case.model_io)
 
 
 @NAMES

@@ -1,4 +1,4 @@
-"""An adapter with a native interface, and the native code of its authors, small enough to be recorded in a test."""
+"""An adapter with a model_io block, and the reference code of its authors, small enough to be recorded in a test."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Model(Policy):
         return np.stack([self.network(*row) for row in rows])
 """
 
-NATIVE = '''"""Answers as the authors' rollout does."""
+REFERENCE = '''"""Answers as the authors' rollout does."""
 
 import numpy as np
 
@@ -128,7 +128,7 @@ def block(**changes: Any) -> dict[str, Any]:
     return {**copy.deepcopy(BLOCK), **changes}
 
 
-def manifest(name: str, native: dict[str, Any] | None, **changes: Any) -> dict[str, Any]:
+def manifest(name: str, model_io: dict[str, Any] | None, **changes: Any) -> dict[str, Any]:
     """Return the policy.yml of the adapter."""
     told = {
         "spec": "v1",
@@ -154,31 +154,31 @@ def manifest(name: str, native: dict[str, Any] | None, **changes: Any) -> dict[s
         "environment": {"manager": "none"},
         **changes,
     }
-    return told if native is None else {**told, "native": native}
+    return told if model_io is None else {**told, "model_io": model_io}
 
 
 def made(
     folder: Path,
-    native: dict[str, Any] | None = BLOCK,
+    model_io: dict[str, Any] | None = BLOCK,
     *,
     model: str = MODEL,
-    code: str | None = NATIVE,
+    code: str | None = REFERENCE,
     **changes: Any,
 ) -> Path:
     """Write the adapter into a folder and return it.
 
     Args:
         folder: its name is the policy's.
-        native: the block, None for none.
+        model_io: the block, None for none.
         model: text of model.py.
-        code: text of native.py, None for none.
+        code: text of reference.py, None for none.
         changes: keys of policy.yml.
     """
     answers = {**adapter.defaults(), "name": folder.name, "embodiment": "franka_single", "action_type": "joint"}
     adapter.write(adapter.render(Answers(**answers)), folder, overwrite=True)
-    (folder / "policy.yml").write_text(yaml.safe_dump(manifest(folder.name, native, **changes), sort_keys=False))
+    (folder / "policy.yml").write_text(yaml.safe_dump(manifest(folder.name, model_io, **changes), sort_keys=False))
     (folder / "network.py").write_text(NETWORK)
     (folder / "model.py").write_text(model)
     if code is not None:
-        (folder / "native.py").write_text(code)
+        (folder / "reference.py").write_text(code)
     return folder

@@ -1,4 +1,4 @@
-"""A small network behind a native block, or behind code, in which mistakes are planted."""
+"""A small network behind a model_io block, or behind code, in which mistakes are planted."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tests.support.adapters.native import Case, fields, observation
+from tests.support.adapters.model_io import Case, fields, observation
 from xpl import rotation
 from xpl.convert import compile_interface
 from xpl.policy import Policy
-from xpl_cli.native.difference import Thread
+from xpl_cli.model_io.difference import Thread
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -79,7 +79,7 @@ class Rig:
         self.case = case
         rng = np.random.default_rng(5)
         state, near = (fields(case.robot, rng, joints=True) for _ in range(2))
-        interface = compile_interface(case.native, case.embodiment, case.action_type)
+        interface = compile_interface(case.model_io, case.embodiment, case.action_type)
         self.network = Network(interface.action.encode([self._moved(near, rng) for _ in range(STEPS)], state, {}))
         self.episodes = [
             [
@@ -89,7 +89,7 @@ class Rig:
             for number, envs in enumerate(EPISODES)
         ]
 
-    def answers(self, native: Mapping[str, Any]) -> list[Any]:
+    def answers(self, model_io: Mapping[str, Any]) -> list[Any]:
         """Return the answers of the network behind a block, question by question."""
         case = self.case
         model = Converted(
@@ -97,7 +97,7 @@ class Rig:
                 "env_cfg_type": case.robot,
                 "action_type": case.action_type,
                 "network": self.network,
-                "manifest": {"native": native, "temporal": {"chunk": STEPS}},
+                "manifest": {"model_io": model_io, "temporal": {"chunk": STEPS}},
             }
         )
         return self.asked(model)
@@ -112,11 +112,11 @@ class Rig:
             model.reset()
         return found
 
-    def threads(self, native: Sequence[Any], given: Sequence[Any]) -> list[Thread]:
+    def threads(self, model_io: Sequence[Any], given: Sequence[Any]) -> list[Thread]:
         """Return the episodes of each environment with both answers."""
         parts: dict[tuple[int, int], list[tuple[Any, Any, Any]]] = {}
         shown = [(number, env, obs) for number, episode in enumerate(self.episodes) for env, obs in episode]
-        for (number, env, obs), one, other in zip(shown, native, given, strict=True):
+        for (number, env, obs), one, other in zip(shown, model_io, given, strict=True):
             parts.setdefault((number, env), []).append((obs, one, other))
         return [
             Thread(

@@ -1,4 +1,4 @@
-"""Adapters with a native block for two arms and for one, of which tests look at what the model sees."""
+"""Adapters with a model_io block for two arms and for one, of which tests look at what the model sees."""
 
 from __future__ import annotations
 
@@ -72,14 +72,14 @@ def block(**changes: Any) -> dict[str, Any]:
     return {**copy.deepcopy(TWO_ARMS), **changes}
 
 
-def made(folder: Path, native: dict[str, Any] | None, model: str = MODEL) -> Path:
+def made(folder: Path, model_io: dict[str, Any] | None, model: str = MODEL) -> Path:
     """Write an adapter for two arms into a folder and return it."""
     answers = {**adapter.defaults(), "name": folder.name, "embodiment": "arx_x5", "action_type": "joint"}
     adapter.write(adapter.render(Answers(**answers)), folder)
     manifest = yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8"))
     manifest.update({"spec": "v1", "temporal": {"kind": "chunk", "chunk": 4}})
-    manifest.pop("native", None)
-    manifest.update({} if native is None else {"native": native})
+    manifest.pop("model_io", None)
+    manifest.update({} if model_io is None else {"model_io": model_io})
     (folder / "policy.yml").write_text(yaml.safe_dump(manifest, sort_keys=False), encoding="utf-8")
     (folder / "model.py").write_text(model, encoding="utf-8")
     return folder

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support.adapters.native import observation
+from tests.support.adapters.model_io import observation
 from xpl import rotation
 from xpl.convert.images import ImageInput
 from xpl.policy import Policy

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support.adapters.native import observation
+from tests.support.adapters.model_io import observation
 from xpl.policy import Policy
 from xpl.worker.encoded.segments import Segments
 from xpl.worker.encoded.walk import UnfitError

@@ -146,7 +146,7 @@ class Resized:
         raise UnfitError("the adapter changes pictures that have the model's size")
 
     def __call__(self, obs: Observation, steps: Sequence[Entry]) -> dict[str, Any]:
-        """Return an observation with such pictures; steps are a geometry in words of a native block, without `to`."""
+        """Return an observation with such pictures; steps are a geometry in words of a model_io block, without `to`."""
         vision = obs[spec.Obs.VISION]
         entry = {"input": "", "channels": "rgb", "layout": "hwc", "dtype": "uint8"}
         seen = {}

@@ -3,7 +3,7 @@
 What an audit looks for the mistake with where an adapter converts in code: pictures that `encode` made are scaled
 otherwise, texts and vectors written otherwise, while `decode` sees what was shown. The model is loaded once.
 
-    as `xpl.worker.inprocess.load` reads, further "changes", "calls" (as in `xpl.worker.native`), "seconds"
+    as `xpl.worker.inprocess.load` reads, further "changes", "calls" (as in `xpl.worker.reference`), "seconds"
     one map for the load, whose result is None, or the reason why nothing can be changed; one for each change in its
     order, as far as the seconds reach: its result has "answers", the chunk of every question; "apart", how far pictures
     are from those before; "draws", how many times something was drawn; "words", if the process knows better what the

@@ -85,7 +85,7 @@ class Rebuilt:
         Args:
             value: what the adapter made of the observation.
             obs: the observation.
-            steps: geometry in the words of a native block, without `to`.
+            steps: geometry in the words of a model_io block, without `to`.
             exchanged: whether height and width are exchanged.
 
         Raises:

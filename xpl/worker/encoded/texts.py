@@ -29,7 +29,7 @@ def text(value: object, how: Entry, obs: Observation) -> Any:
 
     Args:
         value: encoded inputs.
-        how: `case`, `strip`, and perhaps `template`, as in a native block; without a template the text around the
+        how: `case`, `strip`, and perhaps `template`, as in a model_io block; without a template the text around the
             instruction stays.
         obs: the observation.
 

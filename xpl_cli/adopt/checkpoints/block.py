@@ -1,4 +1,4 @@
-"""Makes the block `native`, and what else a manifest says of a model, of what was read from a checkpoint."""
+"""Makes the block `model_io`, and what else a manifest says of a model, of what was read from a checkpoint."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Choices:
     statistics: str | None = None
 
 
-def native(trained: Trained, robot: Embodiment | None, choices: Choices) -> Tree:
+def model_io(trained: Trained, robot: Embodiment | None, choices: Choices) -> Tree:
     """Return the block as a tree of values with their sources."""
     block: dict[str, Tree] = {}
     views = _views(trained, robot, choices)

@@ -1,4 +1,4 @@
-"""What a checkpoint says of a policy on one robot: the block `native`, and what else of a manifest it fills."""
+"""What a checkpoint says of a policy on one robot: the block `model_io`, and what else of a manifest it fills."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
     from xpl_cli.adopt.checkpoints.trained import Trained
 
-"""The standard of what is read from a checkpoint: the first that has a native block."""
-NATIVE: Final = "native"
+"""The standard of what is read from a checkpoint: the first that has a model_io block."""
+MODEL_IO: Final = "model_io"
 ENVIRONMENTS: Final = {
     "lerobot": {"manager": "uv", "python": ">=3.10", "requirements": ["numpy>=1.24", "lerobot>=0.4"]}
 }
@@ -37,7 +37,7 @@ class Known:
         trained: the model, in its maker's terms.
         robot: whose numbers it holds.
         named: where the robot was read.
-        tree: the native block.
+        tree: the model_io block.
         action_type: joint or ee.
         path: the folder.
     """
@@ -95,7 +95,7 @@ class Known:
             source = {"source": f"hf://{hub['owner']}/{hub['name']}", "revision": hub["commit"]}
             where = Evidence("", None, "the folder in the hub's cache")
             result["checkpoints"] = [certain({"name": self.checkpoint, **source}, where)]
-        return {**result, NATIVE: self.tree}
+        return {**result, MODEL_IO: self.tree}
 
 
 def read(paths: Sequence[Path], embodiment: str | None, action_type: str | None, choices: block.Choices) -> Known:
@@ -112,7 +112,7 @@ def read(paths: Sequence[Path], embodiment: str | None, action_type: str | None,
     """
     trained, folder = registry.read(paths, choices.statistics)
     robot, named = _robot(trained, embodiment)
-    tree = block.native(trained, robot, choices)
+    tree = block.model_io(trained, robot, choices)
     return Known(trained, robot, named, tree, action_type or _action_type(plain(tree["action"]["parts"])), folder.path)
 
 

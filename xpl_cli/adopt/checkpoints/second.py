@@ -1,4 +1,4 @@
-"""Writes native.py of a checkpoint whose maker's own code can be asked: LeRobot's `select_action`.
+"""Writes reference.py of a checkpoint whose maker's own code can be asked: LeRobot's `select_action`.
 
 Its lines are made of the facts, not of the block: it is the other reading that audits compare the adapter with. Each
 convention names where it was read; what nobody says is `assumed`.
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 
 class UnsaidError(Exception):
-    """A native.py cannot be written: the argument says what is open."""
+    """A reference.py cannot be written: the argument says what is open."""
 
 
 def context(trained: Trained, block: Mapping[str, Tree], robot: Embodiment, checkpoint: str) -> dict[str, Any]:
-    """Return what the template of native.py says.
+    """Return what the template of reference.py says.
 
     Args:
         trained: what was read.
-        block: the native block made of it.
+        block: the model_io block made of it.
         robot: the robot.
         checkpoint: its name.
 
@@ -39,7 +39,7 @@ def context(trained: Trained, block: Mapping[str, Tree], robot: Embodiment, chec
     """
     openings = [
         key
-        for key, leaf in leaves({key: block[key] for key in ("images", "state", "action") if key in block}, "native")
+        for key, leaf in leaves({key: block[key] for key in ("images", "state", "action") if key in block}, "model_io")
         if isinstance(leaf, Open)
     ]
     if openings:

@@ -14,7 +14,7 @@ from xpl_cli.adopt.checkpoints.known import ENVIRONMENTS, Known
 from xpl_cli.adopt.facts import Findings, plain
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import UserError
-from xpl_cli.native.names import CODE
+from xpl_cli.model_io.names import CODE
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def _naming(text: str, checkpoint: str) -> str:
 
 
 def _code(name: str, found: Known, notes: list[str]) -> Files:
-    """Return model.py, and native.py if nothing that it needs is open."""
+    """Return model.py, and reference.py if nothing that it needs is open."""
     maker = found.trained.maker
     said = {
         "name": name,
@@ -162,7 +162,7 @@ def _code(name: str, found: Known, notes: list[str]) -> Files:
     try:
         said |= second.context(found.trained, found.tree, found.robot, found.checkpoint)
     except second.UnsaidError as problem:
-        notes.append(f"native.py is not written: {problem}")
+        notes.append(f"reference.py is not written: {problem}")
     else:
         files[CODE] = _template(maker, CODE, said)
     return files

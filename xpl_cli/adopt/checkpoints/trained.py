@@ -22,7 +22,7 @@ class View:
         evidence: where these names stand.
         size: height and width that the model was trained on, None where nothing says.
         steps: changes of geometry.
-        rest: the other keys of an entry of `native.images`: channels, layout, dtype, range, mean, std, stack.
+        rest: the other keys of an entry of `model_io.images`: channels, layout, dtype, range, mean, std, stack.
         optional: whether the model goes without it where the robot has no such camera.
     """
 
@@ -76,7 +76,7 @@ class Trained:
         states: vector inputs.
         instruction: the entry of the block, or None.
         history: the entry of the block, or None.
-        extra: further keys of `native.action`.
+        extra: further keys of `model_io.action`.
         recurrent: whether the model keeps a state of its own.
         ensembling: decay of temporal ensembling.
         rate: steps a second.

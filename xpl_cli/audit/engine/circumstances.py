@@ -13,7 +13,7 @@ from xpl_cli.audit.static import reading
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.strangers import command
 from xpl_cli.basics.words import listed
-from xpl_cli.native import names
+from xpl_cli.model_io import names
 from xpl_cli.packages.package import ENV
 from xpl_cli.standard import spec
 
@@ -74,28 +74,28 @@ def places(source: Source) -> Iterator[str]:
 
 
 def unknown(source: Source) -> Iterator[str]:
-    """Yield every value of the native block that its author says is unknown, as `images[0].channels`."""
-    native = source.manifest.native
-    if native is not None:
+    """Yield every value of the model_io block that its author says is unknown, as `images[0].channels`."""
+    model_io = source.manifest.model_io
+    if model_io is not None:
         from xpl.convert.gaps import gaps  # which needs numpy
 
-        yield from (gap.where for gap in gaps(native.data))
+        yield from (gap.where for gap in gaps(model_io.data))
 
 
 def without_pairs(source: Source, shown: str) -> str | None:
-    """Return why a policy's conversions cannot be compared with the model's own, None if there are native pairs."""
+    """Return why a policy's conversions cannot be compared with the model's own, None if there are golden pairs."""
     if source.variant is not None:
-        return None if _is_recorded(source) else f"no native pairs of the variant {source.variant}"
+        return None if _is_recorded(source) else f"no golden pairs of the variant {source.variant}"
     if source.has(names.PAIRS):
         return None
     if source.has(names.CODE):
-        return f"{names.CODE} was not recorded: {command(('xpl', 'native', 'record', shown))}"
+        return f"{names.CODE} was not recorded: {command(('xpl', 'model-io', 'record', shown))}"
     return f"no {names.CODE}"
 
 
 def _is_recorded(source: Source) -> bool:
-    """Tell whether native pairs are of the variant; of a file that is none, native-parity tells."""
-    from xpl_cli.native import pairs  # which needs numpy
+    """Tell whether golden pairs are of the variant; of a file that is none, golden-parity tells."""
+    from xpl_cli.model_io import pairs  # which needs numpy
 
     try:
         return source.has(names.PAIRS) and pairs.read(source.path).variant == source.variant

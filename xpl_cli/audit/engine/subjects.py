@@ -4,7 +4,7 @@ A subject is a folder `conformance/<gate>/<slug>/{bad,good}/<case>/`. Its files 
 scaffolded adapter or, for rules about environments, environment; an optional `overlay.yml`, not copied, says more:
 
     scaffold: {embodiment: franka_single, action_type: ee}   # its options; `false`: start from nothing; by default it
-                                                             # has no native block, so that methods can convert
+                                                             # has no model_io block, so that methods can convert
     like: ../../good/by-hand                                 # another subject, whose files come first
     remove: [install.sh]                                     # files of the scaffold that are left out
     edit: {deploy.yml: {"eval_batch: true": "eval_batch: 1"}} # text replaced in a file of the scaffold

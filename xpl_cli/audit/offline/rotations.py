@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from xpl.contract import Action, Entry, ObservationDict
-    from xpl.manifest import Native
+    from xpl.manifest import ModelIO
 
 # An axis a robot may well turn about, and none of the coordinate axes.
 _OBLIQUE = (0.36, 0.48, 0.8)
@@ -70,23 +70,23 @@ def first_turns(obs: ObservationDict, chunk: Sequence[Action]) -> list[Turn]:
     return turns
 
 
-def told_as_they_come(native: Native) -> list[str]:
-    """Return the rotations of a native block in which q and -q are two things, by what to call them.
+def told_as_they_come(model_io: ModelIO) -> list[str]:
+    """Return the rotations of a model_io block in which q and -q are two things, by what to call them.
 
     Those are quaternions that the model is told with the sign that they happen to have (`sign: any`), and those to
     which numbers are added.
     """
     found = []
-    for entry in native.state:
+    for entry in model_io.state:
         found += [
-            f"native.state {entry['input']}, rotation {how['arm']}"
+            f"model_io.state {entry['input']}, rotation {how['arm']}"
             for how in _quaternions(entry)
             if how.get("sign", "any") == "any"
         ]
-    for how in _quaternions(native.action):
-        told = how.get("reference") or native.action.get("reference", "absolute")
+    for how in _quaternions(model_io.action):
+        told = how.get("reference") or model_io.action.get("reference", "absolute")
         if told != "absolute" and how.get("applied") == "numbers" and how.get("sign", "any") == "any":
-            found.append(f"native.action, rotation {how['arm']}")
+            found.append(f"model_io.action, rotation {how['arm']}")
     return found
 
 

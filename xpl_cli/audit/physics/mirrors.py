@@ -50,9 +50,11 @@ class World:
     def advice(self) -> str:
         """What to look at where a policy fares better in this world."""
         if self.kind == COLOURS:
-            return "compare the order of the channels with the authors' own code; `xpl native show` draws what it gets"
+            return (
+                "compare the order of the channels with the authors' own code; `xpl model-io show` draws what it gets"
+            )
         if self.kind == CAMERAS:
-            return "compare which camera each input of the model gets with the authors' own code (`xpl native show`)"
+            return "compare which camera each input of the model gets with the authors' own code (`xpl model-io show`)"
         what = " and ".join(self.names)
         return f"compare the {what} of the gripper with the authors' own code before anything is turned round"
 

@@ -243,7 +243,7 @@ class Circumstances:
         narrowed: what was left out, in a few words; empty if everything was asked for.
         settings: keys of deploy.yml that `--set` gave other values.
         places: places that the author has to fill in, `FILE:LINE`.
-        unknown: native values that the manifest says are unknown.
+        unknown: model_io values that the manifest says are unknown.
         assumed: values that the manifest says are assumed.
         without_pairs: why there is nothing that conversions could be compared with; None if there is something.
     """

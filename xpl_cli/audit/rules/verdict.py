@@ -106,7 +106,7 @@ FOLLOWED: Final = Claim(
 whose words are frozen, lack it."""
 
 _WITNESSES: Final = {"XPL262": "kinematics of the authors' rows", FOLLOWED.rule: "demonstrations"}
-"""Rules that hold conventions against something that neither the adapter nor native.py was written from."""
+"""Rules that hold conventions against something that neither the adapter nor reference.py was written from."""
 
 _OF_RULES: Final = frozenset(code for claim in (PARITY, FOLLOWED) for code in (claim.rule, *claim.needs))
 
@@ -167,7 +167,7 @@ class Verdict:
     beside: tuple[Proven | Unproven, ...] = ()
 
     def __str__(self) -> str:
-        """Return it as people read it: `GREEN contract; conversions unproven (no native.py)`."""
+        """Return it as people read it: `GREEN contract; conversions unproven (no reference.py)`."""
         return f"{self.word.upper()} {self.said}"
 
     @property
@@ -308,7 +308,7 @@ def _about(word: Word, gates: Sequence[Ended], around: Circumstances) -> str:
         return ", ".join(filter(None, told)) or _silent(gates)
     caveats = [
         _places(around.places, "place", "to fill in"),
-        _places(around.unknown, "native value", "unknown"),
+        _places(around.unknown, "model_io value", "unknown"),
         ", ".join(dict.fromkeys(gate.stood_in for gate in gates if gate.stood_in)),
         around.narrowed,
     ]
@@ -355,7 +355,7 @@ def _by_rule(claim: Claim, gates: Sequence[Ended], around: Circumstances) -> Pro
 
 
 def _around_parity(gates: Sequence[Ended]) -> Numbers:
-    """Return what else is known of conventions that adapter and native.py agree on: one author may err twice."""
+    """Return what else is known of conventions that adapter and reference.py agree on: one author may err twice."""
     proofs = {code for gate in gates for code in gate.proofs}
     shared = [code for gate in gates for code in gate.shared]
     found: dict[str, object] = {"independent": [word for code, word in _WITNESSES.items() if code in proofs]}

@@ -1,4 +1,4 @@
-"""What native.py takes from the adapter that it is to be a second reading of: xpl, model.py, the native block.
+"""What reference.py takes from the adapter that it is to be a second reading of: xpl, model.py, the model_io block.
 
 Whoever wants to hide it from a reader can, and recording sees what is imported. This tells those who did not know.
 """
@@ -13,8 +13,8 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
-from xpl_cli.native import names
-from xpl_cli.native.reading import Import, Place, read_tree
+from xpl_cli.model_io import names
+from xpl_cli.model_io.reading import Import, Place, read_tree
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.model import Location
@@ -40,7 +40,7 @@ class Borrowed:
 
 
 def borrowed(source: Source) -> Iterator[Borrowed]:
-    """Yield all that native.py, and the package's own files that it imports, take from the adapter."""
+    """Yield all that reference.py, and the package's own files that it imports, take from the adapter."""
     for file in source.reached(names.CODE):
         if file == sdk.File.MODEL_PY or not source.parses(file):
             continue

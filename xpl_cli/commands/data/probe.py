@@ -26,7 +26,7 @@ def probe(
     episodes: int = typer.Option(24, min=1, metavar="N", help="Episodes that are read, evenly spread."),
     robot: str | None = typer.Option(None, metavar="NAME", help="The robot, where you know it (`xpl spec show`)."),
     explain: Path | None = typer.Option(None, metavar="FILE.html", help="Write a page with the lines that show it."),
-    write: Path | None = typer.Option(None, metavar="DRAFT.yml", help="Write a draft of `native` and of the robot."),
+    write: Path | None = typer.Option(None, metavar="DRAFT.yml", help="Write a draft of `model_io` and of the robot."),
     as_json: bool = JSON,
 ) -> None:
     """Measure the conventions of demonstrations instead of believing a README: each with evidence and margin."""

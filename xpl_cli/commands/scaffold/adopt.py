@@ -27,7 +27,7 @@ def adopt(
         [],
         "--from",
         metavar="FOLDER",
-        help="Folder of the checkpoint that it runs, which fills the native block; once more for its data set.",
+        help="Folder of the checkpoint that it runs, which fills the model_io block; once more for its data set.",
     ),
     gripper: str | None = GRIPPER,
     camera: list[str] = CAMERA,

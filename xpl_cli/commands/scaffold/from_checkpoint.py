@@ -125,10 +125,10 @@ def _next(target: Path, begun: Start) -> list[str]:
     """Return the commands that follow, ready to be pasted."""
     import shlex
 
-    from xpl_cli.native.names import CODE
+    from xpl_cli.model_io.names import CODE
 
     path = shlex.quote(str(target))
-    record = [f"xpl native record {path}"] if CODE in begun.files else []
+    record = [f"xpl model-io record {path}"] if CODE in begun.files else []
     return [f"xpl install {path}", *record, f"xpl audit {path}"]
 
 

@@ -38,10 +38,10 @@ def new_policy(
         None, metavar="NAME,...", help="Cameras that it reads, with the smallest image: cam_head:640x480, or any size."
     ),
     code: bool = typer.Option(
-        False, "--code", help="Convert in encode and decode, not by the native block of policy.yml."
+        False, "--code", help="Convert in encode and decode, not by the model_io block of policy.yml."
     ),
-    native_reference: bool = typer.Option(
-        False, "--native-reference", help="Also write native.py, by which the adapter is compared with the model."
+    reference: bool = typer.Option(
+        False, "--reference", help="Also write reference.py, by which the adapter is compared with the model."
     ),
     python: str | None = typer.Option(None, help="The policy's own Python: a version, or the path of an interpreter."),
     sources: list[Path] = typer.Option(
@@ -78,7 +78,7 @@ def new_policy(
             ensembling=ensembling,
             cameras=cameras,
             code=code or None,
-            native_reference=native_reference or None,
+            reference=reference or None,
             python=python,
         )
         from_checkpoint.begin(name, sources, parent, given, overwrite=overwrite, dry_run=dry_run, as_json=as_json)
@@ -96,7 +96,7 @@ def new_policy(
         ensembling=ensembling,
         cameras=[name.strip() for name in cameras.split(",")] if cameras else None,
         block=False if code else None,
-        native_reference=native_reference or None,
+        reference=reference or None,
     )
     if not as_json and not dry_run and _is_asked():
         adapter.check_name(name)

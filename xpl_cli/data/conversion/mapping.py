@@ -1,4 +1,4 @@
-"""What is which part of a set, and under which conventions: the words of a policy's `native:` block, with columns.
+"""What is which part of a set, and under which conventions: the words of a policy's `model_io:` block, with columns.
 
 An `input` of the block is the name of a column or camera. What only sets have stands beside it: which columns make the
 action, and by how many steps they come late. Source: spec/mappings/, and spec/v1/mapping.schema.json.
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl.convert.actions import ActionOutput
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 from xpl.convert.gaps import refuse
 from xpl.convert.images import ImageInput
 from xpl.convert.vectors import Vector
@@ -79,17 +79,17 @@ def load(name: str) -> Conventions:
     where = path.name
     try:
         embodiment = get_embodiment(entry["robot"])
-        refuse(entry["native"])
-        native = entry["native"]
-        images = {one["input"]: ImageInput(one) for one in native.get("images", ())}
+        refuse(entry["model_io"])
+        model_io = entry["model_io"]
+        images = {one["input"]: ImageInput(one) for one in model_io.get("images", ())}
         states = {
             one["input"]: Vector(one, embodiment, [path.parent], f"state {one['input']}")
-            for one in native.get("state", ())
+            for one in model_io.get("state", ())
         }
-        action = ActionOutput(native["action"], embodiment, entry[sdk.Deploy.ACTION_TYPE], [path.parent])
-    except (NativeError, UnknownEmbodimentError) as error:
+        action = ActionOutput(model_io["action"], embodiment, entry[sdk.Deploy.ACTION_TYPE], [path.parent])
+    except (ConversionError, UnknownEmbodimentError) as error:
         raise DataError(f"{where}: {error}", code=ExitCode.USAGE) from None
-    for one in native.get("images", ()):
+    for one in model_io.get("images", ()):
         wrong = [kind for step in one.get("steps", ()) for kind in step if kind not in _PLAIN_STEPS]
         if wrong or len(one["cameras"]) != 1 or one["layout"] != "hwc" or one["dtype"] != "uint8":
             raise DataError(

@@ -10,7 +10,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.convert.assembly import assembled
-from xpl.convert.errors import NativeError
+from xpl.convert.errors import ConversionError
 from xpl.trajectory.names import stored
 from xpl_cli.data.sets.delegating import DelegatingEpisode, DelegatingSet
 from xpl_cli.data.sets.errors import DataError
@@ -150,7 +150,7 @@ class StandardEpisode(_MappedEpisode):
         try:
             state = self._state(where)
             action = self._action(state, where)
-        except NativeError as error:
+        except ConversionError as error:
             raise DataError(f"{where}: {error}") from None
         rows = {"/".join(stored((spec.Trajectory.STATE, key))): values for key, values in state.items()}
         rows |= {"/".join(stored((spec.Trajectory.ACTION, key))): values for key, values in action.items()}
@@ -241,7 +241,7 @@ class FieldEpisode(_MappedEpisode):
                 made[name] = vector.normalized(np.stack(pieces))
             if not self._mapping.shift:
                 made |= self._commands(states, where)
-        except (NativeError, ValueError) as error:
+        except (ConversionError, ValueError) as error:
             raise DataError(f"{where}: {error}") from None
         return made
 

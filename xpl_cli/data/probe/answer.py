@@ -21,7 +21,7 @@ class Answer:
     """One convention.
 
     Attributes:
-        topic: what it is about: `rate`, `reference`, `rotation form`; words of native.schema.json where it has some.
+        topic: what it is about: `rate`, `reference`, `rotation form`; words of model_io.schema.json where it has some.
         subject: what it is a convention of: a column, a part of one (`action[0:7]`), a camera, or `set`.
         value: the convention; None where it is unknown.
         evidence: one sentence with the figure that it rests on; of what is unknown, why.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import rotation
-from xpl.convert import NativeError, rotations
+from xpl.convert import ConversionError, rotations
 from xpl_cli.data.probe import tracking
 from xpl_cli.data.probe.answer import Contest
 from xpl_cli.data.probe.tracking import SHIFTS, Follow
@@ -230,7 +230,7 @@ def _spun(states: Rows, commands: Rows, form: tuple[str, str | None], state: obj
     """Return the errors of the readings of rotations (T, width) in one form."""
     try:
         said = [rotations.decode(rows, *form) for rows in commands]
-    except NativeError:
+    except ConversionError:
         return {}
     found: dict[Any, float] = {}
     follows: dict[tuple[str, str], Follow] = {}

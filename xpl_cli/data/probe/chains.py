@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import get_embodiment, poses, robots, rotation
-from xpl.convert import NativeError, frames
+from xpl.convert import ConversionError, frames
 from xpl.embodiment import UnknownEmbodimentError, embodiment_names
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def places(robot: Embodiment, side: str) -> dict[tuple[str, str], tuple[np.ndarr
         try:
             outer = frames.mount(robot, side) if frame == "world" else _STILL
             inner = frames.tool(robot) if point == "tcp" else _STILL
-        except NativeError:
+        except ConversionError:
             continue
         found[point, frame] = (outer, inner)
     return found

@@ -1,4 +1,4 @@
-"""A draft of a `native` block and of an embodiment, with what was measured; what is unknown says so in its place."""
+"""A draft of a `model_io` block and of an embodiment, with what was measured; what is unknown says so in its place."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _HEAD = """\
 # Drafted by `xpl data probe`; every value was measured, or says why it is not known.
-# `native` goes into policy.yml. Each row of an action counts from the state of its own time: for a model that answers
+# `model_io` goes into policy.yml. Each row of an action counts from the state of its own time: for a model that answers
 # several steps at once, `delta_state` is `cumulative`, unless training counted all of a chunk from its first state.
 """
 _ROBOT = """\
@@ -29,8 +29,8 @@ def text(found: Found) -> str:
     """Return the draft as YAML."""
     import yaml
 
-    native, robot = block(found), embodiment(found)
-    said = yaml.safe_dump(_apart({"native": native}), sort_keys=False, allow_unicode=True, width=110)
+    model_io, robot = block(found), embodiment(found)
+    said = yaml.safe_dump(_apart({"model_io": model_io}), sort_keys=False, allow_unicode=True, width=110)
     other = yaml.safe_dump(_apart({"embodiment": robot}), sort_keys=False, allow_unicode=True, width=110)
     return f"{_HEAD}{said}\n{_ROBOT}{other}"
 
@@ -43,7 +43,7 @@ def _apart(value: object) -> Any:
 
 
 def block(found: Found) -> dict[str, Any]:
-    """Return a `native` block (spec/v1/native.schema.json)."""
+    """Return a `model_io` block (spec/v1/model_io.schema.json)."""
     made: dict[str, Any] = {}
     images = [_image(found, name) for name in _cameras(found)]
     if images:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import get_embodiment, poses, rotation
-from xpl.convert import NativeError, rotations
+from xpl.convert import ConversionError, rotations
 from xpl_cli.data.probe import chains
 from xpl_cli.data.probe.answer import MARGIN, Answer, Contest, enough, unknown
 from xpl_cli.data.probe.arms import FORMS, told
@@ -60,7 +60,7 @@ class ArmState:
             rows = self.rotation.rows if self.rotation is not None else []
             try:
                 found[form] = [rotations.decode(episode * self.angles, *form) for episode in rows]
-            except NativeError:
+            except ConversionError:
                 continue
         return found
 
@@ -334,7 +334,7 @@ def _by_kinematics(arm: ArmState, part: Part) -> list[Answer]:
         for unit in (1.0, DEGREES) if part.width == 3 else (1.0,):
             try:
                 read = rotations.decode(rows * unit, *form)
-            except NativeError:
+            except ConversionError:
                 continue
             off = np.rad2deg(rotation.angle_between(read, expected))
             errors[("form", form), ("unit", unit)] = float(np.sqrt(np.mean(off * off)))
@@ -360,7 +360,7 @@ def _turned(rows: np.ndarray, expected: np.ndarray, width: int) -> tuple[Any, fl
     for form in FORMS[width]:
         try:
             read = rotations.decode(rows, *form)
-        except NativeError:
+        except ConversionError:
             continue
         between = rotation.multiply(rotation.conjugate(expected), read)
         _, vectors = np.linalg.eigh(between.T @ between)

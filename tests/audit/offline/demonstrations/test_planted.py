@@ -20,7 +20,7 @@ from tests.support.places import ROOT
 from xpl import get_embodiment
 from xpl_cli.audit.engine import subjects
 from xpl_cli.audit.rules.registry import find
-from xpl_cli.native.alternatives.block import alternatives
+from xpl_cli.model_io.alternatives.block import alternatives
 
 PYTHONS = (os.environ.get("XPL_TORCH_PYTHON"), str(ROOT / "policy" / "Tiny_VLA" / ".venv" / "bin" / "python"))
 NUMBERS = ("mean", "std", "min", "max", "q01", "q99")
@@ -58,7 +58,7 @@ def test_every_mistake_is_another_adapter_that_converts(statistics: Path, every:
         assert mistake is not None
         assert subject.fault([statistics]) is None, subject.key
         if mistake.replace is None:
-            assert subject.block != subject.policy.manifest.native.data, subject.key
+            assert subject.block != subject.policy.manifest.model_io.data, subject.key
         else:
             text = (subject.policy.package / mistake.replace["file"]).read_text(encoding="utf-8")
             assert mistake.replace["old"] in text, subject.key
@@ -76,7 +76,7 @@ def test_what_yaml_shares_is_planted_where_it_was_said() -> None:
 def test_other_vectors_of_a_file_of_lerobots_are_known(statistics: Path) -> None:
     """Numbers of the state taken for commands, though nothing else in the block names those."""
     (policy,) = trained(["ACT push_block"])
-    block = json.loads(json.dumps(policy.manifest.native.data))
+    block = json.loads(json.dumps(policy.manifest.model_io.data))
     block["action"]["normalize"]["key"] = "observation.state"
     found = alternatives(block, get_embodiment("arx_x5_single"), "ee", [statistics], 16)
     assert "normalize: key: action (action)" in {one.words for one in found}
@@ -90,7 +90,7 @@ def test_variances_that_are_taken_for_deviations_are_known() -> None:
         for one in alternatives(subject.block, get_embodiment("arx_x5_single"), "joint", [policy.package], 8)
     }
     mended = found["normalize: std: the root of what is said"]
-    right = policy.manifest.native.data["action"]["normalize"]["values"]["std"]
+    right = policy.manifest.model_io.data["action"]["normalize"]["values"]["std"]
     assert mended["action"]["normalize"]["values"]["std"] == pytest.approx(right)
 
 

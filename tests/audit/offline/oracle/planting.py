@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from xpl import get_embodiment
-from xpl.convert import NativeError, compile_interface
+from xpl.convert import ConversionError, compile_interface
 from xpl.manifest import Manifest
 
 HERE = Path(__file__).parent
@@ -26,7 +26,7 @@ RIGHT = "right"
 
 @dataclass(frozen=True)
 class Mistake:
-    """A change of a right native block.
+    """A change of a right model_io block.
 
     Attributes:
         name: in a few words.
@@ -122,10 +122,10 @@ class Subject:
 
     @property
     def block(self) -> dict[str, Any]:
-        """The native block."""
-        declared = self.policy.manifest.native
-        native: dict[str, Any] = {} if declared is None else dict(declared.data)
-        return native if self.mistake is None else self.mistake.planted(native)
+        """The block model_io."""
+        declared = self.policy.manifest.model_io
+        model_io: dict[str, Any] = {} if declared is None else dict(declared.data)
+        return model_io if self.mistake is None else self.mistake.planted(model_io)
 
     @property
     def same(self) -> str:
@@ -139,7 +139,7 @@ class Subject:
         robot = get_embodiment(manifest.embodiments[0])
         try:
             compile_interface(self.block, robot, manifest.action_types[0], folders, manifest.temporal.chunk)
-        except NativeError as error:
+        except ConversionError as error:
             return str(error)
         return None
 
@@ -149,13 +149,13 @@ class Subject:
         Args:
             place: a new folder.
             checkpoints: holds the folder of the weights; they are linked.
-            pairs: the native answers of these weights, where there are some.
+            pairs: the golden answers of these weights, where there are some.
         """
         told, source = self.policy.told, self.policy.package
         package = place / source.name
         left_out = shutil.ignore_patterns("checkpoints", "__pycache__", ".venv")
         shutil.copytree(source, package, ignore=left_out)
-        manifest = {**self.policy.manifest.data, "native": self.block}
+        manifest = {**self.policy.manifest.data, "model_io": self.block}
         if self.mistake is not None and self.mistake.replace is not None:
             change = self.mistake.replace
             text = (package / change["file"]).read_text()
@@ -171,7 +171,7 @@ class Subject:
             deploy = (package / "deploy.yml").read_text()
             (package / "deploy.yml").write_text(re.sub(r"(?m)^ckpt_name:.*$", f"ckpt_name: {told['task']}", deploy))
         if pairs is not None and told["weights"] is not None and pairs.is_file():
-            shutil.copyfile(pairs, package / "native_pairs.json")
+            shutil.copyfile(pairs, package / "golden_pairs.json")
         return package
 
 

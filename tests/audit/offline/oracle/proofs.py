@@ -144,7 +144,7 @@ def success(package: Path, python: str, task: str, episodes: int, seconds: float
 def record(package: Path, python: str, seconds: float) -> dict[str, Any]:
     """Have the authors' code answer scripted episodes, into the package."""
     return _json(
-        [sys.executable, "-m", "xpl_cli", "native", "record", str(package), "--python", python, "--json"], seconds
+        [sys.executable, "-m", "xpl_cli", "model-io", "record", str(package), "--python", python, "--json"], seconds
     )
 
 

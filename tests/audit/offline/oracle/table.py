@@ -134,7 +134,7 @@ def tables(rows: list[Row]) -> str:
     somebody = "of somebody who had not read the rules"
     for words, chosen, sample in (
         (somebody, rows, "out"),
-        (f"{somebody}, in the block `native`", [row for row in rows if not _is_in_code(row)], "out"),
+        (f"{somebody}, in the block `model_io`", [row for row in rows if not _is_in_code(row)], "out"),
         (f"{somebody}, in code", [row for row in rows if _is_in_code(row)], "out"),
         ("of who wrote the search", rows, "in"),
     ):

@@ -157,7 +157,7 @@ def _record(asked: argparse.Namespace, policy: Trained) -> None:
     with tempfile.TemporaryDirectory(dir=asked.out) as place:
         package = Subject(policy, "in", None).write(Path(place), asked.checkpoints, None)
         told = proofs.record(package, asked.python, _SECONDS["parity"])
-        made = package / "native_pairs.json"
+        made = package / "golden_pairs.json"
         path.write_bytes(made.read_bytes() if made.is_file() else b"")
         _say(f"pairs          {policy.name}: {told.get('failure') or 'recorded'}")
 

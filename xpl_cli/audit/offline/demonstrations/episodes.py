@@ -11,12 +11,12 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl import poses
-from xpl.convert import NativeError
+from xpl.convert import ConversionError
 from xpl.convert.frames import mount
 from xpl.kinematics import Chain, KinematicsError
 from xpl_cli.audit.offline.parity.course import Course
-from xpl_cli.native.pairs import Session
-from xpl_cli.native.script import Call
+from xpl_cli.model_io.pairs import Session
+from xpl_cli.model_io.script import Call
 
 if TYPE_CHECKING:
     from xpl.contract import Action, ObservationDict
@@ -66,7 +66,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class _Scene:
-    """Makes observations of recipes, as `xpl_cli.native.script.Scene` does of scripted ones."""
+    """Makes observations of recipes, as `xpl_cli.model_io.script.Scene` does of scripted ones."""
 
     recordings: Sequence[Recording]
 
@@ -232,6 +232,6 @@ def _by_kinematics(steps: Sequence[Action], key: str, robot: Embodiment) -> np.n
         return None
     try:
         chain, base = Chain.from_embodiment(robot.data), mount(robot, side)
-    except (KinematicsError, NativeError):
+    except (KinematicsError, ConversionError):
         return None
     return np.stack([poses.compose(base, chain.flange(row)) for row in joints])

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.offline.demonstrations.episodes import Played
     from xpl_cli.audit.offline.demonstrations.measure import Chunks
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.native.pairs import Chunk
+    from xpl_cli.model_io.pairs import Chunk
 
 _MOST_EPISODES: Final = 24
 """Episodes that are looked at, evenly spread over those that are there."""
@@ -80,8 +80,8 @@ class Demonstrated:
         if lacking:
             raise NotRun(f"the policy requires {', '.join(lacking)}, which the demonstrations do not have")
         manifest = self.probe.package.manifest
-        temporal, native = manifest.temporal, manifest.native
-        is_recurrent = native is not None and native.recurrent
+        temporal, model_io = manifest.temporal, manifest.model_io
+        is_recurrent = model_io is not None and model_io.recurrent
         reach = 0 if is_recurrent or temporal.kind == "memory" else manifest.reach
         horizon = min(_MOST_HORIZON, temporal.chunk or 1)
         seed = int(self.probe.config.get(sdk.Deploy.SEED) or 0)

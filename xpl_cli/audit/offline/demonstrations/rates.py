@@ -10,10 +10,10 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl import rotation
-from xpl_cli.native.alternatives.signals import Signal
+from xpl_cli.model_io.alternatives.signals import Signal
 
 if TYPE_CHECKING:
-    from xpl_cli.native.alternatives.signals.signal import Given, Step
+    from xpl_cli.model_io.alternatives.signals.signal import Given, Step
 
 _TURN = slice(sdk.POSITION_DIM, sdk.POSE_DIM)
 

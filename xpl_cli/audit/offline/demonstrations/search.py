@@ -1,8 +1,8 @@
 """Which other convention fits the demonstrations better than the declared one.
 
-Every single change that parity knows is tried: other words of the native block, in a process that loads the model once;
-changes around the served adapter, where it converts in code; and for all adapters other histories, instructions and
-rates. All are tried on a few questions, those that promise something on all.
+Every single change that parity knows is tried: other words of the model_io block, in a process that loads the model
+once; changes around the served adapter, where it converts in code; and for all adapters other histories, instructions
+and rates. All are tried on a few questions, those that promise something on all.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from typing import TYPE_CHECKING, Final
 from xpl import _spec as sdk
 from xpl import checkpoint
 from xpl.client import ClientError
-from xpl.convert import NativeError
-from xpl.manifest import Native
+from xpl.convert import ConversionError
+from xpl.manifest import ModelIO
 from xpl_cli.audit.offline.demonstrations.certainty import Margin, margin
 from xpl_cli.audit.offline.demonstrations.episodes import Asking, few
 from xpl_cli.audit.offline.demonstrations.rates import rates
 from xpl_cli.audit.offline.parity.around import Around
 from xpl_cli.audit.offline.parity.changed import Changed
 from xpl_cli.audit.rules.model import NotRun
-from xpl_cli.native.alternatives.block import alternatives
-from xpl_cli.native.alternatives.prompts import templates
-from xpl_cli.native.alternatives.signals import Signal, signals
-from xpl_cli.native.alternatives.signals.pictures import dark
-from xpl_cli.native.alternatives.signals.texts import texts
+from xpl_cli.model_io.alternatives.block import alternatives
+from xpl_cli.model_io.alternatives.prompts import templates
+from xpl_cli.model_io.alternatives.signals import Signal, signals
+from xpl_cli.model_io.alternatives.signals.pictures import dark
+from xpl_cli.model_io.alternatives.signals.texts import texts
 
 if TYPE_CHECKING:
     from xpl.manifest import Manifest
     from xpl_cli.audit.offline.demonstrations.measure import Chunks, Errors, Ruler
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.native.pairs import Chunk
+    from xpl_cli.model_io.pairs import Chunk
 
 SEARCH_S: Final = 600.0
 """Longest search, s."""
@@ -66,8 +66,8 @@ class Change:
 
     Attributes:
         words: as a finding says it: `channels: bgr`.
-        convention: of the vocabulary of native.py.
-        in_block: whether it is a word of the native block.
+        convention: of the vocabulary of reference.py.
+        in_block: whether it is a word of the model_io block.
         margin: how it fits, beside what is declared.
         given: by question what would be commanded; empty where it was tried on a few questions only.
     """
@@ -92,7 +92,8 @@ class Outcome:
         untold: those on which none did: the demonstrations say nothing of them.
         unread: cameras and texts that change no answer, and `history` if the observations before the last do not.
         far: changes that fit better, and yet no better than holding the pose; none where there is a best one.
-        deaf: name and convention of what is unread, although the native block hands it over, and episodes differ in it.
+        deaf: name and convention of what is unread, although the model_io block hands it over, and episodes differ in
+            it.
         first: words, convention and share of the error of all that were tried on a few questions.
         held: those that were tried on all.
     """
@@ -126,7 +127,7 @@ class Search:
     ) -> None:
         self._probe, self._ruler, self._given, self._refused = probe, ruler, given, frozenset(refused)
         self._manifest: Manifest = probe.package.manifest
-        self._native = self._manifest.native or Native()
+        self._model_io = self._manifest.model_io or ModelIO()
         self._session = ruler.session
         self._course = Asking(self._session)
         self._everything = list(range(len(given)))
@@ -166,23 +167,23 @@ class Search:
 
     def _by_block(self) -> list[Change] | None:
         """Return what other words of the block come to; None where the adapter does not convert by it alone."""
-        if not self._native:
+        if not self._model_io:
             return None
         package, chunk = self._probe.package, self._manifest.temporal.chunk
         settled = package.config(dict(self._probe.options.overrides))
         folders = checkpoint.folders(settled, package.path)
         robot, action_type = self._session.robot, self._session.action_type
         try:
-            known = alternatives(self._native.data, robot, action_type, folders, chunk, templates(package.path))
+            known = alternatives(self._model_io.data, robot, action_type, folders, chunk, templates(package.path))
             changes = [one for one in known if _can_be_told(one.words, one.convention)]
-        except NativeError:
+        except ConversionError:
             return None
         converts = True
         again = Changed(self._probe, self._course, settled)
 
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Chunks | None]:
             nonlocal converts
-            tried = [self._native.data, *(changes[number].block for number in chosen)]
+            tried = [self._model_io.data, *(changes[number].block for number in chosen)]
             found = again.blocks(tried, wanted, self._left)
             converts = converts and found is not None
             if found and found[0] is not None and not self._refused:
@@ -198,7 +199,7 @@ class Search:
 
     def _by_signals(self, around: Around, *, all_of_them: bool) -> list[Change]:
         """Return what changes around the adapter come to."""
-        history = self._native.history
+        history = self._model_io.history
         around_it = signals(
             self._session.robot,
             self._session.action_type,
@@ -250,13 +251,13 @@ class Search:
                 yield name
 
     def _deaf(self, unread: Sequence[str]) -> Iterator[tuple[str, str]]:
-        """Yield what is unread although the native block hands it over, with its convention."""
-        handed = {camera for entry in self._native.images for camera in entry["cameras"]}
+        """Yield what is unread although the model_io block hands it over, with its convention."""
+        handed = {camera for entry in self._model_io.images for camera in entry["cameras"]}
         said = {one.trajectory.instructions[:1] for one in self._session.recordings}
         for name in unread:
             if name in handed:
                 yield name, "camera"
-            elif name == "history" or (name in self._native.data and len(said) > 1):
+            elif name == "history" or (name in self._model_io.data and len(said) > 1):
                 yield name, name
 
     # -- trying --------------------------------------------------------------------------------------------------------
@@ -312,8 +313,8 @@ class Search:
 
     @property
     def _history(self) -> int:
-        """Observations that the native block hands over; 1 where it does not say."""
-        return 1 if self._native.history is None else self._native.history.length
+        """Observations that the model_io block hands over; 1 where it does not say."""
+        return 1 if self._model_io.history is None else self._model_io.history.length
 
     @cached_property
     def _inputs(self) -> list[str]:

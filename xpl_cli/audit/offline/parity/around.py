@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from xpl.contract import Observation
     from xpl_cli.audit.offline.parity.course import Course
     from xpl_cli.audit.served.session import Session as Client
-    from xpl_cli.native.alternatives.signals import Signal
-    from xpl_cli.native.pairs import Chunk, Question
+    from xpl_cli.model_io.alternatives.signals import Signal
+    from xpl_cli.model_io.pairs import Chunk, Question
 
 
 class Around:

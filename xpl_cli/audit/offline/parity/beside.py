@@ -1,6 +1,6 @@
 """What batches round: an answer that is off by little, because it was given in a batch.
 
-native.py answers one question at a time, an adapter some in batches, and a GPU sums batches in another order. In
+reference.py answers one question at a time, an adapter some in batches, and a GPU sums batches in another order. In
 LeRobot's Diffusion Policy on an H100 one of 20 answers was 0.4 % of a span off. Rounding is gone where an environment
 is asked by itself, and stays as it is whatever the others of the batch show; what is mixed up or kept does not.
 """
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from xpl.contract import ObservationDict
     from xpl_cli.audit.offline.parity.judgement import Judgement
     from xpl_cli.audit.served.session import Session as Client
-    from xpl_cli.native.pairs import Chunk
+    from xpl_cli.model_io.pairs import Chunk
 
     Serving = Callable[[], AbstractContextManager[Client]]
     """Connects to a new server of the adapter."""
 
 
 def unrounded(judged: Judgement, serving: Serving) -> dict[int, Chunk]:
-    """Return the answers of environments by themselves, where those of batches differ from the native ones by rounding.
+    """Return the answers of environments by themselves, where those of batches differ from the golden ones by rounding.
 
     Args:
         judged: a session with one take of each question.
@@ -50,7 +50,7 @@ def unrounded(judged: Judgement, serving: Serving) -> dict[int, Chunk]:
         for number in (question.number for question in off if question.env == env):
             if judged.differ(judged.given[number], among_others[number]):
                 return {}
-            if judged.differ(judged.native[number], alone[number]):
+            if judged.differ(judged.golden[number], alone[number]):
                 return {}
             found[number] = alone[number]
     return found

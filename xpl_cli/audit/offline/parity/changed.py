@@ -1,6 +1,6 @@
 """An adapter asked again in a process of its interpreter, where the model is loaded once for many changes.
 
-Changes are other words of its native block, or of what its own `encode` makes.
+Changes are other words of its model_io block, or of what its own `encode` makes.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, Self
 from xpl_cli.audit.offline import inprocess
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.isolation import errand
-from xpl_cli.native.alternatives.encodings import convention_of
+from xpl_cli.model_io.alternatives.encodings import convention_of
 
 if TYPE_CHECKING:
     from xpl.contract import Entry
     from xpl_cli.audit.offline.parity.course import Course
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.native.alternatives.encodings import Encoding
-    from xpl_cli.native.pairs import Chunk
+    from xpl_cli.model_io.alternatives.encodings import Encoding
+    from xpl_cli.model_io.pairs import Chunk
 
 Given = dict[int, "Chunk"]
 """By number of a question its answer."""
@@ -81,7 +81,7 @@ class Changed:
         """How many times numbers are drawn in some answers; None if that is not known."""
 
     def blocks(self, blocks: Sequence[Entry], wanted: Sequence[int], seconds: float) -> list[Given | None] | None:
-        """Return the answers to some questions under each native block, as far as the time reaches.
+        """Return the answers to some questions under each model_io block, as far as the time reaches.
 
         Args:
             blocks: the first is the adapter's own.

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.native.difference import differences
-from xpl_cli.native.explain import Explanation, Tried, explain
+from xpl_cli.model_io.difference import differences
+from xpl_cli.model_io.explain import Explanation, Tried, explain
 
 if TYPE_CHECKING:
     from xpl_cli.audit.offline.parity.course import Course
     from xpl_cli.audit.offline.parity.judgement import Judgement
-    from xpl_cli.native.difference import Step
+    from xpl_cli.model_io.difference import Step
 
 Ask = Callable[[Sequence[int], Sequence[int]], Iterator[Tried]]
 """Tries changes by their numbers on questions by theirs, as far as the time reaches."""
@@ -64,11 +64,11 @@ class Contest:
         return explain(self.before, tried, self._judgement.tolerance)
 
     def remaining(self, given: Mapping[int, Sequence[Step | None]] | None) -> dict[str, float]:
-        """Return how far answers to some questions are from the native ones; steps that are not known do not count."""
+        """Return how far answers to some questions are from the golden ones; steps that are not known do not count."""
         judgement = self._judgement
         if not given:
             return dict.fromkeys(judgement.spread, _INFINITE)
-        return differences([judgement.native[number] for number in given], list(given.values()), judgement.spread)
+        return differences([judgement.golden[number] for number in given], list(given.values()), judgement.spread)
 
     @property
     def _chosen(self) -> list[int]:

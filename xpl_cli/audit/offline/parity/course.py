@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
-from xpl_cli.native.script import Call, played
+from xpl_cli.model_io.script import Call, played
 
 if TYPE_CHECKING:
     from xpl.contract import Entry, ObservationDict
-    from xpl_cli.native.pairs import Question, Session
+    from xpl_cli.model_io.pairs import Question, Session
 
 Key = tuple[int, int]
 """Number of an episode, and an environment."""

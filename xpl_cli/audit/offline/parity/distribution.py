@@ -1,4 +1,4 @@
-"""Answers of a model that samples and takes no seed, beside the native ones: by means and spreads.
+"""Answers of a model that samples and takes no seed, beside the golden ones: by means and spreads.
 
 The test: of every number of every step, K answers of each to the same question. Means differ if Welch's statistic
 passes the quantile of a normal distribution that equal ones pass once in a million audits (Bonferroni, over all numbers
@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl_cli.native.difference import spreads
+from xpl_cli.model_io.difference import spreads
 
 if TYPE_CHECKING:
-    from xpl_cli.native.pairs import Answer, Chunk, Session
+    from xpl_cli.model_io.pairs import Answer, Chunk, Session
 
 _ERRORS: Final = 1e-6
 """Audits of a right adapter in which a number differs by chance, at most."""
@@ -36,7 +36,7 @@ class Shift:
     Attributes:
         part: the number, such as left_ee_joint_state[0].
         question, step: where it shows most; step is None for spreads, which are of all.
-        native, given: mean, or spread, of the two.
+        golden, given: mean, or spread, of the two.
         what: `mean` or `spread`.
         sigmas: how many standard errors they lie apart.
         limit: how many are allowed.
@@ -46,7 +46,7 @@ class Shift:
     part: str
     question: int
     step: int | None
-    native: float
+    golden: float
     given: float
     what: str
     sigmas: float
@@ -58,13 +58,13 @@ def shift(session: Session, given: Sequence[Sequence[Chunk]], share: float) -> S
     """Return what is distributed otherwise most clearly, None if nothing is.
 
     Args:
-        session: the native answers.
+        session: the golden answers.
         given: the adapter's takes of each question.
-        share: of the span of the native answers that is no difference.
+        share: of the span of the golden answers that is no difference.
     """
-    native, other = _columns(session, given)
+    golden, other = _columns(session, given)
     span = spreads([session.chunk(question, take) for question in session.questions for take in range(session.takes)])
-    found = [*_means(native, other, span, share), *_spreads(native, other, span, share)]
+    found = [*_means(golden, other, span, share), *_spreads(golden, other, span, share)]
     found = sorted((one for one in found if one.sigmas > one.limit), key=lambda one: -one.sigmas / one.limit)
     if not found:
         return None
@@ -73,14 +73,14 @@ def shift(session: Session, given: Sequence[Sequence[Chunk]], share: float) -> S
 
 
 def centre(session: Session, given: Sequence[Sequence[Chunk]]) -> tuple[Session, list[Chunk], float]:
-    """Return a session of one take, with the means of the native answers, the adapter's means, and the noise.
+    """Return a session of one take, with the means of the golden answers, the adapter's means, and the noise.
 
     Returns:
         the noise is that of one take: the largest standard deviation of a number, as a share of the span of the means.
     """
-    native, other = _columns(session, given)
+    golden, other = _columns(session, given)
     answers = iter(
-        {key: values.mean(0, keepdims=True).astype(np.float32) for key, values in answer.items()} for answer in native
+        {key: values.mean(0, keepdims=True).astype(np.float32) for key, values in answer.items()} for answer in golden
     )
     calls = tuple(tuple(next(answers) for _ in told) for told in session.answers)
     means = session.with_answers(calls, takes=1)
@@ -92,7 +92,7 @@ def centre(session: Session, given: Sequence[Sequence[Chunk]]) -> tuple[Session,
     span = spreads([means.chunk(question) for question in means.questions])
     noise = max(
         float(values[..., index].std(0).max()) / span[f"{key}[{index}]"]
-        for answer in native
+        for answer in golden
         for key, values in answer.items()
         for index in range(values.shape[-1])
     )
@@ -100,20 +100,20 @@ def centre(session: Session, given: Sequence[Sequence[Chunk]]) -> tuple[Session,
 
 
 def _columns(session: Session, given: Sequence[Sequence[Chunk]]) -> tuple[list[Answer], list[Answer]]:
-    """Return native and given answers of each question, (K, steps, numbers) by key, with quaternions of one sign.
+    """Return golden and given answers of each question, (K, steps, numbers) by key, with quaternions of one sign.
 
-    Of native chunks that are longer than the adapter's, which hands on their beginning, as much is taken.
+    Of golden chunks that are longer than the adapter's, which hands on their beginning, as much is taken.
     """
-    native: list[Answer] = []
+    golden: list[Answer] = []
     other: list[Answer] = []
     for question, takes in zip(session.questions, given, strict=True):
         steps = len(takes[0])
         one = {key: values[:, :steps].astype(np.float64) for key, values in question.answer.items()}
         two = {key: np.array([[step[key] for step in chunk] for chunk in takes], np.float64) for key in one}
         first = {key: values[:1] for key, values in one.items()}
-        native.append({key: _one_sign(key, values, first[key]) for key, values in one.items()})
+        golden.append({key: _one_sign(key, values, first[key]) for key, values in one.items()})
         other.append({key: _one_sign(key, values, first[key]) for key, values in two.items()})
-    return native, other
+    return golden, other
 
 
 def _one_sign(key: str, values: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -124,11 +124,11 @@ def _one_sign(key: str, values: np.ndarray, first: np.ndarray) -> np.ndarray:
     return np.concatenate((values[..., : sdk.POSITION_DIM], values[..., turn] * sign), axis=-1)
 
 
-def _means(native: Sequence[Answer], other: Sequence[Answer], span: Mapping[str, float], share: float) -> list[Shift]:
-    count = sum(values[0].size for answer in native for values in answer.values())
+def _means(golden: Sequence[Answer], other: Sequence[Answer], span: Mapping[str, float], share: float) -> list[Shift]:
+    count = sum(values[0].size for answer in golden for values in answer.values())
     limit = _quantile(count)
     found = []
-    for number, (one, two) in enumerate(zip(native, other, strict=True)):
+    for number, (one, two) in enumerate(zip(golden, other, strict=True)):
         for key in one:
             apart = np.abs(one[key].mean(0) - two[key].mean(0))
             error = np.sqrt(one[key].var(0, ddof=1) / len(one[key]) + two[key].var(0, ddof=1) / len(two[key]))
@@ -137,25 +137,25 @@ def _means(native: Sequence[Answer], other: Sequence[Answer], span: Mapping[str,
                 beyond = np.maximum(apart[:, index] - share * span[part], 0.0)
                 sigmas = beyond / np.maximum(error[:, index], share * span[part] / limit)
                 step = int(sigmas.argmax())
-                native_mean, mean = (float(values[key][:, step, index].mean()) for values in (one, two))
-                found.append(Shift(part, number, step, native_mean, mean, "mean", float(sigmas[step]), limit, ()))
+                golden_mean, mean = (float(values[key][:, step, index].mean()) for values in (one, two))
+                found.append(Shift(part, number, step, golden_mean, mean, "mean", float(sigmas[step]), limit, ()))
     return found
 
 
-def _spreads(native: Sequence[Answer], other: Sequence[Answer], span: Mapping[str, float], share: float) -> list[Shift]:
+def _spreads(golden: Sequence[Answer], other: Sequence[Answer], span: Mapping[str, float], share: float) -> list[Shift]:
     found = []
-    widths = {key: values.shape[-1] for key, values in native[0].items()}
-    takes = len(next(iter(native[0].values())))
+    widths = {key: values.shape[-1] for key, values in golden[0].items()}
+    takes = len(next(iter(golden[0].values())))
     if takes < 2:
         return []
-    scatter = _HEAVY * math.sqrt(4.0 / (takes - 1)) / math.sqrt(len(native))
+    scatter = _HEAVY * math.sqrt(4.0 / (takes - 1)) / math.sqrt(len(golden))
     limit = _quantile(sum(widths.values()))
     for key, width in widths.items():
         for index in range(width):
             part = f"{key}[{index}]"
             floor = (share * span[part]) ** 2
             ratios, ones, twos = [], [], []
-            for one, two in zip(native, other, strict=True):
+            for one, two in zip(golden, other, strict=True):
                 variances = [values[key][..., index].var(0, ddof=1) + floor for values in (one, two)]
                 ratios.append(float(np.log(variances[1] / variances[0]).mean()))
                 ones.append(float(np.sqrt(variances[0].mean())))

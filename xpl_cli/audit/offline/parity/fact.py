@@ -1,4 +1,4 @@
-"""The parity fact: what an adapter answers to the questions of its native pairs, session by session."""
+"""The parity fact: what an adapter answers to the questions of its golden pairs, session by session."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl.manifest import Native
+from xpl.manifest import ModelIO
 from xpl_cli.audit.offline.parity import distribution, margins
 from xpl_cli.audit.offline.parity.beside import unrounded
 from xpl_cli.audit.offline.parity.judgement import Judgement
@@ -15,8 +15,8 @@ from xpl_cli.audit.offline.parity.played import RefusedError, overrides, play
 from xpl_cli.audit.offline.parity.search import Found, Search
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.basics.errors import UserError
-from xpl_cli.native import names, reading
-from xpl_cli.native import pairs as recording
+from xpl_cli.model_io import names, reading
+from xpl_cli.model_io import pairs as recording
 from xpl_cli.packages import conventions
 
 if TYPE_CHECKING:
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from xpl.contract import Config
     from xpl_cli.audit.offline.parity.distribution import Shift
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.native.pairs import Chunk, Pairs, Session
+    from xpl_cli.model_io.pairs import Chunk, Pairs, Session
 
 
 @dataclass(frozen=True)
 class Compared:
-    """A session beside its native answers.
+    """A session beside its golden answers.
 
     Attributes:
-        session: the native ones.
+        session: the golden ones.
         given: the adapter's, as many takes of each question; empty where it refused one.
         refusal: the question that it refused, and how; None if it answered all.
     """
@@ -49,17 +49,17 @@ class Compared:
 
     @property
     def too_long(self) -> tuple[int, int] | None:
-        """Steps of a chunk that the native one does not have, and of the native one; None if there are none."""
+        """Steps of a chunk that the golden one does not have, and of the golden one; None if there are none."""
         for question, takes in zip(self.session.questions, self.given, strict=False):
-            native = len(self.session.chunk(question))
+            golden = len(self.session.chunk(question))
             longest = max(map(len, takes))
-            if longest > native:
-                return longest, native
+            if longest > golden:
+                return longest, golden
         return None
 
 
 class Parity:
-    """Native pairs and the adapter that they are compared with.
+    """Golden pairs and the adapter that they are compared with.
 
     Args:
         probe: the adapter.
@@ -74,28 +74,28 @@ class Parity:
         """The pairs of the package.
 
         Raises:
-            NotApplicable: if it has neither pairs nor native.py.
-            NotRun: if native.py was never recorded, or the file cannot be used.
+            NotApplicable: if it has neither pairs nor reference.py.
+            NotRun: if reference.py was never recorded, or the file cannot be used.
         """
         variant = self.probe.config.get(sdk.Deploy.VARIANT)
         if not (self._path / names.PAIRS).exists():
             if not (self._path / names.CODE).exists():
                 raise NotApplicable(f"there is no {names.CODE}: the conversions are unproven")
             if variant is not None:
-                raise NotApplicable(f"no native pairs of the variant {variant}: its conversions are unproven")
-            raise NotRun(f"{names.CODE} was never recorded: `xpl native record` asks it and writes {names.PAIRS}")
+                raise NotApplicable(f"no golden pairs of the variant {variant}: its conversions are unproven")
+            raise NotRun(f"{names.CODE} was never recorded: `xpl model-io record` asks it and writes {names.PAIRS}")
         try:
             found = recording.read(self._path)
         except UserError as error:
             raise NotRun(str(error)) from None
         if found.variant != variant:
             told = "the policy itself" if found.variant is None else f"its variant {found.variant}"
-            raise NotApplicable(f"the native pairs are of {told}: these conversions are unproven")
+            raise NotApplicable(f"the golden pairs are of {told}: these conversions are unproven")
         return found
 
     @property
     def recorded(self) -> Pairs | None:
-        """The pairs of the package, None where there are none that can be used; native-parity says why."""
+        """The pairs of the package, None where there are none that can be used; golden-parity says why."""
         try:
             return self.pairs
         except (NotApplicable, NotRun):
@@ -105,7 +105,7 @@ class Parity:
     def conventions(self) -> tuple[int, list[str]]:
         """How many conventions there are to agree on, and which of them, and of the block's values, are assumed."""
         manifest = self.probe.package.manifest
-        values = [one.where.removeprefix("native.") for one in manifest.assumed]
+        values = [one.where.removeprefix("golden.") for one in manifest.assumed]
         try:
             read = reading.read_file(self._path)
         except UserError:
@@ -115,8 +115,8 @@ class Parity:
 
     @cached_property
     def tolerance(self) -> float:
-        """Share of the span of the native answers that an adapter's may be off by."""
-        return (self.probe.package.manifest.native or Native()).tolerance
+        """Share of the span of the golden answers that an adapter's may be off by."""
+        return (self.probe.package.manifest.model_io or ModelIO()).tolerance
 
     @property
     def settings(self) -> Config:
@@ -152,7 +152,7 @@ class Parity:
 
     @cached_property
     def margins(self) -> dict[str, Any]:
-        """How clearly known mistakes would show in the first session, if all answers are the native ones."""
+        """How clearly known mistakes would show in the first session, if all answers are the golden ones."""
         first = self.compared[0]
         if first.session.takes > 1:
             return {}

@@ -1,6 +1,6 @@
-"""Whether an adapter's answers equal the native ones: by number of each key, as a share of what the native ones span.
+"""Whether an adapter's answers equal the golden ones: by number of each key, as a share of what the golden ones span.
 
-A difference counts if it is above the tolerance, and above what two recordings of the native answers are apart.
+A difference counts if it is above the tolerance, and above what two recordings of the golden answers are apart.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from xpl_cli.native.difference import differences, spreads
+from xpl_cli.model_io.difference import differences, spreads
 
 if TYPE_CHECKING:
-    from xpl_cli.native.pairs import Chunk, Question, Session
+    from xpl_cli.model_io.pairs import Chunk, Question, Session
 
 _ROUNDING = 4 * float(np.finfo(np.float32).eps)
 """Share of a number that its float32 may be off by, on both sides."""
@@ -28,9 +28,9 @@ class Deviation:
     Attributes:
         part: the number, such as left_ee_joint_state[0].
         question, step: the first question and step in which it differs.
-        native, given: what the two say there.
+        golden, given: what the two say there.
         share: largest difference, as a share of the span.
-        span: of the native answers.
+        span: of the golden answers.
         allowed: share that is allowed.
         parts: all numbers that differ, the farthest first.
         pairs: how many questions have a number that differs.
@@ -39,7 +39,7 @@ class Deviation:
     part: str
     question: Question
     step: int
-    native: float
+    golden: float
     given: float
     share: float
     span: float
@@ -50,13 +50,13 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A session's native answers beside those of an adapter.
+    """A session's golden answers beside those of an adapter.
 
     Args:
-        session: the native ones.
+        session: the golden ones.
         given: the adapter's chunk of each question.
         share: of the span that is allowed.
-        noise: by key, what two recordings of the native answers are apart.
+        noise: by key, what two recordings of the golden answers are apart.
     """
 
     session: Session
@@ -65,21 +65,21 @@ class Judgement:
     noise: Mapping[str, float]
 
     @cached_property
-    def native(self) -> list[Chunk]:
-        """The native chunks; of one that is longer than the adapter's, which hands on the beginning, as much."""
+    def golden(self) -> list[Chunk]:
+        """The golden chunks; of one that is longer than the adapter's, which hands on the beginning, as much."""
         chunks = [self.session.chunk(question) for question in self.session.questions]
         return [chunk[: len(other)] for chunk, other in zip(chunks, self.given, strict=True)]
 
     @cached_property
     def spread(self) -> dict[str, float]:
-        """By number, the span of the native answers that its differences are measured by."""
-        return spreads(self.native)
+        """By number, the span of the golden answers that its differences are measured by."""
+        return spreads(self.golden)
 
     @cached_property
     def allowed(self) -> dict[str, float]:
         """By number, the share of the span that is allowed."""
         largest: dict[str, float] = {}
-        for chunk in self.native:
+        for chunk in self.golden:
             for step in chunk:
                 for key, values in step.items():
                     largest[key] = max(largest.get(key, 0.0), float(np.abs(values).max()))
@@ -96,13 +96,13 @@ class Judgement:
 
     @cached_property
     def shares(self) -> dict[str, float]:
-        """By number, how far the adapter's answers are from the native ones."""
-        return differences(self.native, self.given, self.spread)
+        """By number, how far the adapter's answers are from the golden ones."""
+        return differences(self.golden, self.given, self.spread)
 
     @cached_property
     def off(self) -> list[bool]:
         """For each question, whether a number of its answer differs."""
-        return [self.differ(*chunks) for chunks in zip(self.native, self.given, strict=True)]
+        return [self.differ(*chunks) for chunks in zip(self.golden, self.given, strict=True)]
 
     def differ(self, one: Chunk, other: Chunk) -> bool:
         """Whether a number of two answers to a question differs."""
@@ -122,13 +122,13 @@ class Judgement:
         number, step = self._first(part)
         key, _, rest = part.partition("[")
         index = int(rest[:-1])
-        chunk, other = self.native[number], self.given[number]
+        chunk, other = self.golden[number], self.given[number]
         there = step < min(len(chunk), len(other))
         return Deviation(
             part=part,
             question=self.session.questions[number],
             step=step,
-            native=float(chunk[step][key][index]) if there else float("nan"),
+            golden=float(chunk[step][key][index]) if there else float("nan"),
             given=float(other[step][key][index]) if there else float("nan"),
             share=self.shares[part],
             span=self.spread[part],
@@ -139,7 +139,7 @@ class Judgement:
 
     def _first(self, part: str) -> tuple[int, int]:
         """Return the first question and step in which a number differs."""
-        for number, (chunk, other) in enumerate(zip(self.native, self.given, strict=True)):
+        for number, (chunk, other) in enumerate(zip(self.golden, self.given, strict=True)):
             for step, (one, two) in enumerate(zip(chunk, other, strict=False)):
                 if differences([[one]], [[two]], self.spread)[part] > self.allowed[part]:
                     return number, step

@@ -12,22 +12,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import checkpoint
-from xpl.convert import NativeError
-from xpl.manifest import Native
+from xpl.convert import ConversionError
+from xpl.manifest import ModelIO
 from xpl_cli.audit.offline.parity.around import Around
 from xpl_cli.audit.offline.parity.changed import Changed
 from xpl_cli.audit.offline.parity.course import Course
 from xpl_cli.audit.offline.parity.played import overrides
-from xpl_cli.native.alternatives.block import alternatives
-from xpl_cli.native.alternatives.signals import signals
-from xpl_cli.native.difference import differences
+from xpl_cli.model_io.alternatives.block import alternatives
+from xpl_cli.model_io.alternatives.signals import signals
+from xpl_cli.model_io.difference import differences
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl_cli.audit.offline.parity.judgement import Judgement
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.native.difference import Step
+    from xpl_cli.model_io.difference import Step
 
 MARGIN_S: Final = 20.0
 """Seconds that answers under changes may take, loading not counted."""
@@ -55,7 +55,7 @@ def margins(probe: Probe, judged: Judgement, settings: Mapping[str, object]) -> 
     """Return how clearly known mistakes would show in the pairs of one session, in the order of their likelihood.
 
     Args:
-        probe: the adapter, whose answers are the native ones.
+        probe: the adapter, whose answers are the golden ones.
         judged: these answers.
         settings: keys of deploy.yml that the pairs were recorded with.
     """
@@ -91,18 +91,18 @@ def told(shown: Sequence[Shown], pairs: int) -> dict[str, Any]:
 def _of_block(probe: Probe, judged: Judgement, course: Course, settings: Mapping[str, object]) -> Iterator[Shown]:
     """Yield what other words of the block would come to; nothing where the adapter does not convert by it alone."""
     package, session = probe.package, judged.session
-    native = package.manifest.native or Native()
-    if not native:
+    block = package.manifest.model_io or ModelIO()
+    if not block:
         return
     settled = package.config({**probe.options.overrides, **overrides(session, settings)})
     folders = checkpoint.folders(settled, package.path)
     try:
-        every = alternatives(native.data, session.robot, session.action_type, folders, package.manifest.temporal.chunk)
+        every = alternatives(block.data, session.robot, session.action_type, folders, package.manifest.temporal.chunk)
         changes = [one for one, _ in zip(every, range(_MOST), strict=False)]
-    except NativeError:
+    except ConversionError:
         return
     again = Changed(probe, course, settled)
-    found = again.blocks([native.data, *(one.block for one in changes)], course.everything, MARGIN_S)
+    found = again.blocks([block.data, *(one.block for one in changes)], course.everything, MARGIN_S)
     for change, given in zip(changes, (found or [])[1:], strict=False):
         if given is not None:
             yield _shown(judged, change.words, change.convention, given)
@@ -123,7 +123,7 @@ def _of_commands(probe: Probe, judged: Judgement, course: Course) -> Iterator[Sh
 
 def _shown(judged: Judgement, words: str, convention: str, given: Mapping[int, Sequence[Step | None]]) -> Shown:
     def times(numbers: Sequence[int]) -> float:
-        shares = differences([judged.native[one] for one in numbers], [given[one] for one in numbers], judged.spread)
+        shares = differences([judged.golden[one] for one in numbers], [given[one] for one in numbers], judged.spread)
         return max(share / judged.allowed[part] for part, share in shares.items())
 
     numbers = sorted(given)

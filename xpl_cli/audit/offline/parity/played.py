@@ -1,4 +1,4 @@
-"""Plays the questions of native pairs to a served adapter."""
+"""Plays the questions of golden pairs to a served adapter."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from xpl.client import PolicyServerError
 if TYPE_CHECKING:
     from xpl_cli.audit.served.session import Answer
     from xpl_cli.audit.served.session import Session as Client
-    from xpl_cli.native.pairs import Chunk, Question, Session
-    from xpl_cli.native.script import Call
+    from xpl_cli.model_io.pairs import Chunk, Question, Session
+    from xpl_cli.model_io.script import Call
 
 Observation = Mapping[str, Any]
 

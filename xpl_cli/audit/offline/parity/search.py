@@ -1,7 +1,7 @@
-"""Which single change explains that an adapter's answers differ from the native ones.
+"""Which single change explains that an adapter's answers differ from the golden ones.
 
-Families of changes (`xpl_cli.native.alternatives`) are tried one after another until one explains it: other words of
-the native block, where the adapter converts by its block alone; for conversions in code, changes of what it commands,
+Families of changes (`xpl_cli.model_io.alternatives`) are tried one after another until one explains it: other words of
+the model_io block, where the adapter converts by its block alone; for conversions in code, changes of what it commands,
 which cost no play, of what its `encode` makes, and of what it is shown. The time is bounded: a finding without a cause
 is still a finding.
 """
@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Final
 from xpl import _spec as sdk
 from xpl import checkpoint
 from xpl.client import ClientError
-from xpl.convert import NativeError
+from xpl.convert import ConversionError
 from xpl.convert.frames import tool
-from xpl.manifest import Native
+from xpl.manifest import ModelIO
 from xpl_cli.audit.offline.parity.around import Around
 from xpl_cli.audit.offline.parity.changed import Changed
 from xpl_cli.audit.offline.parity.contest import Ask, Contest
@@ -28,18 +28,18 @@ from xpl_cli.audit.offline.parity.played import overrides
 from xpl_cli.audit.offline.parity.shown import Shown
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.basics.errors import UserError
-from xpl_cli.native import reading
-from xpl_cli.native.alternatives.block import alternatives
-from xpl_cli.native.alternatives.encodings import encodings
-from xpl_cli.native.alternatives.prompts import templates
-from xpl_cli.native.alternatives.signals import Signal, signals
-from xpl_cli.native.difference import Thread
-from xpl_cli.native.explain import Explanation, Tried
-from xpl_cli.native.fitted import fitted
-from xpl_cli.native.patterns import Kind, Pattern, patterns
-from xpl_cli.native.places import places
-from xpl_cli.native.record import is_free
-from xpl_cli.native.rigid import rigid
+from xpl_cli.model_io import reading
+from xpl_cli.model_io.alternatives.block import alternatives
+from xpl_cli.model_io.alternatives.encodings import encodings
+from xpl_cli.model_io.alternatives.prompts import templates
+from xpl_cli.model_io.alternatives.signals import Signal, signals
+from xpl_cli.model_io.difference import Thread
+from xpl_cli.model_io.explain import Explanation, Tried
+from xpl_cli.model_io.fitted import fitted
+from xpl_cli.model_io.patterns import Kind, Pattern, patterns
+from xpl_cli.model_io.places import places
+from xpl_cli.model_io.record import is_free
+from xpl_cli.model_io.rigid import rigid
 
 if TYPE_CHECKING:
     import numpy as np
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from xpl.contract import Config
     from xpl_cli.audit.offline.parity.judgement import Judgement
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.native.pairs import Chunk
+    from xpl_cli.model_io.pairs import Chunk
 
 
 SEARCH_S: Final = 240.0
@@ -63,7 +63,7 @@ class Found:
 
     Attributes:
         explanation: the best single change.
-        in_block: whether it is a word of the native block.
+        in_block: whether it is a word of the model_io block.
     """
 
     explanation: Explanation
@@ -135,15 +135,15 @@ class Search:
     def _by_block(self) -> Explanation | None:
         """Return what other words of the block explain; None where the adapter does not convert by it alone."""
         session, package = self._judgement.session, self._probe.package
-        if not self._native:
+        if not self._model_io:
             return None
         chunk = self._manifest.temporal.chunk
         folders = checkpoint.folders(self._settled, package.path)
         try:
             changes = list(
-                alternatives(self._native.data, session.robot, session.action_type, folders, chunk, self._templates)
+                alternatives(self._model_io.data, session.robot, session.action_type, folders, chunk, self._templates)
             )
-        except NativeError:
+        except ConversionError:
             return None
         converts_by_it = True
         again = Changed(self._probe, self._course, self._settled)
@@ -151,7 +151,7 @@ class Search:
 
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
             nonlocal converts_by_it
-            tried = [self._native.data, *(changes[number].block for number in chosen)]
+            tried = [self._model_io.data, *(changes[number].block for number in chosen)]
             found = again.blocks(tried, wanted, self._left)
             converts_by_it = converts_by_it and found is not None
             for number, given in zip(chosen, (found or [])[1:], strict=False):
@@ -182,7 +182,7 @@ class Search:
         """The point between the fingertips in the flange, None where the standard does not know it."""
         try:
             return tool(self._judgement.session.robot)
-        except NativeError:
+        except ConversionError:
             return None
 
     def _by_encodings(self) -> Explanation | None:
@@ -216,7 +216,7 @@ class Search:
         return found
 
     def _both_ways(self, tried: Tried, given: Mapping[int, Chunk] | None) -> Tried:
-        """Return a change of what goes in, with the line that what comes out is then of the native answers, if any."""
+        """Return a change of what goes in, with the line that what comes out is then of the golden answers, if any."""
         judgement = self._judgement
         if given is None or max(tried.remaining.values()) <= judgement.tolerance:
             return tried
@@ -238,19 +238,19 @@ class Search:
     @property
     def _kind(self) -> Kind:
         return Kind(
-            keeps_state=bool(self._native.recurrent) or self._manifest.temporal.kind == "memory",
+            keeps_state=bool(self._model_io.recurrent) or self._manifest.temporal.kind == "memory",
             history=self._manifest.reach,
             draws=self._draws or "sampling" in self._named,
         )
 
     @functools.cached_property
     def _templates(self) -> list[str]:
-        """The templates of instructions that native.py or its source writes."""
+        """The templates of instructions that reference.py or its source writes."""
         return templates(self._probe.package.path)
 
     @functools.cached_property
     def _named(self) -> Collection[str]:
-        """The conventions that native.py names."""
+        """The conventions that reference.py names."""
         try:
             return reading.read_file(self._probe.package.path).conventions
         except UserError:
@@ -288,7 +288,7 @@ class Search:
             Thread(
                 self._course.seen(questions[episode[-1]]),
                 [questions[number].asked[-1] for number in episode],
-                [judgement.native[number] for number in episode],
+                [judgement.golden[number] for number in episode],
                 [given[number] for number in episode],
             )
             for episode in self._course.episodes(self._course.everything)
@@ -310,7 +310,7 @@ class Search:
 
     @functools.cached_property
     def _signals(self) -> list[Signal]:
-        session, history, inputs = self._judgement.session, self._native.history, self._inputs
+        session, history, inputs = self._judgement.session, self._model_io.history, self._inputs
         found = signals(
             session.robot,
             session.action_type,
@@ -325,8 +325,8 @@ class Search:
     # -- both ----------------------------------------------------------------------------------------------------------
 
     @property
-    def _native(self) -> Native:
-        return self._manifest.native or Native()
+    def _model_io(self) -> ModelIO:
+        return self._manifest.model_io or ModelIO()
 
     @property
     def _repeats(self) -> bool:
@@ -336,7 +336,7 @@ class Search:
     @property
     def _draws(self) -> bool:
         """Whether the adapter says that its model draws."""
-        return not self._manifest.deterministic or self._native.draws
+        return not self._manifest.deterministic or self._model_io.draws
 
     @property
     def _left(self) -> float:

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl import _spec as sdk
 from xpl_cli.audit.offline.parity.around import Around
 from xpl_cli.audit.offline.parity.contest import Ask, Contest
-from xpl_cli.native.alternatives.signals import Signal
-from xpl_cli.native.alternatives.signals.pictures import dark
-from xpl_cli.native.difference import differences
-from xpl_cli.native.explain import Explanation, Tried
-from xpl_cli.native.patterns import Pattern
+from xpl_cli.model_io.alternatives.signals import Signal
+from xpl_cli.model_io.alternatives.signals.pictures import dark
+from xpl_cli.model_io.difference import differences
+from xpl_cli.model_io.explain import Explanation, Tried
+from xpl_cli.model_io.patterns import Pattern
 
 if TYPE_CHECKING:
     from xpl.contract import Observation, ObservationDict

@@ -1,4 +1,4 @@
-"""What the native block converts, blended."""
+"""What the model_io block converts, blended."""
 
 import numpy as np
 

@@ -1,0 +1,175 @@
+"""XPL260: The policy answers otherwise than the model's own pipeline."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, Proof, rule
+from xpl_cli.audit.offline.parity.fact import Compared, Parity
+from xpl_cli.audit.offline.parity.search import Found
+from xpl_cli.audit.served.probe import blame
+from xpl_cli.model_io import names
+from xpl_cli.model_io.explain import ranges
+from xpl_cli.model_io.patterns import Pattern
+
+
+@rule(code="XPL260", requirement="XPL-NAT-3", after=("serves",), profile="full")
+def golden_parity(parity: Parity) -> Iterator[Finding | Proof]:
+    """The policy answers otherwise than the model's own pipeline.
+
+    ## What it does
+    Shows a fresh server of every robot and action type the scripted episodes that reference.py was asked about, and
+    compares the answers with those in golden_pairs.json: every number of every step, over histories, resets and
+    batches. A difference counts above `golden.tolerance`, a share of what the golden answers span; not if it is what a
+    batch rounds: within 2 % of the span, and gone where its environment is asked by itself. Of a model that
+    samples and takes no seed, means and spreads of many answers are compared. Where something differs, single changes
+    of the model_io block, and of what the adapter is shown and commands, are tried, and the one that makes the
+    difference fall is named. Where nothing differs, the same changes tell how clearly such a mistake would have shown,
+    and which conventions the pairs leave undetermined.
+
+    ## Why it matters
+    An audit that compares an adapter with itself does not see that blue and red, degrees and radians or two arms are
+    exchanged on the way to the model. The robot moves all the same, only wrongly.
+
+    ## Example
+    `channels: rgb` for a network that was trained on pictures from OpenCV.
+
+    ## Use instead
+    What the finding names, if the authors' code says so, too: the pairs hold what reference.py answers, and that may be
+    wrong. After a change of reference.py or of the weights, `xpl model-io record POLICY`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    count, explained = parity.pairs.count, False
+    for compared in parity.compared:
+        for finding in _findings(parity, compared, explained=explained):
+            explained = True
+            yield finding
+    conventions, assumed = parity.conventions
+    if explained:
+        return
+    numbers = {"pairs": count, "conventions": conventions, "assumed": len(assumed), "assumptions": assumed}
+    yield Proof({**numbers, "tolerance": parity.tolerance, **parity.margins})
+
+
+def _findings(parity: Parity, compared: Compared, *, explained: bool) -> Iterator[Finding]:
+    if compared.refusal is not None:
+        question = compared.refusal.question
+        yield blame(
+            f"the adapter does not answer what the reference answers ({compared.name})",
+            expected="action steps, as from reference.py",
+            got=f"{question.where}: {compared.refusal.answer}",
+            fix=Fix("advice", "the message says what is missing; the observation is one of the standard"),
+        )
+    elif compared.too_long is not None:
+        steps, golden = compared.too_long
+        yield blame(
+            f"the adapter answers {steps} steps, and the reference {golden} ({compared.name})",
+            expected=f"at most {golden} steps",
+            got=f"{steps} steps",
+            fix=Fix("advice", "hand on as many steps as the model's chunk has, and declare them as temporal.chunk"),
+        )
+    elif compared.session.takes > 1:
+        yield from _shifted(parity, compared, explained=explained)
+    else:
+        yield from _deviating(parity, compared, explained=explained)
+
+
+def _deviating(parity: Parity, compared: Compared, *, explained: bool) -> Iterator[Finding]:
+    judged = parity.judge(compared)
+    found = judged.deviation
+    if found is None:
+        return
+    cause = None if explained else parity.cause(compared)
+    questions = len(compared.session.questions)
+    message = (
+        f"{found.part} is not what the reference says ({compared.name}): off by {found.share:.2g} of its span, "
+        f"{found.pairs} of {questions} pairs differ, first at step {found.step}"
+    )
+    yield _blamed(
+        message,
+        cause,
+        expected=f"{found.part} = {found.golden:.6g} (reference.py)",
+        got=f"{found.given:.6g} at step {found.step} of {found.question.where}",
+        evidence={
+            "embodiment": compared.session.embodiment,
+            spec.Deploy.ACTION_TYPE: compared.session.action_type,
+            "part": found.part,
+            "parts": ranges(found.parts),
+            "environment": found.question.env,
+            "episode": found.question.episode,
+            "observation": len(found.question.shown) - 1,
+            "step": found.step,
+            "golden": found.golden,
+            "given": found.given,
+            "share": found.share,
+            "tolerance": found.allowed,
+            "pairs": questions,
+            "pairs_off": found.pairs,
+        },
+    )
+
+
+def _shifted(parity: Parity, compared: Compared, *, explained: bool) -> Iterator[Finding]:
+    found = parity.shift(compared)
+    if found is None:
+        return
+    cause = None if explained else parity.cause(compared)
+    where = "over all" if found.step is None else f"at step {found.step} of question {found.question}"
+    message = (
+        f"{found.part} is not distributed as the reference's ({compared.name}): its {found.what} is "
+        f"{found.sigmas:.0f} standard errors away over {compared.session.takes} answers"
+    )
+    yield _blamed(
+        message,
+        cause,
+        expected=f"{found.what} of {found.part} = {found.golden:.4g} (reference.py)",
+        got=f"{found.given:.4g} {where}",
+        evidence={
+            "embodiment": compared.session.embodiment,
+            spec.Deploy.ACTION_TYPE: compared.session.action_type,
+            "part": found.part,
+            "parts": ranges(found.parts),
+            "what": found.what,
+            "golden": found.golden,
+            "given": found.given,
+            "sigmas": found.sigmas,
+            "limit": found.limit,
+        },
+    )
+
+
+def _blamed(message: str, cause: Found | None, *, expected: str, got: str, evidence: dict[str, Any]) -> Finding:
+    explanation = None if cause is None else cause.explanation
+    told = "" if explanation is None else explanation.text
+    advice = f"compare the authors' code with the adapter; `{names.CODE}` names where it says what"
+    best = None if explanation is None else explanation.leads
+    if isinstance(best, Pattern):
+        evidence["cause"] = {"words": best.words, "convention": best.convention, "whole": False}
+    elif best is not None:
+        where = "in the block `golden`" if cause is not None and cause.in_block else "in encode, predict or decode"
+        advice = f"the answers would match with `{best.words}`: if the authors' code says so, change that {where}"
+        if explanation is not None and explanation.cause is None:
+            advice = f"`{best.words}` comes nearest: look at what the authors' code says of it, and at the rest"
+        evidence["cause"] = {
+            "words": best.words,
+            "convention": best.convention,
+            "before": best.before,
+            "after": best.after,
+            "whole": explanation is not None and explanation.cause is not None,
+            "left": list(best.left),
+            "ties": [] if explanation is None else [tie.words for tie in explanation.ties],
+        }
+    finding = blame(
+        f"{message}; {told}" if told else message,
+        expected=expected,
+        got=got,
+        evidence=evidence,
+        fix=Fix("advice", advice),
+    )
+    if cause is None or not cause.in_block:
+        return finding
+    return Finding(**{**vars(finding), "path": spec.File.POLICY_YML})

@@ -1,0 +1,86 @@
+"""XPL261: Golden pairs are not of the reference code and weights that are there now."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.inprocess import python_of
+from xpl_cli.audit.served.probe import Probe
+from xpl_cli.basics.errors import UserError
+from xpl_cli.model_io import names, pairs, provenance, record
+
+
+@rule(code="XPL261", requirement="XPL-NAT-6", profile="full")
+def golden_provenance(probe: Probe) -> Iterator[Finding]:
+    """Golden pairs are not of the reference code and weights that are there now.
+
+    ## What it does
+    Reads golden_pairs.json and compares what it was recorded with to what is there: reference.py, but for its
+    citations, and the files of the package that it imported, the authors' code where it is installed, the checkpoint
+    that deploy.yml names, the script that makes the observations, and the robots and action types that the manifest
+    declares.
+
+    ## Why it matters
+    Parity with answers of other code, or of other weights, proves nothing about these.
+
+    ## Example
+    reference.py is mended, and the pairs stay.
+
+    ## Use instead
+    `xpl model-io record POLICY --diff`, which tells what would change, and `xpl model-io record POLICY` after every
+    change of reference.py, of the authors' code or of the weights.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    package = probe.package
+    if not (package.path / names.PAIRS).exists():
+        there = (package.path / names.CODE).exists()
+        raise NotApplicable(f"{names.CODE} was never recorded" if there else f"there is no {names.CODE}")
+    try:
+        recorded = pairs.read(package.path)
+    except UserError as error:
+        yield _finding("the golden pairs cannot be used", "a file that `xpl model-io record` wrote", str(error))
+        return
+    for problem in provenance.code_problems(package.path, recorded.provenance, _python(probe)):
+        yield _finding(
+            f"the golden pairs are of other reference code: {problem}",
+            "the files that were asked",
+            problem,
+        )
+    settings = {**recorded.provenance["settings"], **probe.options.overrides}
+    before, now = recorded.provenance["weights"], provenance.weights(package, package.config(settings))
+    if (before or {}).get("digest") != (now or {}).get("digest"):
+        yield _finding("the golden pairs are of other weights than those that are served", _told(before), _told(now))
+    covered = {(session.embodiment, session.action_type) for session in recorded.sessions}
+    lacking = [
+        f"{session.embodiment} {session.action_type}"
+        for session in record.sessions(package, settings)
+        if (session.embodiment, session.action_type) not in covered
+    ]
+    if lacking:
+        yield _finding(
+            f"the golden pairs leave out what the manifest declares: {', '.join(lacking)}",
+            "pairs of every robot and action type",
+            f"pairs of {', '.join(' '.join(one) for one in sorted(covered))}",
+        )
+
+
+def _python(probe: Probe) -> str | None:
+    """Return the interpreter of the package, None where there is none here."""
+    try:
+        return python_of(probe)
+    except UserError:
+        return None
+
+
+def _told(weights: dict[str, str] | None) -> str:
+    return "none" if weights is None else f"{weights['name']}, {weights['digest'][:12]}"
+
+
+def _finding(message: str, expected: str, got: str) -> Finding:
+    fix = Fix(
+        "advice", "`xpl model-io record POLICY --diff` tells which answers would change; without it they are written"
+    )
+    return Finding(message, path=names.PAIRS, expected=expected, got=got, fix=fix)

@@ -1,0 +1,55 @@
+"""XPL193: The block model_io leaves nothing open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl.convert.gaps import gaps
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.manifests import place_in
+from xpl_cli.audit.static.source import Source
+
+_FILE, _BLOCK = sdk.File.POLICY_YML, "model_io"
+
+
+@rule(code="XPL193", requirement="XPL-NAT-2", after=("manifest",))
+def model_io_open(source: Source) -> Iterator[Finding]:
+    """The block model_io holds values that nobody knows yet.
+
+    ## What it does
+    Counts the values of `model_io` in `policy.yml` that say `{unknown: why}`, and lists each with its place and reason.
+    However many there are, that is one finding.
+
+    ## Why it matters
+    What an open value decides is proven by nothing, and the policy does not start before it is known. Checks that do
+    not need the value run with a plain one in its place (`xpl audit --shadow`).
+
+    ## Example
+    `channels: {unknown: the checkpoint does not say whether training read images with OpenCV}`.
+
+    ## Use instead
+    Ask who would know, look into the authors' data loader, or try both against reference.py (`xpl model-io record`);
+    then write the value: `channels: bgr`. One that has to be chosen meanwhile is `{assumed: rgb, why: reason}`: the
+    policy runs, and the verdict names it.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    model_io = source.manifest.model_io
+    if model_io is None:
+        raise NotApplicable("policy.yml has no model_io block")
+    found = gaps(model_io.data)
+    if found:
+        what = "a value" if len(found) == 1 else f"{len(found)} values"
+        first, *rest = (f"{gap.where} ({gap.reason})" for gap in found)
+        yield Finding(
+            f"{what} of the model_io block nobody knows yet: {'; '.join((first, *rest))}",
+            **place_in(source, _FILE, (_BLOCK, *found[0].path)),
+            expected="a value in each place",
+            got=f"{len(found)} times unknown",
+            evidence={gap.where: gap.reason for gap in found},
+            fix=Fix(
+                "advice", "write what the authors' code does there, or {assumed: value, why: reason} to run without it"
+            ),
+        )

@@ -1,0 +1,46 @@
+"""XPL194: reference.py takes nothing from the adapter that it is a second reading of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.borrowed import borrowed
+from xpl_cli.audit.static.source import Source
+from xpl_cli.model_io import names
+
+
+@rule(code="XPL194", requirement="XPL-NAT-4", after=("parses",))
+def reference_independent(source: Source) -> Iterator[Finding]:
+    """reference.py uses the adapter's own conversions, so that comparing the two proves nothing.
+
+    ## What it does
+    Reads reference.py, and the files of the package that it imports: none of them imports `xpl` or the adapter's
+    model.py, and none names policy.yml. Recording (`xpl model-io record`) looks at what is imported in the end, by
+    whatever way.
+
+    ## Why it matters
+    Parity holds the adapter against the authors' own pre- and post-processing. Where both go through the same code, a
+    convention that was read wrong is wrong in both, and every comparison is green.
+
+    ## Example
+    `from .model import Model` in reference.py, or `yaml.safe_load(open("policy.yml"))["model_io"]`.
+
+    ## Use instead
+    The authors' classes and transforms: `from their_package.policy import Policy`. What both need of the network
+    itself, without conversions, may lie in a file of its own, such as network.py. Settings come in `config`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    if not source.has(names.CODE):
+        raise NotApplicable(f"there is no {names.CODE}: nothing says what the model does")
+    source.tree(names.CODE)
+    for found in borrowed(source):
+        yield Finding(
+            f"{names.CODE} is no second reading: {found.place['path']} {found.by} the adapter's own {found.what}",
+            **found.place,
+            expected="the authors' code, and the configuration that answers(config) gets",
+            got=found.what,
+            fix=Fix("advice", "go through the authors' classes and transforms instead"),
+        )

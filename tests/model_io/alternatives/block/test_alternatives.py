@@ -1,0 +1,143 @@
+"""Single changes of a model_io block's words: valid, each once, likeliest first, and every planted one found again."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from typing import TYPE_CHECKING, Any
+
+import jsonschema
+import pytest
+import yaml
+
+from tests.support import pages
+from tests.support.adapters.model_io import CASES, Case
+from tests.support.adapters.planted import Rig
+from tests.support.places import ROOT
+from xpl.action import ActionError
+from xpl.convert import ConversionError, compile_interface
+from xpl.embodiment import get_embodiment
+from xpl_cli.model_io.alternatives.block import Alternative, alternatives
+from xpl_cli.model_io.difference import differences, spreads
+from xpl_cli.model_io.explain import Tried, explain
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+SCHEMA = spec.schema("model_io")
+VOCABULARY = {option["const"] for option in SCHEMA["$defs"]["convention"]["oneOf"]}
+NAMES = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+
+
+def _all(case: Case, model_io: Mapping[str, Any] | None = None) -> list[Alternative]:
+    return list(alternatives(model_io or case.model_io, case.embodiment, case.action_type))
+
+
+@pytest.mark.slow
+@NAMES
+def test_each_is_another_block_that_is_valid(case: Case) -> None:
+    validator = jsonschema.Draft202012Validator(SCHEMA)
+    found = _all(case)
+    texts = [json.dumps(one.block, sort_keys=True) for one in found]
+    assert len(set(texts)) == len(texts)
+    assert json.dumps(case.model_io, sort_keys=True) not in texts
+    assert {one.convention for one in found} <= VOCABULARY
+    widths = case.compiled().action.vector.padded
+    for one in found[::7]:
+        validator.validate(one.block)
+        changed = compile_interface(one.block, case.embodiment, case.action_type)
+        assert changed.action.vector.padded == widths
+
+
+def test_the_likeliest_come_first_and_the_block_itself_is_left_alone() -> None:
+    """A search that is cut short by time has tried the same every time."""
+    case = CASES["two arms, joint deltas"]
+    before = json.dumps(case.model_io)
+    words = [one.words for one in _all(case)]
+    assert json.dumps(case.model_io) == before
+    for common, rare in (
+        ("channels: bgr", "fill: 114 (wrists)"),
+        ("gripper: closed and open exchanged", "gripper: closed 0, open 100"),
+        ("unit: deg", "names: joints 1 and 7 exchanged"),
+        ("cameras: cam_left_wrist and cam_right_wrist exchanged", "parts: reversed"),
+    ):
+        assert words.index(common) < words.index(rare)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize(
+    ("name", "convention", "change"),
+    [
+        ("two arms, joint deltas", "image_channels", lambda b: b["images"][0].update(channels="bgr")),
+        ("two arms, joint deltas", "image_range", lambda b: b["images"][1].update(range=[0, 1])),
+        ("two arms, joint deltas", "camera", lambda b: b["images"][1]["cameras"].reverse()),
+        ("two arms, joint deltas", "action_reference", lambda b: b["action"].update(reference="cumulative")),
+        ("two arms, joint deltas", "normalization", lambda b: b["state"][0].pop("normalize")),
+        (
+            "one arm, poses in the base, history",
+            "gripper",
+            lambda b: b["action"]["parts"][2]["gripper"].update(closed=[0.04, -0.04], open=[0.0, 0.0]),
+        ),
+        (
+            "one arm, poses in the base, history",
+            "rotation",
+            lambda b: b["action"]["parts"][1]["rotation"].update(form="rot6d_rows"),
+        ),
+        (
+            "one arm, poses in the base, history",
+            "frame",
+            lambda b: b["state"][0]["parts"][0]["position"].update(unit="m"),
+        ),
+        ("one arm, poses in the base, history", "history", lambda b: b["history"].update(stride=1)),
+        (
+            "one arm, cumulative poses",
+            "image_filter",
+            lambda b: b["images"][0]["steps"][0]["resize"].update(filter="nearest"),
+        ),
+        ("one arm, cumulative poses", "joint_order", lambda b: b["action"]["parts"].reverse()),
+        ("numbers that never moved", "rotation", lambda b: b["action"]["parts"][1]["rotation"].update(euler="ZYX")),
+        ("hands, absolute", "angle_unit", lambda b: b["action"]["parts"][0]["joints"].update(unit="deg")),
+    ],
+)
+def test_what_was_changed_is_named(name: str, convention: str, change: Any) -> None:
+    case = CASES[name]
+    wrong = json.loads(json.dumps(case.model_io))
+    change(wrong)
+    rig = Rig(case)
+    model_io, given = rig.answers(case.model_io), rig.answers(wrong)
+    spread = spreads(model_io)
+    before = differences(model_io, given, spread)
+    tried = []
+    for one in _all(case, wrong):
+        if one.convention == convention:
+            with contextlib.suppress(ActionError):  # an opening far from 0..1
+                tried.append(Tried(one.words, one.convention, differences(model_io, rig.answers(one.block), spread)))
+    found = explain(before, tried, 1e-4)
+    assert found.cause is not None
+    assert found.cause.convention == convention
+    assert found.cause.after < 1e-6
+    assert found.cause.before > 1e-3
+
+
+@pytest.mark.slow
+def test_the_block_of_the_documentation_has_alternatives(tmp_path: Path) -> None:
+    blocks = pages.blocks([ROOT / "docs" / "model-io.md"])
+    model_io = next(yaml.safe_load(block.text) for block in blocks if block.language == "yaml")["model_io"]
+    numbers = {"q01": [-1.0] * 16, "q99": [2.0] * 16, "mean": [0.1] * 16, "std": [0.5] * 16}
+    other = {"q01": [-2.0] * 16, "q99": [3.0] * 16}
+    table = {"norm_stats": {"state": numbers, "actions": numbers}, "other": {"state": other}}
+    (tmp_path / "norm_stats.json").write_text(json.dumps(table), encoding="utf-8")
+    found = list(alternatives(model_io, get_embodiment("franka"), "joint", [tmp_path], 50))
+    words = {one.words for one in found}
+    assert "normalize: rule: mean_std" in words
+    assert "normalize: the action's numbers for the state" in words
+    assert "normalize: key: other/state (state)" in words
+    assert not any("min_max" in one for one in words), "the file has no minimum"
+
+
+def test_a_block_that_does_not_fit_is_an_error() -> None:
+    case = CASES["two arms, joint deltas"]
+    with pytest.raises(ConversionError, match="no arm 'left'"):
+        list(alternatives(case.model_io, get_embodiment("franka_single"), "joint"))

@@ -1,0 +1,108 @@
+"""Conversion mistakes, each planted into a correct adapter that has its authors' pipeline beside it.
+
+A mutant is a subject of this folder, or one of its rewritten variants, with some text replaced, as a file of mistakes
+says. The files differ by who planted: `known.yml` by somebody who knew how the parity rule explains, `strangers.yml` by
+somebody who did not, and the search was then bettered by what it had missed; `fresh.yml` by somebody else who did not,
+when that was done. The rates are told apart: only those of `fresh.yml` are out of sample.
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+HERE = Path(__file__).parent
+SUBJECTS = HERE / "subjects"
+VARIANTS = HERE / "variants"
+_MODEL = "model.py"
+_MANIFEST = "policy.yml"
+_NETWORK = "network.py"
+
+
+@dataclass(frozen=True)
+class Adapter:
+    """A correct adapter: a subject, or one of its variants.
+
+    Attributes:
+        name: of the subject, or of the variant: SUBJECT-STYLE.
+    """
+
+    name: str
+
+    @property
+    def subject(self) -> str:
+        """Return the policy whose reference code it shares."""
+        return self.name.partition("-")[0]
+
+    def write(self, folder: Path) -> Path:
+        """Write the package into a new folder below `folder` and return it."""
+        package = folder / self.subject
+        shutil.copytree(SUBJECTS / self.subject, package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copyfile(SUBJECTS / _NETWORK, package / "authors" / _NETWORK)
+        if self.name != self.subject:
+            variant = VARIANTS / self.name
+            shutil.copyfile(variant / _MODEL, package / _MODEL)
+            block = variant / "model_io.yml"
+            if block.is_file():
+                indented = "".join(f"  {line}\n" for line in block.read_text().splitlines())
+                with (package / _MANIFEST).open("a") as manifest:
+                    manifest.write(f"model_io:\n{indented}")
+        return package
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A mistake in an adapter.
+
+    Attributes:
+        adapter: where it is planted.
+        name: the mistake in a few words.
+        conventions: the conventions of which any names the cause right.
+        edits: file, text of the correct adapter, and what replaces it.
+        source: file of mistakes that it is from, without its ending.
+    """
+
+    adapter: Adapter
+    name: str
+    conventions: tuple[str, ...]
+    edits: tuple[tuple[str, str, str], ...]
+    source: str
+
+    def __str__(self) -> str:
+        """Return how tests call it."""
+        return f"{self.adapter.name}-{self.name}"
+
+    def write(self, folder: Path) -> Path:
+        """Write the spoiled package into a new folder below `folder` and return it.
+
+        Raises:
+            LookupError: if the correct adapter does not hold a text that is to be replaced.
+        """
+        package = self.adapter.write(folder)
+        for file, old, new in self.edits:
+            text = (package / file).read_text()
+            if old not in text:
+                message = f"{self.adapter.name}, {self.name}: {file} does not hold {old!r}"
+                raise LookupError(message)
+            (package / file).write_text(text.replace(old, new, 1))
+        return package
+
+
+def read(source: str) -> tuple[Mutant, ...]:
+    """Return the mutants of a file of mistakes."""
+    found = []
+    for adapter, mistakes in yaml.safe_load((HERE / f"{source}.yml").read_text()).items():
+        for name, mistake in mistakes.items():
+            edits = tuple((edit.get("file", _MODEL), edit["replace"], edit["by"]) for edit in mistake["edits"])
+            told = mistake["convention"]
+            conventions = tuple(told) if isinstance(told, list) else (told,)
+            found.append(Mutant(Adapter(adapter), name, conventions, edits, source))
+    return tuple(found)
+
+
+CORRECT = tuple(Adapter(path.name) for path in sorted(SUBJECTS.iterdir()) if path.is_dir())
+REWRITTEN = tuple(Adapter(path.name) for path in sorted(VARIANTS.iterdir()) if path.is_dir())
+SOURCES = tuple(sorted(path.stem for path in HERE.glob("*.yml")))

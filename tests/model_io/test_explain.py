@@ -1,0 +1,84 @@
+"""Which change explains a difference: wholly, as well as another, in part, or not at all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from xpl_cli.model_io.explain import Explanation, Tried, explain
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+BEFORE = {"arm_joint_state[0]": 0.4, "arm_joint_state[1]": 0.2, "ee_joint_state[0]": 0.9, "ee_joint_state[1]": 0.0}
+FINE = 1e-4
+
+
+def _tried(words: str, convention: str = "gripper", **left: float) -> Tried:
+    keys = {"a": "arm_joint_state[0]", "b": "arm_joint_state[1]", "c": "ee_joint_state[0]", "d": "ee_joint_state[1]"}
+    return Tried(words, convention, {**BEFORE, **{keys[name]: value for name, value in left.items()}})
+
+
+def _explained(*tried: Tried, before: Mapping[str, float] = BEFORE) -> Explanation:
+    return explain(before, tried, FINE)
+
+
+def test_a_change_that_leaves_nothing_is_the_cause() -> None:
+    found = _explained(_tried("worse", c=2.0), _tried("right", "camera", a=1e-7, b=0.0, c=2e-8))
+    assert found.cause is not None
+    assert (found.cause.words, found.cause.convention) == ("right", "camera")
+    assert found.parts == ("ee_joint_state[0]", "arm_joint_state[0]", "arm_joint_state[1]")
+    assert found.leads is found.cause
+
+
+@pytest.mark.parametrize(("rest", "is_near"), [(0.008, True), (0.02, False)])
+def test_a_fall_by_a_hundred_is_consistent_and_no_cause(rest: float, is_near: bool) -> None:
+    """Another library's filter never leaves nothing."""
+    found = _explained(_tried("nearly", a=rest, b=rest, c=rest))
+    assert found.cause is None
+    assert (found.near is not None) == is_near
+    if found.near is not None:
+        assert found.near.left == tuple(BEFORE)[:3]
+        assert found.text.startswith("consistent with `nearly`")
+
+
+def test_changes_with_the_same_effect_are_ties() -> None:
+    right = {"a": 0.0, "b": 0.0, "c": 0.0}
+    found = _explained(
+        _tried("one", **right),
+        _tried("one", **right),
+        _tried("other", **right),
+        _tried("third", **{**right, "a": 9e-5}),
+    )
+    assert found.cause is not None
+    assert (found.cause.words, [tie.words for tie in found.ties]) == ("one", ["other"])
+
+
+def test_parts_are_explained_by_themselves() -> None:
+    found = _explained(_tried("arm", a=0.0, b=0.0), _tried("hand", c=1e-6), _tried("bad", c=0.0, a=0.8))
+    assert found.cause is None
+    assert [(one.words, one.parts) for one in found.partial] == [
+        ("arm", ("arm_joint_state[0]", "arm_joint_state[1]")),
+        ("hand", ("ee_joint_state[0]",)),
+    ]
+
+
+def test_small_parts_that_fall_explain_nothing() -> None:
+    before = {**BEFORE, "ee_joint_state[1]": 0.001}
+    tried = Tried("chance", "camera", {**before, "ee_joint_state[1]": 0.0})
+    assert _explained(tried, before=before).text == ""
+
+
+def test_a_change_that_lowers_more_than_all_others_is_told() -> None:
+    best = _tried("crop", "image_size", a=0.1, b=0.1, c=0.1)
+    found = _explained(_tried("mirror", "image_orientation", c=0.7), best)
+    assert found.lowers is not None
+    assert found.lowers.words == "crop"
+    rival = _tried("filter", "image_filter", a=0.12, b=0.1, c=0.1)
+    assert _explained(best, rival).text == ""
+
+
+def test_nothing_is_told_where_nothing_explains() -> None:
+    assert _explained(_tried("no", c=0.8), Tried("broken", "chunk", {"arm_joint_state[0]": 0.0})).text == ""
+    assert _explained(_tried("fine", a=0.0), before=dict.fromkeys(BEFORE, 1e-5)) == Explanation(1e-5, ())

@@ -1,0 +1,269 @@
+"""Asks a package's reference.py about scripted episodes: an errand in the policy's interpreter (`xpl.worker.errand`).
+
+reference.py defines `answers(config)`, which returns `answer(episode)`: the action steps of the standard that the
+authors' own code gives for an episode so far. It imports neither `xpl` nor model.py: an adapter that answers for the
+model would be compared with itself. The audit reads that in its text; here an import of either is an error of the line
+that imports.
+
+    {"policy_dir", "config", "file", "function", "conventions", "embodiment", "action_type", "seed", "takes", "rounds",
+     "calls": [{"reset": true} | {"show": [[environment, observation], ...]} | {"ask": [environment, ...]}, ...]}
+    one map for the load, one for each call that asks, round by round, and one with what answered: a "result" or an
+    "error". The result of a question is, for each environment, a list of takes, each a list of action steps.
+"""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import hashlib
+import platform
+import re
+import sys
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Callable, NoReturn
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl import ecosystem
+from xpl.action import ActionError, check_chunk
+from xpl.embodiment import Embodiment, get_embodiment
+from xpl.episodes import own_index
+from xpl.process.modules import execute, register_package
+from xpl.worker.copies import own
+from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
+from xpl.worker.loading import LoadError
+
+if TYPE_CHECKING:
+    from xpl.contract import Config
+
+_SDK = "xpl"
+MOST_STEPS = 10_000
+"""Of one answer, looked at before any is checked or copied."""
+_MOST_LIBRARIES = 64
+_MOST_FILES = 500
+_INSTALLED = {"site-packages", "dist-packages"}
+
+Answer = Callable[["Episode"], Any]
+
+
+class ReferenceImportError(ImportError):
+    """reference.py imports what it is to be compared with."""
+
+
+class Episode:
+    """What reference.py is told: one environment's episode so far.
+
+    Attributes:
+        observations: those of the standard that were shown, oldest first; the last one is now.
+        asked: places in `observations` that were asked about, oldest first; the last one is now.
+        rng: generator of this environment, seeded and used up as `xpl.Policy.rng(env)` is.
+        env: number of the environment.
+        number: number of the episode since the start, from 0.
+    """
+
+    def __init__(self, env: int, number: int, seed: int) -> None:
+        self.observations: list[Any] = []
+        self.asked: list[int] = []
+        self.rng = np.random.default_rng([seed % 2**63, number, own_index(env)])
+        self.env = env
+        self.number = number
+
+
+def load(folder: Path, file: str, function: str, config: Config) -> tuple[ModuleType, Answer]:
+    """Import reference.py of a package and return it, and what answers.
+
+    Raises:
+        LoadError: if the file or its function is missing, or makes nothing that can be called.
+        ReferenceImportError: if it imports the SDK or the adapter.
+    """
+    path = folder / file
+    ecosystem.offer(folder)
+    _guard(folder)
+    package = f"_xpl_reference_{folder.name}"
+    register_package(package, folder)
+    if not path.is_file():
+        raise LoadError(f"{path} cannot be imported")
+    module = execute(f"{package}.{path.stem}", path)
+    make = getattr(module, function, None)
+    if not callable(make):
+        raise LoadError(f"{path} defines no function {function}(config)")
+    answer = make(dict(config))
+    if not callable(answer):
+        raise LoadError(
+            f"{function}(config) of {path} must return a function of an episode, got {type(answer).__name__}"
+        )
+    return module, answer
+
+
+def play(answer: Answer, order: Order) -> Iterator[bytes]:
+    """Show and ask as the order says, and yield the answers of each question, packed."""
+    robot = get_embodiment(order["embodiment"])
+    for _ in range(order["rounds"]):
+        episodes: dict[int, Episode] = {}
+        number, has_shown = 0, False
+        for call in order["calls"]:
+            if spec.Method.RESET in call:
+                number, has_shown, episodes = number + has_shown, False, {}
+            for env, observation in call.get("show", ()):
+                has_shown = True
+                episodes.setdefault(env, Episode(env, number, order[spec.Deploy.SEED])).observations.append(observation)
+            if "ask" in call:
+                yield _asked(answer, [episodes[env] for env in call["ask"]], robot, order)
+
+
+def _asked(answer: Answer, episodes: Sequence[Episode], robot: Embodiment, order: Order) -> bytes:
+    try:
+        told = []
+        for episode in episodes:
+            episode.asked.append(len(episode.observations) - 1)
+            told.append([_steps(answer, episode, robot, order[spec.Deploy.ACTION_TYPE]) for _ in range(order["takes"])])
+        return result(told)
+    except FAILURES as error:
+        return failed(error, trace=_own_lines(error, Path(order["policy_dir"])))
+
+
+def _steps(answer: Answer, episode: Episode, robot: Embodiment, action_type: str) -> list[dict[str, np.ndarray]]:
+    """Return the action steps of one answer, checked; reference code may write to what it is shown."""
+    given = Episode.__new__(Episode)
+    given.__dict__.update(vars(episode), observations=own(episode.observations), asked=list(episode.asked))
+    steps = answer(given)
+    if isinstance(steps, Sequence) and len(steps) > MOST_STEPS:
+        raise ActionError(f"an answer may have {MOST_STEPS} action steps, got {len(steps)}")
+    check_chunk(steps, robot, action_type)
+    return [{key: np.asarray(value, np.float32) for key, value in step.items()} for step in steps]
+
+
+def _own_lines(error: BaseException, folder: Path) -> str:
+    """Return where in the package an error arose, innermost last."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own_frames = [frame for frame in frames if Path(frame.filename).is_relative_to(folder)]
+    return " < ".join(f"{Path(frame.filename).name}:{frame.lineno}" for frame in reversed(own_frames))
+
+
+# -- what reference.py must not import ---------------------------------------------------------------------------------
+
+
+def _guard(folder: Path) -> None:
+    """Make imports of the adapter, from wherever, and of the SDK, from files of the package, errors."""
+    sys.meta_path.insert(0, _NoAdapter(folder))
+    real = builtins.__import__
+
+    def guarded(name: str, *arguments: Any, **more: Any) -> Any:
+        if name == _SDK or name.startswith(f"{_SDK}."):
+            scope = arguments[0] if arguments else more.get("globals")
+            file = (scope or {}).get("__file__")
+            level = arguments[3] if len(arguments) > 3 else more.get("level", 0)
+            if level == 0 and file and Path(file).is_relative_to(folder):
+                raise ReferenceImportError(
+                    f"{Path(file).name} imports {name}: what the adapter is written with cannot say whether it is "
+                    "right; use the authors' own code, or numpy"
+                )
+        return real(name, *arguments, **more)
+
+    builtins.__import__ = guarded
+
+
+class _NoAdapter(MetaPathFinder):
+    """Finds model.py of the package under any name, and refuses it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._model = (folder / spec.File.MODEL_PY).resolve()
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        """Return None for whatever is not the adapter: others find that."""
+        if name.rpartition(".")[2] != self._model.stem:
+            return None
+        found = PathFinder.find_spec(name, path, target)
+        if found is not None and found.origin and Path(found.origin).resolve() == self._model:
+            raise ReferenceImportError(
+                f"{name} is the adapter's own {self._model.name}: it cannot say whether the adapter is right; "
+                "import the authors' code"
+            )
+        return None
+
+
+# -- what answered ----------------------------------------------------------------------------------------------------
+
+
+def provenance(folder: Path, module: object, conventions: str) -> dict[str, Any]:
+    """Return digests of the files of the package and of the authors' code that were imported, and all versions.
+
+    Args:
+        folder: of the package.
+        module: reference.py.
+        conventions: name of its map of citations: an imported package that they name is the authors' code.
+    """
+    told = getattr(module, conventions, None)
+    sources = told.values() if isinstance(told, Mapping) else ()
+    cited = {part for text in sources if isinstance(text, str) for part in re.split(r"[/:@]", text)}
+    own = getattr(module, "__file__", None)
+    files, authors = {}, {}
+    for name, imported in sorted(sys.modules.items()):
+        file = getattr(imported, "__file__", None)
+        if not isinstance(file, str) or not Path(file).is_file():
+            continue
+        path, top = Path(file), name.partition(".")[0]
+        if path.is_relative_to(folder) and not _is_environment(path.relative_to(folder)):
+            files[path.relative_to(folder).as_posix()] = code_digest(path, conventions if file == own else None)
+        elif top in cited and top in path.parts:
+            place = len(path.parts) - 1 - path.parts[::-1].index(top)
+            authors["/".join(path.parts[place:])] = code_digest(path)
+    libraries = {}
+    for name, imported in sorted(sys.modules.items()):
+        installed = set(Path(str(getattr(imported, "__file__", None))).parts) & _INSTALLED
+        version = getattr(imported, "__version__", None) if installed and "." not in name else None
+        if isinstance(version, str) and not name.startswith("_"):
+            libraries[name] = version[:80]
+    return {
+        "reference": dict(sorted(files.items())),
+        "authors": dict(list(authors.items())[:_MOST_FILES]),
+        "python": platform.python_version(),
+        "libraries": dict(list(libraries.items())[:_MOST_LIBRARIES]),
+    }
+
+
+def code_digest(path: Path, left_out: str | None = None) -> str:
+    """Return the SHA-256 of a file of code.
+
+    Args:
+        path: the file.
+        left_out: a name; what gives it a value at the top of the file does not count, such as citations, which change
+            no answer.
+    """
+    content = path.read_bytes()
+    if left_out is not None:
+        lines = content.splitlines(keepends=True)
+        for node in ast.parse(content).body:
+            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+            if any(isinstance(target, ast.Name) and target.id == left_out for target in targets):
+                lines[node.lineno - 1 : node.end_lineno] = [b""] * ((node.end_lineno or node.lineno) - node.lineno + 1)
+        content = b"".join(lines)
+    return hashlib.sha256(content).hexdigest()
+
+
+def _is_environment(path: Path) -> bool:
+    """Tell whether a file belongs to a Python environment inside the package, which is not the package's."""
+    return any(part in _INSTALLED or part.startswith(".") for part in path.parts[:-1])
+
+
+def main(asked: str, answers: str) -> NoReturn:
+    """Ask as one file says, write the answers to another, and end."""
+    carry_out(asked, answers, _all)
+
+
+def _all(order: Order) -> Iterator[bytes]:
+    folder = Path(order["policy_dir"])
+    try:
+        module, answer = load(folder, order["file"], order["function"], order["config"])
+    except FAILURES as error:
+        yield failed(error, trace=_own_lines(error, folder))
+        return
+    yield result(None)
+    yield from play(answer, order)
+    yield result(provenance(folder, module, order["conventions"]))

@@ -1,0 +1,237 @@
+"""`xpl model-io`: what the model itself reads and says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from xpl import _spec as sdk
+from xpl_cli.basics.endings import ends
+from xpl_cli.commands.options import JSON, PATIENCE_HELP, POLICY, POLICY_ENV, PYTHON, SETTINGS
+
+if TYPE_CHECKING:
+    from xpl_cli.model_io.record import Recorded
+
+app = typer.Typer(help="What the model itself reads and says.", no_args_is_help=True)
+
+
+@app.callback()
+def model_io() -> None:
+    """What the model itself reads and says."""
+
+
+@app.command()
+@ends(
+    clean="recorded",
+    findings="with --diff: answers differ",
+    not_found="no reference.py",
+    not_run="reference.py could not be run",
+)
+def record(
+    policy: str = POLICY,
+    settings: list[str] = SETTINGS,
+    python: str | None = typer.Option(None, help="Interpreter that runs reference.py."),
+    policy_env: str | None = POLICY_ENV,
+    patience: float = typer.Option(300.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
+    diff: bool = typer.Option(False, "--diff", help="Print which answers would change, and write nothing."),
+    as_json: bool = JSON,
+) -> None:
+    """Ask reference.py about scripted episodes and write its answers into the package, for audits to compare with."""
+    import shlex
+
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode
+    from xpl_cli.basics.progress import progress
+    from xpl_cli.model_io import names
+    from xpl_cli.model_io import record as recording
+    from xpl_cli.packages import package as packages
+
+    overrides = packages.parse_overrides(settings)
+    adapter = packages.load(policy, overrides)
+    with progress() as say:
+        options = recording.Options(overrides, python, policy_env, patience, say, diff)
+        done = recording.record(adapter, options)
+    path = adapter.path / names.PAIRS
+    following = [shlex.join(["xpl", "audit", policy])]
+    differs = ExitCode.FINDINGS if diff and done.changes != () else ExitCode.CLEAN
+    if as_json:
+        console.answer("xpl.model-io-record/1", _document(adapter.name, str(path), done), following)
+        raise typer.Exit(differs)
+    if diff:
+        for line in done.changes if done.changes is not None else [f"{path} is not there, or cannot be used"]:
+            console.data(line)
+        raise typer.Exit(differs)
+    console.data(str(path))
+    for line in _lines(done):
+        console.note(line)
+    console.note(f"next: {following[0]}")
+
+
+def _document(name: str, path: str, done: Recorded) -> dict[str, Any]:
+    return {
+        "policy": name,
+        "path": path,
+        "bytes": done.size,
+        "pairs": done.pairs.count,
+        "sessions": [
+            {
+                "embodiment": one.embodiment,
+                sdk.Deploy.ACTION_TYPE: one.action_type,
+                "pairs": len(one.questions),
+                "takes": one.takes,
+            }
+            for one in done.pairs.sessions
+        ],
+        "conventions": done.conventions,
+        "assumed": list(done.assumed),
+        "noise": dict(done.noise),
+        "changes": None if done.changes is None else list(done.changes),
+    }
+
+
+def _lines(done: Recorded) -> list[str]:
+    """Return what was recorded, for people."""
+    from xpl_cli.basics.sizes import told_size
+
+    kinds = ", ".join(f"{one.embodiment} {one.action_type} ({len(one.questions)})" for one in done.pairs.sessions)
+    takes = max(one.takes for one in done.pairs.sessions)
+    each = f", {takes} answers each" if takes > 1 else ""
+    assumed = (
+        f"{len(done.assumed)} of them assumed: {', '.join(done.assumed)}" if done.assumed else "none of them assumed"
+    )
+    noise = max(done.noise.values(), default=0.0)
+    apart = "two recordings are equal" if noise == 0 else f"two recordings differ by up to {noise:.1g} of the span"
+    return [
+        f"{done.pairs.count} pairs{each}, {told_size(done.size)}: {kinds}",
+        f"{done.conventions} conventions named, {assumed}",
+        *([] if takes > 1 else [apart]),
+        *(f"changed: {sentence}" for sentence in done.changes or ()),
+    ]
+
+
+@app.command()
+@ends(clean="written", not_found="no such adapter, environment or file", not_run="nothing can be shown, or it failed")
+def show(
+    policy: str = POLICY,
+    out: Path = typer.Option(Path("model-io-show"), metavar="DIR", help="Folder of index.html and show.png."),
+    watch: bool = typer.Option(False, "--run", help="Run the model: show what predict gets and says."),
+    environment: str | None = typer.Option(None, metavar="NAME", help="Show an environment's first observation."),
+    task: str | None = typer.Option(None, help="Its task; the first by default."),
+    seed: int = typer.Option(0, min=0, help="Of its episode."),
+    image: list[str] = typer.Option([], metavar="CAMERA=FILE", help="Show a camera this picture."),
+    settings: list[str] = SETTINGS,
+    python: str | None = PYTHON,
+    policy_env: str | None = POLICY_ENV,
+    patience: float = typer.Option(300.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object with all numbers."),
+) -> None:
+    """Write what the model sees and says on one page and in one picture, beside what the cameras give.
+
+    By default test cards and a scripted state go through the model_io block, and the model does not run.
+    """
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import UserError
+    from xpl_cli.model_io.show import scene, seen, watched, written
+    from xpl_cli.model_io.show.subject import subject as of
+    from xpl_cli.packages import package as packages
+
+    if environment is None and task is not None:
+        raise UserError("--task is of an environment: say --environment too")
+    overrides = packages.parse_overrides(settings)
+    subject = of(packages.load(policy, overrides), overrides)
+    pair = None if watch or image or environment is not None else seen.of_pairs(subject)
+    answered = None
+    if environment is not None:
+        episode = scene.Episode(environment, task, seed)
+        view = scene.of_environment(episode, subject.robot, subject.action_type, subject.cameras)
+    elif pair is not None:
+        view, answered = pair[0], (pair[1], pair[2])
+    else:
+        view = scene.scripted(subject.package.manifest, subject.robot, subject.cameras, subject.reach)
+    view = scene.photographed(view, _photos(image))
+    place = watched.Place(python, policy_env, patience)
+    found = seen.run(subject, view, place) if watch else seen.look(subject, view, answered)
+    files = written.write(found, out)
+    if as_json:
+        console.answer("xpl.model-io-show/1", {"files": files, **found.document()}, [])
+        return
+    for path in files:
+        console.data(path)
+    for note in written.told(found):
+        console.note(note)
+
+
+def _photos(image: list[str]) -> dict[str, Path]:
+    """Return the file of each camera, of `CAMERA=FILE`."""
+    from xpl_cli.basics.errors import UserError
+
+    found = {}
+    for told in image:
+        camera, equals, file = told.partition("=")
+        if not (camera and equals and file):
+            raise UserError(f"--image takes CAMERA=FILE, got {told!r}")
+        found[camera] = Path(file)
+    return found
+
+
+@app.command()
+@ends(clean="agrees", findings="differs", not_run="nothing to judge by")
+def kinematics(
+    policy: str = POLICY,
+    as_json: bool = JSON,
+) -> None:
+    """Let the robot's kinematics judge the rows that model_io.samples names: forms, points, frames, units, order."""
+    from xpl.convert import ConversionError
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode, UserError
+    from xpl_cli.model_io.kinematics import declared, witness
+    from xpl_cli.packages import package as packages
+
+    adapter = packages.load(policy)
+    try:
+        found = declared.verdicts(adapter.manifest, [adapter.path])
+    except (declared.NoWitnessError, ConversionError) as error:
+        raise UserError(f"{adapter.path}: {error}", code=ExitCode.NOT_RUN) from None
+    if as_json:
+        verdicts = [verdict.document() for verdict in found]
+        console.answer("xpl.model-io-kinematics/1", {"policy": adapter.name, "verdicts": verdicts}, [])
+    else:
+        for verdict in found:
+            console.data(verdict.sentence)
+    good = {witness.AGREES, witness.OPEN}
+    raise typer.Exit(ExitCode.CLEAN if all(one.outcome in good for one in found) else ExitCode.FINDINGS)
+
+
+@app.command()
+@ends(clean="all cited lines were found", findings="a line is missing or says otherwise", not_found="no reference.py")
+def sources(
+    policy: str = POLICY,
+    python: str | None = PYTHON,
+    policy_env: str | None = POLICY_ENV,
+    as_json: bool = JSON,
+) -> None:
+    """Quote beside each convention the line of the authors' code that reference.py cites for it."""
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode, UserError
+    from xpl_cli.lifecycle import interpreter
+    from xpl_cli.model_io import citations
+    from xpl_cli.packages import package as packages
+
+    adapter = packages.load(policy)
+    try:
+        resolved = interpreter.resolve(adapter.path, adapter.manifest.environment, python=python, env=policy_env)
+    except UserError:
+        if python is not None or policy_env is not None:
+            raise
+        resolved = None  # not installed: what lies in the package is quoted all the same
+    found = citations.quoted(adapter.path, adapter.manifest, resolved)
+    if as_json:
+        document = {"policy": adapter.name, "conventions": [one.document() for one in found]}
+        console.answer("xpl.model-io-sources/1", document, [])
+    else:
+        for one in found:
+            for line in one.lines():
+                console.data(line)
+    raise typer.Exit(ExitCode.FINDINGS if any(one.problem for one in found) else ExitCode.CLEAN)

@@ -1,0 +1,118 @@
+"""How far answers are from the golden ones: by number of each key, as a share of the spread of the golden answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as spec
+
+Step = Mapping[str, Any]
+Answers = Sequence[Sequence[Step]]
+"""Of each question its chunk of action steps."""
+Given = Sequence[Sequence[Step | None]]
+"""The same; None for steps that are not known."""
+Differences = Mapping[str, float]
+"""By number of an action, such as left_ee_joint_state[0], the largest difference over all questions and steps."""
+
+
+@dataclass(frozen=True)
+class Thread:
+    """One episode of one environment.
+
+    Attributes:
+        observations: that were shown, oldest first.
+        asked: places in them of the questions, in their order.
+        golden: the golden answers to these.
+        given: the adapter's.
+    """
+
+    observations: Sequence[Any]
+    asked: Sequence[int]
+    golden: Answers
+    given: Answers
+
+
+_PLACES = (slice(0, spec.POSITION_DIM), slice(spec.POSITION_DIM, spec.POSE_DIM))
+
+
+def columns(answers: Answers) -> dict[str, np.ndarray]:
+    """Return by key all steps of all answers, (N, width) float64."""
+    steps = [step for chunk in answers for step in chunk]
+    return {key: np.stack([np.asarray(step[key], np.float64) for step in steps]) for key in steps[0]} if steps else {}
+
+
+def spreads(golden: Answers) -> dict[str, float]:
+    """Return by number of an action what its differences are measured by.
+
+    That is the largest range that a number of the same key has in the golden answers; of poses positions count by
+    themselves, and rotations. Where nothing moved it is 1.
+    """
+    result = {}
+    for key, values in columns(golden).items():
+        for places in _groups(key, values.shape[1]):
+            largest = float(np.ptp(_one_sign(key, values)[:, places], axis=0).max(initial=0.0))
+            for index in range(values.shape[1])[places]:
+                result[f"{key}[{index}]"] = largest or 1.0
+    return result
+
+
+def differences(golden: Answers, given: Given, spread: Mapping[str, float]) -> dict[str, float]:
+    """Return how far answers are from the golden ones.
+
+    Quaternions of either sign are the same rotation. Steps that are not known, and numbers that are NaN, are left out,
+    unless most are. A key that is missing, a chunk of another length, or a number that is infinite is infinitely far.
+
+    Args:
+        golden: the golden answers.
+        given: the answers to the same questions.
+        spread: of `spreads`.
+    """
+    if [len(chunk) for chunk in golden] != [len(chunk) for chunk in given]:
+        return dict.fromkeys(spread, np.inf)
+    pairs = [
+        (wanted, step)
+        for one, other in zip(golden, given, strict=True)
+        for wanted, step in zip(one, other, strict=True)
+    ]
+    known = [(wanted, step) for wanted, step in pairs if step is not None]
+    if 2 * len(known) < len(pairs):
+        return dict.fromkeys(spread, np.inf)
+    wanted, found = columns([[one for one, _ in known]]), columns([[other for _, other in known]])
+    result = {}
+    for key, values in wanted.items():
+        other = found.get(key)
+        same = other is not None and other.shape == values.shape
+        for index in range(values.shape[1]):
+            part = f"{key}[{index}]"
+            if other is None or not same:
+                result[part] = np.inf
+                continue
+            far = np.abs(_nearer(key, other, values)[:, index] - values[:, index]) / spread[part]
+            result[part] = _largest(far)
+    return result
+
+
+def _largest(far: np.ndarray) -> float:
+    known = far[~np.isnan(far)]
+    return float(known.max(initial=0.0)) if 3 * len(known) >= len(far) else np.inf
+
+
+def _groups(key: str, width: int) -> Sequence[slice]:
+    return _PLACES if key.endswith(spec.State.EE_POSE) else (slice(0, width),)
+
+
+def _nearer(key: str, values: np.ndarray, to: np.ndarray) -> np.ndarray:
+    """Return poses whose quaternions have the sign that is nearer to others."""
+    if not key.endswith(spec.State.EE_POSE):
+        return values
+    turn = values[:, _PLACES[1]]
+    sign = np.where((turn * to[:, _PLACES[1]]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+    return np.concatenate((values[:, _PLACES[0]], turn * sign), axis=-1)
+
+
+def _one_sign(key: str, values: np.ndarray) -> np.ndarray:
+    return _nearer(key, values, np.broadcast_to(values[:1], values.shape)) if len(values) else values

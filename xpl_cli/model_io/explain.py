@@ -1,0 +1,220 @@
+"""Which single change explains that answers differ from the golden ones.
+
+found = explain(before, tried, tolerance)
+found.text        # "with `channels: bgr` the difference falls from 0.31 to 1e-07"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from xpl_cli.model_io.difference import Differences
+    from xpl_cli.model_io.patterns import Pattern
+
+_FACTOR = 100.0
+"""A change by which the difference falls by this much is consistent with it, if the rest is above the tolerance."""
+_LIKE = 10.0
+"""Changes whose rests differ by less than this factor are the same by effect."""
+_CLEAR = 4.0
+"""A change that explains nothing wholly is told if the difference falls by this much, ..."""
+_AHEAD = 2.0
+"""... and the next one leaves this much more."""
+_LARGE = 5.0
+"""What a change mends has to hold no less than this part of the largest difference."""
+_MENDED = 1.05
+"""Numbers that a change does not mend may become worse by this factor."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A change and what remains with it.
+
+    Attributes:
+        words: of the change.
+        convention: of the vocabulary.
+        remaining: the differences.
+    """
+
+    words: str
+    convention: str
+    remaining: Differences
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A change that lowers the difference.
+
+    Attributes:
+        words: of the change.
+        convention: of the vocabulary.
+        before: largest difference, as a share of the golden spread, of the parts.
+        after: the same with the change.
+        parts: the numbers of an action that it mends.
+        left: those that stay above the tolerance.
+    """
+
+    words: str
+    convention: str
+    before: float
+    after: float
+    parts: tuple[str, ...]
+    left: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """What happens with the change."""
+        if self.left:
+            fall = f"the difference falls from {self.before:.2g} to {self.after:.1g}"
+            return f"consistent with `{self.words}`: {fall}, still above the tolerance in {ranges(self.left)}"
+        return f"with `{self.words}` the difference falls from {self.before:.2g} to {self.after:.1g}"
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What was found.
+
+    Attributes:
+        before: the largest difference.
+        parts: the numbers of an action that differ, the farthest first.
+        cause: the single change with which no number differs, or None.
+        near: where there is none: one that leaves a hundredth of the difference or less.
+        ties: other changes that do so as well.
+        partial: where no change explains all: changes that each explain some parts, no part twice.
+        lowers: where there is none of these: a change that clearly lowers the difference more than any other.
+        patterns: what the differences themselves tell.
+    """
+
+    before: float
+    parts: tuple[str, ...]
+    cause: Cause | None = None
+    near: Cause | None = None
+    ties: tuple[Cause, ...] = ()
+    partial: tuple[Cause, ...] = ()
+    lowers: Cause | None = None
+    patterns: tuple[Pattern, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The explanation as a finding says it, or "" if there is none."""
+        if (found := self.cause or self.near) is not None:
+            others = _listed([f"`{tie.words}`" for tie in self.ties[:3]])
+            more = f" (as with {others}: the pairs do not tell them apart)" if others else ""
+            return found.text + more
+        told = [f"{one.text} in {ranges(one.parts)}" for one in self.partial]
+        if self.lowers is not None:
+            told.append(f"{self.lowers.text}, which does not explain all of it")
+        return "; ".join([*told, *(pattern.words for pattern in self.patterns[:1])])
+
+    @property
+    def leads(self) -> Cause | Pattern | None:
+        """What names a convention: the cause, or what comes nearest to one."""
+        found = (self.cause, self.near, *self.partial, *self.patterns, self.lowers)
+        return next((one for one in found if one is not None), None)
+
+
+def explain(before: Differences, tried: Iterable[Tried], tolerance: float) -> Explanation:
+    """Return which single change explains the differences best.
+
+    Args:
+        before: how far the answers are from the golden ones, by number, as a share of their spread.
+        tried: changes, the likeliest first, and what remains with each.
+        tolerance: largest share that is no difference.
+    """
+    off = sorted((part for part, value in before.items() if value > tolerance), key=lambda part: -before[part])
+    largest = max(before.values(), default=0.0)
+    start = Explanation(largest, tuple(off))
+    if not off:
+        return start
+    changes = [one for one in tried if one.remaining.keys() == before.keys()]
+    whole = [cause for one in changes if (cause := _whole(one, before, off, tolerance)) is not None]
+    exact = [cause for cause in whole if not cause.left]
+    if whole:
+        best, *ties = _alike(exact or whole, tolerance)
+        return Explanation(
+            largest, tuple(off), cause=best if exact else None, near=None if exact else best, ties=tuple(ties)
+        )
+    partial = _partial(changes, before, off, tolerance)
+    lowers = None if partial else _lowering(changes, before, off)
+    return Explanation(largest, tuple(off), partial=tuple(partial), lowers=lowers)
+
+
+def _whole(one: Tried, before: Differences, off: Sequence[str], tolerance: float) -> Cause | None:
+    after, largest = max(one.remaining.values()), max(before.values())
+    if after > tolerance and after * _FACTOR > largest:
+        return None
+    left = tuple(part for part, value in one.remaining.items() if value > tolerance)
+    return Cause(one.words, one.convention, largest, after, tuple(off), left)
+
+
+def _alike(causes: Sequence[Cause], tolerance: float) -> list[Cause]:
+    """Return the causes that leave as little as the best one, in their order; the first of equal words counts."""
+    least = max(min(cause.after for cause in causes) * _LIKE, tolerance / _FACTOR)
+    found: dict[str, Cause] = {}
+    for cause in causes:
+        if cause.after <= least:
+            found.setdefault(cause.words, cause)
+    return list(found.values())
+
+
+def _partial(changes: Sequence[Tried], before: Differences, off: Sequence[str], tolerance: float) -> list[Cause]:
+    """Return changes that each mend some numbers and make no other worse, those that mend most first."""
+    found = []
+    for one in changes:
+        left = one.remaining
+        if any(left[part] > max(before[part] * _MENDED, tolerance) for part in before):
+            continue
+        mended = tuple(part for part in off if left[part] <= tolerance or left[part] * _FACTOR <= before[part])
+        # Small differences may fall by chance.
+        if mended and max(before[part] for part in mended) * _LARGE >= max(before.values()):
+            worst = max(before[part] for part in mended)
+            found.append(Cause(one.words, one.convention, worst, max(left[part] for part in mended), mended))
+    chosen: list[Cause] = []
+    open_parts = set(off)
+    for cause in sorted(found, key=lambda cause: -len(cause.parts)):
+        if set(cause.parts) <= open_parts:
+            chosen.append(cause)
+            open_parts -= set(cause.parts)
+    return chosen
+
+
+def _lowering(changes: Sequence[Tried], before: Differences, off: Sequence[str]) -> Cause | None:
+    """Return the change that lowers the largest difference clearly, and clearly more than others."""
+    largest = max(before.values())
+    ranked = sorted(changes, key=lambda one: max(one.remaining.values()))
+    if not ranked:
+        return None
+    left = max(ranked[0].remaining.values())
+    others = [max(one.remaining.values()) for one in ranked[1:] if one.convention != ranked[0].convention]
+    if left * _CLEAR > largest or any(other < left * _AHEAD for other in others):
+        return None
+    return Cause(ranked[0].words, ranked[0].convention, largest, left, tuple(off))
+
+
+def ranges(parts: Sequence[str]) -> str:
+    """Return numbers of an action as text: left_arm_joint_state[0..6], right_ee_joint_state[0]."""
+    keys: dict[str, list[int]] = {}
+    for part in sorted(parts, key=_placed):
+        key, index = _placed(part)
+        keys.setdefault(key, []).append(index)
+    told = []
+    for key, indices in keys.items():
+        runs: list[list[int]] = []
+        for index in indices:
+            if runs and runs[-1][-1] == index - 1:
+                runs[-1].append(index)
+            else:
+                runs.append([index])
+        told += [f"{key}[{run[0]}..{run[-1]}]" if len(run) > 1 else f"{key}[{run[0]}]" for run in runs]
+    return ", ".join(told)
+
+
+def _placed(part: str) -> tuple[str, int]:
+    key, _, rest = part.partition("[")
+    return key, int(rest.rstrip("]") or 0)
+
+
+def _listed(items: Sequence[str]) -> str:
+    return items[0] if len(items) == 1 else ", ".join(items[:-1]) + f" or {items[-1]}" if items else ""

@@ -1,0 +1,329 @@
+"""golden_pairs.json: what a model answers through its authors' own code, written, read, and walked through.
+
+The file is spec/v1/pairs.schema.json. It holds recipes of observations (`script`) and answers, no code and no
+pictures; equal recordings are equal bytes.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl import json_text
+from xpl.embodiment import UnknownEmbodimentError, get_embodiment
+from xpl_cli.basics import files
+from xpl_cli.basics.atomic import write_file
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.model_io import names, script
+from xpl_cli.model_io.script import Call
+from xpl_cli.standard import spec
+from xpl_cli.standard.validate import validate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from xpl.contract import Entry
+    from xpl.embodiment import Embodiment
+
+_SCHEMA: Final = "pairs"
+_MOST_NUMBERS: Final = 1 << 22
+"""Numbers of one answer."""
+_FLOAT: Final = np.dtype("<f4")
+
+Answer = Mapping[str, np.ndarray]
+"""By key of the action: (takes, steps, numbers) float32."""
+Chunk = list[dict[str, np.ndarray]]
+"""Action steps, as a policy answers them."""
+
+
+class PairsError(UserError):
+    """The file cannot be read, or is not what the standard says; exit code 4."""
+
+    def __init__(self, message: str, hint: str | None = None) -> None:
+        super().__init__(message, hint=hint, code=ExitCode.NOT_RUN)
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question of a session: what was shown up to it, and what was answered.
+
+    Attributes:
+        number: of the question in its session, from 0.
+        call: number of the call that asks.
+        env: the environment.
+        episode: number of its episode, from 0.
+        shown: recipes of the observations of its episode so far; the newest is last.
+        asked: places in `shown` that were asked about; the newest is last.
+        answer: the golden one.
+    """
+
+    number: int
+    call: int
+    env: int
+    episode: int
+    shown: tuple[tuple[int, int], ...]
+    asked: tuple[int, ...]
+    answer: Answer
+
+    @property
+    def where(self) -> str:
+        """The question in words."""
+        return f"environment {self.env}, episode {self.episode}, observation {len(self.shown) - 1}"
+
+
+@dataclass(frozen=True)
+class Session:
+    """One process from its start to its end.
+
+    Attributes:
+        embodiment, action_type, seed: what it was started for.
+        cameras: height and width of each camera's images.
+        takes: how many times each question was answered.
+        calls: what was done.
+        answers: for each call that asks one for each environment.
+    """
+
+    embodiment: str
+    action_type: str
+    seed: int
+    cameras: Mapping[str, tuple[int, int]]
+    takes: int
+    calls: tuple[Call, ...]
+    answers: tuple[tuple[Answer, ...], ...] = ()
+
+    def with_answers(self, answers: tuple[tuple[Answer, ...], ...], takes: int | None = None) -> Session:
+        """Return the session with other answers, and as many takes of each question."""
+        return replace(self, answers=answers, takes=self.takes if takes is None else takes)
+
+    @cached_property
+    def robot(self) -> Embodiment:
+        """The robot."""
+        return get_embodiment(self.embodiment)
+
+    @cached_property
+    def scene(self) -> script.Scene:
+        """What makes its observations."""
+        return script.Scene(self.robot, self.cameras)
+
+    @cached_property
+    def questions(self) -> tuple[Question, ...]:
+        """Its questions in their order."""
+        return tuple(self._questions())
+
+    def _questions(self) -> Iterator[Question]:
+        shown: dict[int, list[tuple[int, int]]] = {}
+        asked: dict[int, list[int]] = {}
+        answers, number = iter(self.answers), 0
+        for place, (call, episode) in enumerate(script.played(self.calls)):
+            if call.reset:
+                shown, asked = {}, {}
+            for env, moment in call.show:
+                shown.setdefault(env, []).append((env, moment))
+            for env, answer in zip(call.ask, next(answers) if call.ask else (), strict=True):
+                asked.setdefault(env, []).append(len(shown[env]) - 1)
+                yield Question(number, place, env, episode, tuple(shown[env]), tuple(asked[env]), answer)
+                number += 1
+
+    def state(self, question: Question) -> dict[str, np.ndarray]:
+        """Return the newest state that was shown before a question."""
+        return self.scene.state(*question.shown[-1])
+
+    def chunk(self, question: Question, take: int = 0) -> Chunk:
+        """Return a golden answer as action steps."""
+        steps = len(next(iter(question.answer.values()))[take])
+        return [{key: values[take, step] for key, values in question.answer.items()} for step in range(steps)]
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """A recording.
+
+    Attributes:
+        provenance: what answered, as the schema says.
+        sessions: one for each robot and action type.
+        script: version of the script.
+    """
+
+    provenance: Mapping[str, Any]
+    sessions: tuple[Session, ...]
+    script: int = script.VERSION
+
+    @property
+    def count(self) -> int:
+        """Number of pairs: questions with their golden answers."""
+        return sum(len(session.questions) for session in self.sessions)
+
+    @property
+    def variant(self) -> str | None:
+        """The variant of policy.yml that was recorded; None for the policy itself."""
+        variant: str | None = self.provenance["settings"].get(sdk.Deploy.VARIANT)
+        return variant
+
+    @property
+    def noise(self) -> Mapping[str, float]:
+        """By key of the action: largest difference between two recordings."""
+        noise: Mapping[str, float] = self.provenance["noise"]
+        return noise
+
+
+def write(package: Path, pairs: Pairs) -> int:
+    """Write the file of a package, all at once, and return its bytes.
+
+    Raises:
+        UserError: if it would be larger than the standard allows.
+    """
+    document = {
+        "schema": spec.schema(_SCHEMA)["title"],
+        "provenance": dict(pairs.provenance),
+        "script": pairs.script,
+        "sessions": [_written(session) for session in pairs.sessions],
+    }
+    data = _text(document).encode()
+    if len(data) > names.PAIRS_BYTES:
+        raise UserError(
+            f"the pairs take {len(data)} bytes, and {names.PAIRS} may hold {names.PAIRS_BYTES}: "
+            "answer shorter chunks, as many steps as the manifest's temporal.chunk"
+        )
+    write_file(package / names.PAIRS, data)
+    return len(data)
+
+
+def read(package: Path) -> Pairs:
+    """Read the file of a package.
+
+    Raises:
+        PairsError: if it is missing, too large, or not what the standard says.
+    """
+    path = package / names.PAIRS
+    again = f"`xpl model-io record {package}` writes it"
+    try:
+        document = json_text.parse(files.content(path, names.PAIRS_BYTES), finite=True)
+    except FileNotFoundError:
+        raise PairsError(f"{path} is missing", hint=again) from None
+    except OSError as error:
+        raise PairsError(f"{path} cannot be read: {error.strerror or error}") from None
+    except json_text.JsonError as error:
+        raise PairsError(f"{path}: {error}", hint=again) from None
+    for problem in validate(document, _SCHEMA):
+        raise PairsError(f"{path}: {problem}", hint=again)
+    if document["script"] != script.VERSION:
+        told = f"it was recorded by version {document['script']} of the script, and this is version {script.VERSION}"
+        raise PairsError(f"{path}: {told}", hint=again)
+    try:
+        sessions = tuple(_read(entry) for entry in document["sessions"])
+    except (ValueError, UnknownEmbodimentError) as error:
+        raise PairsError(f"{path}: {error}", hint=again) from None
+    return Pairs(document["provenance"], sessions, document["script"])
+
+
+def _text(document: Mapping[str, Any]) -> str:
+    """Return the document with a line for each call, so that a difference between two recordings can be read."""
+    sessions = []
+    for session in document["sessions"]:
+        told = {key: value for key, value in session.items() if key != "calls"}
+        calls = ",\n".join(json.dumps(call, sort_keys=True) for call in session["calls"])
+        sessions.append(f'{json.dumps(told, sort_keys=True)[:-1]}, "calls": [\n{calls}\n]}}')
+    rest = {key: value for key, value in document.items() if key != "sessions"}
+    head = json.dumps(rest, indent=1, sort_keys=True).removesuffix("\n}")
+    return f'{head},\n "sessions": [\n' + ",\n".join(sessions) + "\n]}\n"
+
+
+def _written(session: Session) -> dict[str, Any]:
+    answers = iter(session.answers)
+    calls: list[dict[str, Any]] = []
+    for call in session.calls:
+        if call.reset:
+            calls.append({sdk.Method.RESET: True})
+        elif call.show:
+            calls.append({"show": [list(recipe) for recipe in call.show]})
+        else:
+            told = [{key: _packed(values) for key, values in answer.items()} for answer in next(answers)]
+            calls.append({"ask": list(call.ask), "answers": told})
+    return {
+        "embodiment": session.embodiment,
+        sdk.Deploy.ACTION_TYPE: session.action_type,
+        sdk.Deploy.SEED: session.seed,
+        "cameras": {name: list(size) for name, size in session.cameras.items()},
+        "takes": session.takes,
+        "calls": calls,
+    }
+
+
+def _read(entry: Entry) -> Session:
+    """Return a session that fits its schema.
+
+    Raises:
+        ValueError: if it asks about what was not shown, or its answers have not the shapes that they should have.
+    """
+    dims = get_embodiment(entry["embodiment"]).dims(entry[sdk.Deploy.ACTION_TYPE])
+    calls, answers = [], []
+    shown: set[int] = set()
+    for number, told in enumerate(entry["calls"]):
+        call = Call(
+            reset=sdk.Method.RESET in told,
+            show=tuple((env, place) for env, place in told.get("show", ())),
+            ask=tuple(told.get("ask", ())),
+        )
+        if call.reset + bool(call.show) + bool(call.ask) != 1:
+            raise ValueError(f"call {number} is none of reset, show and ask, or several")
+        shown = set() if call.reset else shown | {env for env, _ in call.show}
+        if not shown.issuperset(call.ask) or len(told.get("answers", ())) != len(call.ask):
+            raise ValueError(f"call {number} asks about {list(call.ask)}, which was not shown, or lacks answers")
+        if call.ask:
+            answers.append(tuple(_answer(answer, dims, entry["takes"], number) for answer in told["answers"]))
+        calls.append(call)
+    sizes = {name: (height, width) for name, (height, width) in entry["cameras"].items()}
+    return Session(
+        embodiment=entry["embodiment"],
+        action_type=entry[sdk.Deploy.ACTION_TYPE],
+        seed=entry[sdk.Deploy.SEED],
+        cameras=sizes,
+        takes=entry["takes"],
+        calls=tuple(calls),
+        answers=tuple(answers),
+    )
+
+
+def _answer(told: Mapping[str, Any], dims: Mapping[str, int], takes: int, call: int) -> Answer:
+    found = {key: _unpacked(entry, call) for key, entry in told.items()}
+    steps = {values.shape[1] for values in found.values()}
+    shapes = {key: values.shape for key, values in found.items()}
+    if shapes != {key: (takes, *steps, width) for key, width in dims.items()}:
+        raise ValueError(f"call {call} has answers of the shapes {shapes}, expected (takes, steps, numbers) of {dims}")
+    return found
+
+
+def _packed(values: np.ndarray) -> dict[str, Any]:
+    data = np.ascontiguousarray(values, _FLOAT)
+    return {"shape": list(data.shape), "float32": base64.b64encode(data.tobytes()).decode()}
+
+
+def _unpacked(entry: Entry, call: int) -> np.ndarray:
+    shape: Sequence[int] = entry["shape"]
+    try:
+        data = base64.b64decode(entry["float32"], validate=True)
+    except binascii.Error as error:
+        raise ValueError(f"call {call} has an answer that is no base64: {error}") from None
+    size = int(np.prod(shape, dtype=object))
+    if size > _MOST_NUMBERS or len(data) != size * _FLOAT.itemsize:
+        raise ValueError(f"call {call} has an answer of {len(data)} bytes, expected {list(shape)} numbers")
+    values = np.frombuffer(data, _FLOAT).reshape(shape)
+    if not np.isfinite(values).all():
+        raise ValueError(f"call {call} has an answer with a number that is not finite")
+    return values
+
+
+def stacked(chunks: Sequence[Chunk]) -> dict[str, np.ndarray]:
+    """Return answers to one question, of equal length, as `Answer` has them."""
+    return {
+        key: np.stack([[np.asarray(step[key], np.float32) for step in chunk] for chunk in chunks])
+        for key in chunks[0][0]
+    }

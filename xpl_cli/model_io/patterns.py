@@ -1,0 +1,159 @@
+"""What differences themselves tell, where no single change explains them: which answers are wrong, and which right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl_cli.model_io.difference import columns, differences
+
+if TYPE_CHECKING:
+    from xpl_cli.model_io.difference import Differences, Thread
+
+_SAME = 1e-6
+"""Share of the span below which steps are the same."""
+_FEW = 0.25
+"""Share of the later answers that may be right by chance, where a model remembers."""
+_SIGMAS = 4.0
+"""How far the mean of differences may be from zero, in its standard errors, where they are drawn."""
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """One thing that is seen.
+
+    Attributes:
+        words: what is seen, and what it suggests.
+        convention: of the vocabulary, that it suggests.
+    """
+
+    words: str
+    convention: str
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is known of a policy.
+
+    Attributes:
+        keeps_state: whether it is recurrent.
+        history: observations that it sees.
+        draws: whether it samples.
+    """
+
+    keeps_state: bool = False
+    history: int = 1
+    draws: bool = False
+
+
+def patterns(threads: Sequence[Thread], spread: Differences, tolerance: float, kind: Kind) -> Iterator[Pattern]:
+    """Yield what is seen, the most telling first.
+
+    Args:
+        threads: all episodes, in their order; something differs.
+        spread: of `difference.spreads`.
+        tolerance: largest share of it that is no difference.
+        kind: of policy.
+    """
+    if _still(threads, spread):
+        yield Pattern("every step of a chunk is the same, and the model's are not", "chunk")
+    yield from _memory(threads, spread, tolerance, kind)
+    yield from _steps(threads, spread, tolerance)
+    if kind.draws and _is_drawn(threads, spread):
+        yield Pattern("differences are random about zero, as if other numbers were drawn: look at the seed", "sampling")
+
+
+def _still(threads: Sequence[Thread], spread: Differences) -> bool:
+    chunks = [chunk for thread in threads for chunk in thread.given if len(chunk) > 1]
+    golden = [chunk for thread in threads for chunk in thread.golden if len(chunk) > 1]
+    return bool(chunks) and _moves(chunks, spread) <= _SAME < _moves(golden, spread)
+
+
+def _moves(chunks: Sequence[Sequence[object]], spread: Differences) -> float:
+    """Return the largest share that a number moves by within a chunk."""
+    largest = 0.0
+    for chunk in chunks:
+        for key, values in columns([chunk]).items():  # type: ignore[list-item]
+            for index in range(values.shape[1]):
+                largest = max(largest, float(np.ptp(values[:, index])) / spread[f"{key}[{index}]"])
+    return largest
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """Where an answer stands, and whether it is right.
+
+    Attributes:
+        episode: number of the episode of its environment, from 0.
+        earlier: questions before it in the episode, or observations before it.
+        is_right: whether it is the golden one.
+    """
+
+    episode: int
+    earlier: int
+    is_right: bool
+
+
+def _memory(threads: Sequence[Thread], spread: Differences, tolerance: float, kind: Kind) -> Iterator[Pattern]:
+    """Tell which answers of the episodes are right: those that need nothing from before, or those of first episodes."""
+    answers = list(_answers(threads, spread, tolerance, by_question=kind.keeps_state))
+    later = [one.is_right for one in answers if one.earlier]
+    begins = [one.is_right for one in answers if not one.earlier]
+    again = [one.is_right for one in answers if not one.earlier and one.episode]
+    convention = "recurrent" if kind.keeps_state else "history" if kind.history > 1 else "action_reference"
+    remembers = kind.keeps_state or kind.history > 1
+    if begins and later and all(begins) and (not any(later) or (remembers and sum(later) <= _FEW * len(later))):
+        told = {
+            "recurrent": "the state is not carried on, or not as often as the model does it",
+            "history": "earlier observations are not the model's",
+            "action_reference": "something is remembered that the model does not remember, or the other way round",
+        }[convention]
+        yield Pattern(
+            f"answers to the first observation of an episode are right, and later ones are not: {told}", convention
+        )
+    elif again and answers[0].is_right and not any(again) and remembers:
+        told = "the first episode begins right, and later ones do not: what is remembered outlives a reset"
+        yield Pattern(told, convention)
+
+
+def _answers(
+    threads: Sequence[Thread], spread: Differences, tolerance: float, *, by_question: bool
+) -> Iterator[_Answer]:
+    episodes: dict[Any, int] = {}
+    for thread in threads:
+        env = thread.observations[0].get(spec.Obs.ENV_IDX) if thread.observations else None
+        number = episodes[env] = episodes.get(env, -1) + 1
+        for index, (place, golden, given) in enumerate(zip(thread.asked, thread.golden, thread.given, strict=True)):
+            far = max(differences([golden], [given], spread).values())
+            yield _Answer(number, index if by_question else place, far <= tolerance)
+
+
+def _steps(threads: Sequence[Thread], spread: Differences, tolerance: float) -> Iterator[Pattern]:
+    """Tell if the first step of each chunk is right, and later ones are not."""
+    golden = [chunk for thread in threads for chunk in thread.golden]
+    given = [chunk for thread in threads for chunk in thread.given]
+    if any(len(one) != len(other) or len(one) < 2 for one, other in zip(golden, given, strict=True)):
+        return
+    begins = differences([chunk[:1] for chunk in golden], [chunk[:1] for chunk in given], spread)
+    if max(begins.values()) <= tolerance:
+        told = (
+            "the first step of each chunk is right, and later ones are not: steps are counted from each other otherwise"
+        )
+        yield Pattern(told, "action_reference")
+
+
+def _is_drawn(threads: Sequence[Thread], spread: Differences) -> bool:
+    wanted = columns([chunk for thread in threads for chunk in thread.golden])
+    found = columns([chunk for thread in threads for chunk in thread.given])
+    for key, values in wanted.items():
+        if key not in found or found[key].shape != values.shape:
+            return False
+        far = found[key] - values
+        error = far.std(0) / np.sqrt(len(far))
+        if (np.abs(far.mean(0)) > _SIGMAS * error + _SAME * spread[f"{key}[0]"]).any():
+            return False
+    return True

@@ -1,0 +1,123 @@
+"""Numbers that are told in the place of others: what differences tell of orders, of two told alike, of switches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl_cli.model_io.fitted import Rows
+from xpl_cli.model_io.patterns import Pattern
+
+if TYPE_CHECKING:
+    from xpl_cli.model_io.difference import Differences, Thread
+
+_LEAST = 12
+"""Steps that say so at least."""
+_LIKE = 1e-5
+"""Share of its range that a number may be off by to be another one."""
+_STILL = 1e-9
+
+Column = np.ndarray
+
+
+def places(threads: Sequence[Thread], before: Differences, tolerance: float) -> Iterator[Pattern]:
+    """Yield what numbers that differ tell about where the golden ones are told.
+
+    Args:
+        threads: all episodes.
+        before: how far the answers are, by number.
+        tolerance: largest share that is no difference.
+    """
+    rows = Rows.of(threads)
+    off = [part for part, share in before.items() if share > tolerance]
+    if rows is None or not off or len(next(iter(rows.wanted.values()), ())) < _LEAST:
+        return
+    yield from _switched(rows, off)
+    yield from _same(rows, off)
+    yield from _exchanged(rows, off)
+
+
+def _switched(rows: Rows, off: Sequence[str]) -> Iterator[Pattern]:
+    """Tell grippers that are only quite open or quite closed, where the model's are not."""
+    for part in off:
+        if _is_gripper(part):
+            found, wanted = np.unique(_column(rows.found, part)), np.unique(_column(rows.wanted, part))
+            if len(found) <= 2 < len(wanted) and len(wanted) > _LEAST:
+                yield Pattern(f"{part} is only ever {' or '.join(f'{one:g}' for one in found)}: a threshold", "gripper")
+                return
+
+
+def _same(rows: Rows, off: Sequence[str]) -> Iterator[Pattern]:
+    """Tell two numbers that are always told alike, where the model's differ."""
+    parts = _parts(rows.found)
+    for part in off:
+        for other in parts:
+            if other == part or _still(rows, part) or _is_gripper(part) != _is_gripper(other):
+                continue
+            alike = np.array_equal(_column(rows.found, part), _column(rows.found, other))
+            if alike and not np.array_equal(_column(rows.wanted, part), _column(rows.wanted, other)):
+                convention = "gripper" if _is_gripper(part) else "joint_order"
+                yield Pattern(f"{part} and {other} are told the same, and the model's differ", convention)
+                return
+
+
+def _exchanged(rows: Rows, off: Sequence[str]) -> Iterator[Pattern]:
+    """Tell numbers that are told in the place of others, as they are or as changes of the state."""
+    parts = [part for part in _parts(rows.found) if not _is_turn(part)]
+    found: dict[str, str] = {}
+    for part in (part for part in off if not _is_turn(part) and not _still(rows, part)):
+        for other in parts:
+            if other != part and _is_told(rows, part, other):
+                found[part] = other
+                break
+    if not found or (len(found) == 1 and len(off) > 2):
+        return
+    (part, other), *more = found.items()
+    told = f" (and {len(more)} more numbers)" if more else ""
+    only = all(map(_is_gripper, (*found, *found.values())))
+    yield Pattern(f"what {part} should be is told in {other}{told}", "gripper" if only else "joint_order")
+
+
+def _is_told(rows: Rows, part: str, other: str) -> bool:
+    """Tell whether one number's model_io values are another's that are told."""
+    wanted, found = _column(rows.wanted, part), _column(rows.found, other)
+    if _is_line(wanted, found):
+        return True
+    return _is_line(wanted - _column(rows.states, part), found - _column(rows.states, other))
+
+
+def _is_line(wanted: Column, found: Column) -> bool:
+    inside = np.ones(len(found), bool)
+    for values in (wanted, found):  # at the ends an opening may have been clipped
+        if values.min() >= spec.GRIPPER_CLOSED and values.max() <= spec.GRIPPER_OPEN:
+            inside &= (values > spec.GRIPPER_CLOSED) & (values < spec.GRIPPER_OPEN)
+    if inside.sum() < max(_LEAST, len(found) // 4) or np.ptp(found[inside]) <= _STILL:
+        return False
+    slope, constant = np.polyfit(found[inside], wanted[inside], 1)
+    far = np.abs(slope * found[inside] + constant - wanted[inside]).max()
+    return bool(far <= _LIKE * np.ptp(wanted[inside]))
+
+
+def _parts(rows: Mapping[str, Column]) -> list[str]:
+    return [f"{key}[{index}]" for key, values in rows.items() for index in range(values.shape[1])]
+
+
+def _column(rows: Mapping[str, Column], part: str) -> Column:
+    key, _, rest = part.partition("[")
+    return rows[key][:, int(rest[:-1])]
+
+
+def _still(rows: Rows, part: str) -> bool:
+    return bool(np.ptp(_column(rows.wanted, part)) <= _STILL)
+
+
+def _is_gripper(part: str) -> bool:
+    return part.partition("[")[0].endswith(spec.State.EE_JOINT_STATE)
+
+
+def _is_turn(part: str) -> bool:
+    key, _, rest = part.partition("[")
+    return key.endswith(spec.State.EE_POSE) and int(rest[:-1]) >= spec.POSITION_DIM

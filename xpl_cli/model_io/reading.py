@@ -1,0 +1,248 @@
+"""Reads reference.py without running it: which conventions it names the source of, and what it imports.
+
+reading = read(text)
+reading.conventions["gripper"].is_assumed
+[item for item in reading.imports if item.is_of("xpl")]
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import TYPE_CHECKING
+
+from xpl import _spec as sdk
+from xpl_cli.basics import files
+from xpl_cli.basics.errors import UserError
+from xpl_cli.model_io import names
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_MOST_BYTES = 1 << 20
+_IMPORTERS = ("import_module", "__import__")
+_SDK = "xpl"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A range of the file, as `ast` has it: lines from 1, columns from 0 in UTF-8 bytes, the end exclusive."""
+
+    line: int
+    column: int
+    end_line: int
+    end_column: int
+
+    @classmethod
+    def of(cls, node: ast.expr | ast.stmt) -> Place:
+        """Return where a node stands."""
+        return cls(node.lineno, node.col_offset, node.end_lineno or node.lineno, node.end_col_offset or node.col_offset)
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a convention was read.
+
+    Attributes:
+        text: what reference.py says: file and line of the authors' code, or `assumed`.
+        place: of that text.
+    """
+
+    text: str
+    place: Place
+
+    @property
+    def is_assumed(self) -> bool:
+        """Whether nobody was found to say it."""
+        return self.text.strip().lower().partition(":")[0].strip() == names.ASSUMED or not self.text.strip()
+
+
+@dataclass(frozen=True)
+class Import:
+    """One import, wherever it stands in the file.
+
+    Attributes:
+        module: dotted name, relative ones without their dots; "" for `from . import x`.
+        level: dots before it; 0 for an absolute one.
+        names: what is taken from it; empty for `import x`.
+        place: of the statement.
+    """
+
+    module: str
+    level: int
+    names: tuple[str, ...]
+    place: Place
+
+    def is_of(self, package: str) -> bool:
+        """Tell whether it takes an absolute package, or anything in it."""
+        return self.level == 0 and self.module.partition(".")[0] == package
+
+    @property
+    def takes_sdk(self) -> bool:
+        """Whether it takes the SDK or the tool: what the adapter is written with."""
+        return self.level == 0 and self.module.partition(".")[0] in {_SDK, f"{_SDK}_cli"}
+
+    def takes_adapter(self, policy: str) -> bool:
+        """Tell whether it takes the adapter's own model.py; `policy` is the name of the package.
+
+        `import model` by itself is not told: which file that is depends on the path, and who records will see it.
+        """
+        stem = sdk.File.MODEL_PY.removesuffix(".py")
+        *folders, last = self.module.split(".")
+        if self.level == 1:
+            return self.module == stem or (not self.module and stem in self.names)
+        if last == policy:
+            return stem in self.names
+        return last == stem and folders[-1:] == [policy]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What reference.py says of itself.
+
+    Attributes:
+        conventions: by name, those of `CONVENTIONS` whose source is a text.
+        imports: all imports, by line.
+        texts: text constants with their places, docstrings left out: names of files that it may read are among them.
+        answers: whether it defines what makes the function that answers.
+        place: of `CONVENTIONS`; None if there is none.
+        problems: what is wrong with `CONVENTIONS`, with places.
+    """
+
+    conventions: Mapping[str, Source] = field(default_factory=dict)
+    imports: tuple[Import, ...] = ()
+    texts: tuple[tuple[str, Place], ...] = ()
+    answers: bool = False
+    place: Place | None = None
+    problems: tuple[tuple[str, Place], ...] = ()
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """Names of the conventions that are assumed."""
+        return tuple(name for name, source in self.conventions.items() if source.is_assumed)
+
+    def agreed(self, applying: Iterable[str]) -> tuple[str, ...]:
+        """Return the conventions that there are to agree on: those that are named, and those that apply."""
+        return tuple(dict.fromkeys((*self.conventions, *applying)))
+
+    def taken_for_granted(self, applying: Iterable[str]) -> tuple[str, ...]:
+        """Return which conventions have no source: those that are assumed, and those that apply and are not named."""
+        return (*self.assumed, *(name for name in applying if name not in self.conventions))
+
+
+@cache
+def vocabulary() -> Mapping[str, str]:
+    """Return the conventions that there are, with their meanings."""
+    words = spec.schema("model_io")["$defs"]["convention"]["oneOf"]
+    return {word["const"]: word["description"] for word in words}
+
+
+def read_file(package: Path) -> Reading:
+    """Read the reference.py of a package.
+
+    Raises:
+        UserError: if it is missing, too large, or no Python.
+    """
+    path = package / names.CODE
+    try:
+        return read(files.content(path, _MOST_BYTES).decode())
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise UserError(f"{path} is no Python: {error}") from None
+
+
+def read(text: str) -> Reading:
+    """Read the text of a reference.py.
+
+    Raises:
+        SyntaxError: if it is no Python; ValueError, RecursionError or MemoryError for what is not meant to be any.
+    """
+    return read_tree(ast.parse(text))
+
+
+def read_tree(tree: ast.Module) -> Reading:
+    """Read a reference.py that was parsed."""
+    told = _told(tree)
+    conventions, problems = _conventions(told)
+    return Reading(
+        conventions=conventions,
+        imports=tuple(sorted(_imports(tree), key=lambda item: (item.place.line, item.place.column))),
+        texts=tuple(_texts(tree)),
+        answers=any(names.ANSWERS in _defined(node) for node in tree.body),
+        place=None if told is None else Place.of(told),
+        problems=problems,
+    )
+
+
+def _told(tree: ast.Module) -> ast.expr | None:
+    """Return what the last assignment at the top gives `CONVENTIONS`."""
+    found: ast.expr | None = None
+    for node in tree.body:
+        if isinstance(node, (ast.Assign, ast.AnnAssign)) and names.CONVENTIONS in _defined(node):
+            found = node.value
+    return found
+
+
+def _defined(node: ast.stmt) -> list[str]:
+    """Return the names that a statement at the top gives a value."""
+    if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+        return [node.name]
+    if isinstance(node, (ast.Import, ast.ImportFrom)):
+        return [alias.asname or alias.name for alias in node.names]
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    return [target.id for target in targets if isinstance(target, ast.Name)]
+
+
+def _conventions(told: ast.expr | None) -> tuple[dict[str, Source], tuple[tuple[str, Place], ...]]:
+    """Return the conventions of a literal map, and what is wrong with it."""
+    if told is None:
+        return {}, ()
+    if not isinstance(told, ast.Dict):
+        return {}, ((f"{names.CONVENTIONS} is no literal map, so that nobody can read it", Place.of(told)),)
+    found: dict[str, Source] = {}
+    problems = []
+    for key, value in zip(told.keys, told.values, strict=True):
+        if not isinstance(key, ast.Constant) or not isinstance(key.value, str):
+            problems.append((f"a key of {names.CONVENTIONS} is no literal text", Place.of(key or value)))
+            continue
+        source = value.value if isinstance(value, ast.Constant) else None
+        if key.value not in vocabulary():
+            known = ", ".join(vocabulary())
+            problems.append((f"{key.value!r} is no convention; there are {known}", Place.of(key)))
+        elif key.value in found:
+            problems.append((f"{key.value!r} stands there twice", Place.of(key)))
+        elif not isinstance(source, str):
+            problems.append((f"the source of {key.value!r} is no literal text", Place.of(value)))
+        else:
+            found[key.value] = Source(source, Place.of(value))
+    return found, tuple(problems)
+
+
+def _imports(tree: ast.Module) -> Iterator[Import]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (Import(alias.name, 0, (), Place.of(node)) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            taken = tuple(alias.name for alias in node.names)
+            yield Import(node.module or "", node.level, taken, Place.of(node))
+        elif isinstance(node, ast.Call) and node.args and _called(node.func) in _IMPORTERS:
+            given = node.args[0]
+            if isinstance(given, ast.Constant) and isinstance(given.value, str):
+                module = given.value.lstrip(".")
+                yield Import(module, len(given.value) - len(module), (), Place.of(node))
+
+
+def _called(node: ast.expr) -> str:
+    return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
+
+
+def _texts(tree: ast.Module) -> Iterator[tuple[str, Place]]:
+    """Yield text constants that are values: a docstring is a statement of its own."""
+    alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in alone:
+            yield node.value, Place.of(node)

@@ -1,0 +1,274 @@
+"""Records what a package's reference.py answers to the scripted episodes, in the policy's interpreter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl.convert import ConversionError
+from xpl.embodiment import UnknownEmbodimentError, get_embodiment
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.progress import Progress
+from xpl_cli.isolation import errand
+from xpl_cli.lifecycle import interpreter
+from xpl_cli.model_io import names, pairs, provenance, reading, renewal, script
+from xpl_cli.model_io.pairs import Answer, Pairs, Session
+from xpl_cli.packages.conventions import applying
+
+if TYPE_CHECKING:
+    from xpl.contract import Config
+    from xpl.manifest import Manifest
+    from xpl_cli.model_io.script import Call
+    from xpl_cli.packages.package import Package
+
+FREE: Final = "free"
+"""How a model samples whose answers are compared in distribution (model_io.schema.json)."""
+TAKES: Final = 32
+"""Answers to each question where they are."""
+ROUNDS: Final = 2
+"""Recordings of each question, to measure how far two of them lie apart."""
+_MOST_NOISE: Final = 0.02
+"""Share of the span of the answers above which two recordings are of different things."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How reference.py is run.
+
+    Attributes:
+        overrides: keys of deploy.yml.
+        python, env: interpreter, as for `xpl serve`.
+        patience: how long it may be silent, s.
+        progress: told what is done.
+        is_dry: write nothing.
+    """
+
+    overrides: Config = field(default_factory=dict)
+    python: str | None = None
+    env: str | None = None
+    patience: float = 300.0
+    progress: Progress = field(default_factory=Progress)
+    is_dry: bool = False
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What was written.
+
+    Attributes:
+        pairs: the recording.
+        size: bytes of the file.
+        assumed: conventions that have no source.
+        conventions: number of all conventions that there are to agree on.
+        noise: by key of the action, largest difference of two recordings as a share of the span of the answers.
+        changes: what differs from the recording that was there before, in sentences; None if there was none.
+    """
+
+    pairs: Pairs
+    size: int
+    assumed: tuple[str, ...]
+    conventions: int
+    noise: Mapping[str, float]
+    changes: tuple[str, ...] | None = None
+
+
+def record(package: Package, options: Options) -> Recorded:
+    """Ask reference.py of a package, write its answers into the package, and return what was written.
+
+    Raises:
+        UserError: if there is no reference.py, it cannot be run, its answers are not those of the standard, or it
+            answers otherwise when it is asked again.
+    """
+    if not (package.path / names.CODE).is_file():
+        raise UserError(
+            f"{package.path} has no {names.CODE}: it answers as the authors' own code does, and nobody can write it "
+            "from the adapter",
+            hint="docs/model-io.md, Compare with the authors' pipeline",
+            code=ExitCode.NOT_FOUND,
+        )
+    read = reading.read_file(package.path)
+    if not read.answers:
+        raise UserError(f"{package.path / names.CODE} defines no function {names.ANSWERS}(config)")
+    found: list[Session] = []
+    noise: list[list[Session]] = []
+    told: dict[str, Any] = {}
+    for session in sessions(package, options.overrides):
+        asked, told = _asked(package, session, options)
+        found.append(asked[0])
+        noise.append(asked)
+    answered = Pairs(
+        provenance={
+            **told,
+            "weights": provenance.weights(package, package.config(options.overrides)),
+            "settings": dict(options.overrides),
+            "commit": provenance.commit(package.path),
+            "noise": _noise(noise),
+        },
+        sessions=tuple(found),
+    )
+    shares = _shares(answered)
+    if any(share > _MOST_NOISE for share in shares.values()):
+        key = max(shares, key=lambda name: shares[name])
+        raise UserError(
+            f"{names.CODE} answers otherwise when it is asked again: {key} by {shares[key]:.0%} of its span; expected "
+            "a function of the episode alone",
+            hint="draw from episode.rng and keep nothing between questions; if the model takes no seed, say "
+            "`sampling: free` in the block model_io of policy.yml",
+        )
+    applies = applying(package.manifest)
+    count = len(read.agreed(applies))
+    changes = _changes(package, answered)
+    size = 0 if options.is_dry else pairs.write(package.path, answered)
+    return Recorded(answered, size, read.taken_for_granted(applies), count, shares, changes)
+
+
+def _changes(package: Package, recorded: Pairs) -> tuple[str, ...] | None:
+    """Return what differs from the recording that is there; None if there is none that can be read."""
+    try:
+        before = pairs.read(package.path)
+    except UserError:
+        return None
+    return tuple(renewal.changes(before, recorded))
+
+
+def sessions(package: Package, overrides: Config) -> Iterator[Session]:
+    """Yield what is to be asked, without answers: the configured robot and action type first, then all declared ones.
+
+    Raises:
+        UserError: if a robot is not known, or the adapter needs what a script cannot show.
+    """
+    manifest, config = package.manifest, package.config(overrides)
+    configured = (str(config[sdk.Deploy.ENV_CFG_TYPE]), str(config[sdk.Deploy.ACTION_TYPE]))
+    declared = [(name, kind) for name in manifest.embodiments for kind in manifest.action_types]
+    samples_freely = is_free(manifest)
+    for number, (name, kind) in enumerate(dict.fromkeys((configured, *declared))):
+        try:
+            robot = get_embodiment(name)
+            sizes = script.cameras(manifest, robot)
+        except (UnknownEmbodimentError, ConversionError) as error:
+            raise UserError(str(error)) from None
+        calls = script.whole(manifest.reach) if number == 0 and not samples_freely else script.brief()
+        takes = TAKES if samples_freely else 1
+        yield Session(robot.name, kind, int(config[sdk.Deploy.SEED]), sizes, takes, calls)
+
+
+def is_free(manifest: Manifest) -> bool:
+    """Tell whether a model's answers are compared in distribution: it samples, and takes no seed."""
+    model_io = manifest.model_io
+    if model_io is None:
+        return manifest.deterministic is False
+    return model_io.sampling == FREE
+
+
+def _asked(package: Package, session: Session, options: Options) -> tuple[list[Session], dict[str, Any]]:
+    """Return a session with its answers, once for each recording, and what answered.
+
+    Raises:
+        UserError: if it did not.
+    """
+    rounds = 1 if session.takes > 1 else ROUNDS
+    overrides = {
+        **options.overrides,
+        sdk.Deploy.ENV_CFG_TYPE: session.embodiment,
+        sdk.Deploy.ACTION_TYPE: session.action_type,
+    }
+    order = {
+        "policy_dir": str(package.path),
+        "config": package.config(overrides),
+        "file": names.CODE,
+        "function": names.ANSWERS,
+        "conventions": names.CONVENTIONS,
+        "embodiment": session.embodiment,
+        sdk.Deploy.ACTION_TYPE: session.action_type,
+        sdk.Deploy.SEED: session.seed,
+        "takes": session.takes,
+        "rounds": rounds,
+        "calls": [_told(call, session) for call in session.calls],
+    }
+    asking = [call for call in session.calls if call.ask]
+    whole = len(asking) * rounds
+    name = f"{session.embodiment}, {session.action_type}"
+    options.progress.step(f"{names.CODE}: {name}, {sum(len(call.ask) for call in asking)} questions")
+    place = errand.Place(
+        python=interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=options.env),
+        checkout=package.path,
+        patience=options.patience,
+        limit_s=names.RECORD_S,
+        heard=lambda count: options.progress.detail(f"{names.CODE}: {name}, {min(count - 1, whole)} of {whole}"),
+    )
+    done = errand.run("xpl.worker.reference", order, place)
+    for number, answer in enumerate(done.answers):
+        if answer.error is not None:
+            raise UserError(_failure(answer, number, asking), hint="reference.py speaks the standard: docs/contract.md")
+    if done.problem is not None or len(done.answers) < whole + 2:
+        raise UserError(f"{names.CODE} {done.ended}", code=ExitCode.NOT_RUN)
+    given = [_stacked(answer.result) for answer in done.answers[1 : whole + 1]]
+    recordings = [tuple(given[start : start + len(asking)]) for start in range(0, whole, len(asking))]
+    return [session.with_answers(answers) for answers in recordings], done.answers[-1].result
+
+
+def _told(call: Call, session: Session) -> dict[str, Any]:
+    if call.reset:
+        return {sdk.Method.RESET: True}
+    if call.ask:
+        return {"ask": list(call.ask)}
+    return {"show": [[env, session.scene.observation(env, place)] for env, place in call.show]}
+
+
+def _failure(answer: errand.Answer, number: int, asking: Sequence[Call]) -> str:
+    """Return what went wrong in reference.py, and where."""
+    at = f" ({answer.trace})" if answer.trace else ""
+    if number == 0:
+        return f"{names.CODE} cannot be loaded: {answer.error}{at}"
+    call = asking[(number - 1) % len(asking)]
+    return f"{names.CODE}, question {number}, about environments {list(call.ask)}: {answer.error}{at}"
+
+
+def _stacked(told: Sequence[Sequence[Any]]) -> tuple[Answer, ...]:
+    """Return the answers to one call that asks, by environment.
+
+    Raises:
+        UserError: if takes of one question are of different lengths.
+    """
+    for takes in told:
+        lengths = {len(chunk) for chunk in takes}
+        if len(lengths) > 1:
+            raise UserError(f"{names.CODE} answers one question by chunks of {sorted(lengths)} steps; expected as many")
+    return tuple(pairs.stacked(takes) for takes in told)
+
+
+def _noise(recordings: Sequence[Sequence[Session]]) -> dict[str, float]:
+    """Return by key how far two recordings of the same questions lie apart at most.
+
+    Raises:
+        UserError: if the answers to one question have not the same length.
+    """
+    found: dict[str, float] = {}
+    for first, *others in recordings:
+        for other in others:
+            for one, two in zip(first.questions, other.questions, strict=True):
+                for key, values in one.answer.items():
+                    again = two.answer[key]
+                    if values.shape != again.shape:
+                        raise UserError(
+                            f"{names.CODE} answers by {values.shape[1]} steps, and when it is asked again by "
+                            f"{again.shape[1]}; expected a function of the episode alone"
+                        )
+                    apart = float(np.abs(values.astype(np.float64) - again).max())
+                    found[key] = max(found.get(key, 0.0), apart)
+    return dict(sorted(found.items()))
+
+
+def _shares(recorded: Pairs) -> dict[str, float]:
+    """Return the noise as a share of the span of the answers."""
+    shares = {}
+    for key, apart in recorded.noise.items():
+        answers = [question.answer for session in recorded.sessions for question in session.questions]
+        values = np.concatenate([answer[key].reshape(-1, answer[key].shape[-1]) for answer in answers if key in answer])
+        span = float(np.ptp(values, axis=0).max())
+        shares[key] = apart / span if span > 0 else float(apart > 0)
+    return shares

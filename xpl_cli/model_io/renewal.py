@@ -1,0 +1,50 @@
+"""What a new recording of golden pairs changes in the one that is there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from xpl_cli.model_io.difference import differences, spreads
+from xpl_cli.model_io.explain import ranges
+
+if TYPE_CHECKING:
+    from xpl_cli.model_io.pairs import Pairs, Session
+
+_SAME = 1e-6
+"""Share of the span below which a number is rounded otherwise, and not another one."""
+
+
+def changes(before: Pairs, after: Pairs) -> Iterator[str]:
+    """Yield what differs, a sentence for each robot and action type; nothing if all answers are the same."""
+    known = {(one.embodiment, one.action_type): one for one in before.sessions}
+    for session in after.sessions:
+        name = f"{session.embodiment} {session.action_type}"
+        old = known.pop((session.embodiment, session.action_type), None)
+        if old is None:
+            yield f"{name}: {len(session.questions)} pairs are new"
+        elif (old.calls, old.cameras, old.takes) != (session.calls, session.cameras, session.takes):
+            yield f"{name}: other questions are asked, {len(session.questions)} instead of {len(old.questions)}"
+        else:
+            yield from _answers(name, old, session)
+    for name in (" ".join(key) for key in known):
+        yield f"{name}: its pairs are gone"
+
+
+def _answers(name: str, old: Session, new: Session) -> Iterator[str]:
+    before = [old.chunk(question, take) for question in old.questions for take in range(old.takes)]
+    after = [new.chunk(question, take) for question in new.questions for take in range(new.takes)]
+    if [len(chunk) for chunk in before] != [len(chunk) for chunk in after]:
+        yield f"{name}: answers have another number of steps"
+        return
+    span = spreads(before)
+    shares = differences(before, after, span)
+    moved = sorted((part for part, share in shares.items() if share > _SAME), key=lambda part: -shares[part])
+    if moved:
+        each = [differences([one], [other], span) for one, other in zip(before, after, strict=True)]
+        count = sum(any(share > _SAME for share in found.values()) for found in each)
+        most = shares[moved[0]]
+        far = f"{most:.2g} of its span" if np.isfinite(most) else "beyond its span"
+        yield f"{name}: {count} of {len(before)} answers differ, {moved[0]} by {far}; in {ranges(moved)}"

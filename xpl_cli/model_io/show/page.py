@@ -1,0 +1,72 @@
+"""The page: one file that reaches nothing, with every picture inside."""
+
+from __future__ import annotations
+
+import base64
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import images
+from xpl_cli.basics import pages
+from xpl_cli.model_io.show import phrases
+from xpl_cli.model_io.show.sheet import ROBOT
+
+if TYPE_CHECKING:
+    from xpl_cli.model_io.show.seen import Seen
+    from xpl_cli.model_io.show.views import View
+
+_WIDEST: Final = 640
+"""Pixels of a picture on the page."""
+
+
+def page(seen: Seen) -> str:
+    """Return everything that is shown as HTML."""
+    return pages.render(
+        "model_io/show.html.jinja",
+        style="model_io/show.css",
+        seen=seen,
+        pictures=[_picture(view) for view in seen.views],
+        vectors=[
+            {
+                "input": vector.input,
+                "words": vector.words,
+                "heads": phrases.HEADS,
+                "rows": [phrases.row(number) for number in vector.numbers],
+            }
+            for vector in seen.vectors
+        ],
+        texts=[
+            {"input": name, "standard": repr(seen.instruction), "model": repr(text)}
+            for name, text in seen.texts.items()
+        ],
+        action={"heads": phrases.ACTION_HEADS, "rows": [phrases.row(one) for one in seen.action]}
+        if seen.action
+        else None,
+        figures=[figure.svg() for figure in seen.figures],
+        robot=ROBOT,
+    )
+
+
+def _picture(view: View) -> dict[str, Any]:
+    return {
+        "camera": view.camera,
+        "input": view.input,
+        "when": phrases.when(view),
+        "taken": _data(view.taken),
+        "seen": _data(view.seen),
+        "raw": _data(view.raw),
+        "size": " x ".join(map(str, view.taken.shape)),
+        "words": ", ".join(view.words),
+        "about": phrases.about(view),
+        "notes": view.notes,
+    }
+
+
+def _data(picture: np.ndarray) -> str:
+    from PIL import Image
+
+    made = Image.fromarray(np.ascontiguousarray(picture))
+    if made.width > _WIDEST:
+        made = made.resize((_WIDEST, max(1, round(made.height * _WIDEST / made.width))))
+    return f"data:image/png;base64,{base64.b64encode(images.encode_png(np.asarray(made))).decode()}"

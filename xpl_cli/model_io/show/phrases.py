@@ -1,0 +1,52 @@
+"""How numbers and shapes are written on the page and in the picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from xpl.contract import Entry
+    from xpl_cli.model_io.show.numbers import Number
+    from xpl_cli.model_io.show.views import View
+
+HEADS = ("#", "part", "number", "unit", "model gets", "before normalisation", "standard")
+ACTION_HEADS = ("#", "part", "number", "unit", "model answers", "after normalisation", "standard")
+_NOTHING = 1e-7
+"""What rounding leaves of zero."""
+
+
+def figure(value: float) -> str:
+    """Return a number with four digits that tell."""
+    return "0" if abs(value) < _NOTHING else f"{value:.4g}"
+
+
+def figures(values: Sequence[float]) -> str:
+    """Return one number, or the first and the last."""
+    return " to ".join(figure(value) for value in dict.fromkeys(values))
+
+
+def row(number: Number) -> tuple[str, ...]:
+    """Return a number as a row under `HEADS`."""
+    part = f"{number.part}, {number.says}" if number.says else number.part
+    before = figures(number.values["before"]) if "before" in number.values else ""
+    standard = "; ".join(partner(entry) for entry in number.standard)
+    return str(number.index), part, number.name, number.unit, figures(number.values["model"]), before, standard
+
+
+def partner(entry: Entry) -> str:
+    """Return a number of the standard."""
+    return f"{entry['name']} = {figures(entry['values'])} {entry['unit']}".rstrip()
+
+
+def about(view: View) -> str:
+    """Return size, type and range of an input."""
+    low, high = float(view.values.min()), float(view.values.max())
+    shape = " x ".join(map(str, view.shape))
+    return f"{shape} {view.dtype}, {figure(low)} to {figure(high)}"
+
+
+def when(view: View) -> str:
+    """Return the moment of a picture."""
+    return "" if view.when == 0 else f"{view.when} observation{'s' if view.when > 1 else ''} ago"

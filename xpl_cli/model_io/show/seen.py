@@ -1,0 +1,327 @@
+"""What a model gets and says of a scene, worked out from the block `model_io`, or watched while the adapter runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl.convert import ConversionError
+from xpl.observation import ObservationError
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.model_io import names, pairs
+from xpl_cli.model_io.kinematics import declared
+from xpl_cli.model_io.show import numbers, robot, views, watched
+from xpl_cli.model_io.show.scene import Scene
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from xpl.contract import Entry, State
+    from xpl.convert import Interface
+    from xpl_cli.model_io.show.drawing import Figure
+    from xpl_cli.model_io.show.numbers import Number
+    from xpl_cli.model_io.show.subject import Subject
+    from xpl_cli.model_io.show.views import View
+
+Steps = list[dict[str, np.ndarray]]
+_SMALL: Final = 1e-5
+"""Share of its span by which an input may differ from what the block makes."""
+_MOVE: Final = (0.02, 0.1)
+"""How far a made-up command goes in all: m, rad."""
+_STEPS: Final = 8
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A vector that the model reads.
+
+    Attributes:
+        input: the model's name for it.
+        words: what the block says of normalisation and padding.
+        numbers: of it.
+    """
+
+    input: str
+    words: str
+    numbers: Sequence[Number]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Everything that is shown.
+
+    Attributes:
+        policy, robot, action_type: what is looked at.
+        scene: what it is shown.
+        how: whether the model ran, in words.
+        views: its pictures.
+        vectors: its states.
+        texts: by input, the text that the model gets; and the instruction.
+        instruction: the standard's.
+        action: numbers of the action.
+        action_from: where the action is from, in words.
+        action_words: what the block says of the whole action.
+        figures: the robot.
+        notes: what people should know: what is open, what code does, what differs.
+        witness: what the robot's kinematics says of `model_io.samples`, a sentence for each part.
+    """
+
+    policy: str
+    robot: str
+    action_type: str
+    scene: Scene
+    how: str
+    views: Sequence[View] = ()
+    vectors: Sequence[Vector] = ()
+    texts: Mapping[str, str] = field(default_factory=dict)
+    instruction: str | None = None
+    action: Sequence[Number] = ()
+    action_from: str = ""
+    action_words: str = ""
+    figures: Sequence[Figure] = ()
+    notes: Sequence[str] = ()
+    witness: Sequence[str] = ()
+
+    def document(self) -> dict[str, Any]:
+        """Return all numbers as JSON."""
+        return {
+            "policy": self.policy,
+            "embodiment": self.robot,
+            sdk.Deploy.ACTION_TYPE: self.action_type,
+            "scene": self.scene.origin,
+            "how": self.how,
+            "notes": list(self.notes),
+            "images": [one.document() for one in self.views],
+            "state": [
+                {"input": one.input, "words": one.words, "numbers": [number.document() for number in one.numbers]}
+                for one in self.vectors
+            ],
+            sdk.Obs.INSTRUCTION: {"standard": self.instruction, "model": dict(self.texts)},
+            "action": {
+                "from": self.action_from,
+                "words": self.action_words,
+                "numbers": [number.document() for number in self.action],
+            },
+            "kinematics": list(self.witness),
+        }
+
+
+def look(what: Subject, scene: Scene, steps: tuple[Steps, str] | None = None) -> Seen:
+    """Return what the model gets of a scene, and how it would say a command, by the block alone.
+
+    Args:
+        what: the adapter.
+        scene: what it is shown.
+        steps: a command, and where it is from; by default one is made up.
+
+    Raises:
+        UserError: if the scene lacks what the model reads, or the adapter has no block.
+    """
+    _, interface = _needed(what)
+    inputs = _inputs(interface, scene)
+    now = scene.observations[-1]
+    wanted, told = steps or (
+        _made_up(what, now[sdk.Obs.STATE]),
+        "a command that was made up: it holds still at the first step, and moves until the last",
+    )
+    notes = [*what.notes, *_code(what)]
+    answer: np.ndarray | None = None
+    try:
+        answer = interface.action.encode(wanted, now[sdk.Obs.STATE], {})
+    except (ConversionError, ValueError, KeyError) as error:
+        notes.append(f"the action cannot be shown: {error}")
+    seen = Seen(
+        what.package.name, what.robot.name, what.action_type, scene, "By the model_io block; the model did not run"
+    )
+    return _filled(replace(seen, notes=notes), what, inputs, _Said(answer, wanted, told))
+
+
+def run(what: Subject, scene: Scene, place: watched.Place) -> Seen:
+    """Return what `predict` got of a scene, and what it said.
+
+    Raises:
+        UserError: if the adapter cannot be run.
+    """
+    found = watched.ask(what.package, what.config, scene.observations, place)
+    how = "Watched: what predict got and said"
+    seen = Seen(what.package.name, what.robot.name, what.action_type, scene, how)
+    if what.interface is None or what.model_io is None:
+        notes = ["no model_io block: nothing says what these numbers mean, so that they are shown as they are"]
+        return replace(
+            seen,
+            views=watched.pictures(found.inputs, scene.observations[-1]),
+            notes=[*notes, *watched.told(found.inputs)],
+            instruction=scene.observations[-1].get(sdk.Obs.INSTRUCTION),
+        )
+    notes = list(what.notes)
+    made = _inputs(what.interface, scene)
+    inputs: dict[str, Any] = {}
+    given = watched.unbatched(found.inputs)
+    for name, expected in made.items():
+        if name not in given:
+            notes.append(f"predict got no {name}, which the block names; it got {', '.join(given)}")
+            continue
+        inputs[name] = given[name]
+        difference = _difference(given[name], expected)
+        if difference:
+            notes.append(f"{name}: {difference} than the block makes")
+    answer = found.raw if isinstance(found.raw, np.ndarray) else np.zeros(0)
+    width = what.interface.action.vector.padded
+    usable = answer.shape[1:] == (width,) and bool(found.steps)
+    if found.failed:
+        notes.append(f"what it answered makes no action: {found.failed}")
+    elif not usable:
+        notes.append(f"predict answered the shape {answer.shape}; the block says (H, {width})")
+    said = _Said(answer if usable else None, found.steps, "what the model answered")
+    return _filled(replace(seen, notes=notes), what, inputs, said)
+
+
+def of_pairs(what: Subject) -> tuple[Scene, Steps, str] | None:
+    """Return the first question of golden_pairs.json: its scene, the golden answer, and what it is called.
+
+    Raises:
+        PairsError: if there is such a file, and it cannot be read.
+    """
+    if not (what.package.path / names.PAIRS).is_file():
+        return None
+    for session in pairs.read(what.package.path).sessions:
+        if (session.embodiment, session.action_type) == (what.robot.name, what.action_type) and session.questions:
+            question = session.questions[0]
+            shown = session.scene.observations(question.shown)
+            told = f"{names.PAIRS}, {question.where}"
+            return Scene(shown, told), session.chunk(question), f"what {names.CODE} answered ({told})"
+    return None
+
+
+def _needed(what: Subject) -> tuple[Entry, Interface]:
+    if what.model_io is None or what.interface is None:
+        raise UserError(
+            f"{what.package.path} has no block model_io: nothing says what its model reads, and nothing can be shown",
+            hint="--run shows what predict gets, as it is",
+            code=ExitCode.NOT_RUN,
+        )
+    return what.model_io, what.interface
+
+
+@dataclass(frozen=True)
+class _Said:
+    """An action: the model's answer (H, D), None where it cannot be shown; the standard's steps; where it is from."""
+
+    answer: np.ndarray | None
+    steps: Steps
+    told: str
+
+
+def _filled(seen: Seen, what: Subject, inputs: Mapping[str, Any], said: _Said) -> Seen:
+    """Return what is shown of a block's inputs and of an action."""
+    model_io, interface = _needed(what)
+    now = seen.scene.observations[-1]
+    state = now[sdk.Obs.STATE]
+    vectors, read = [], []
+    for entry in model_io.get("state", ()):
+        name = entry["input"]
+        if name in inputs:
+            vector, values = interface.states[name], _newest(model_io, interface, inputs[name])
+            shown = numbers.of_state(entry, vector, values, state, what.robot)
+            vectors.append(Vector(name, _vector_words(entry), shown))
+            read.append(robot.Read(name, entry, vector, vector.denormalized(values.astype(np.float64))))
+    return replace(
+        seen,
+        views=views.views(model_io, inputs, seen.scene.observations),
+        vectors=vectors,
+        texts={name: str(value) for name, value in inputs.items() if isinstance(value, str)},
+        instruction=now.get(sdk.Obs.INSTRUCTION),
+        action=[]
+        if said.answer is None
+        else numbers.of_action(model_io["action"], interface, said.answer, said.steps, what.robot),
+        action_from=said.told,
+        action_words=_action_words(model_io, len(said.steps)),
+        figures=robot.figures(what.robot, state, read, said.steps),
+        witness=_witness(what),
+    )
+
+
+def _witness(what: Subject) -> list[str]:
+    """Return what kinematics says of the samples; nothing where there are none."""
+    if what.package.manifest.model_io is None or not what.package.manifest.model_io.samples:
+        return []
+    manifest, folder = what.package.manifest, what.package.path
+    try:
+        return [verdict.sentence for verdict in declared.verdicts(manifest, [folder])]
+    except (declared.NoWitnessError, ConversionError) as error:
+        return [str(error)]
+
+
+def _inputs(interface: Interface, scene: Scene) -> dict[str, Any]:
+    """Return the inputs that the block makes of a scene, without the axis of the batch."""
+    memory: dict[str, np.ndarray] = {}
+    try:
+        encodings = [interface.encode(one, memory) for one in scene.observations[-interface.span :]]
+        return watched.unbatched(interface.batch([encodings]))
+    except (ConversionError, ObservationError) as error:
+        raise UserError(f"{scene.origin}: {error}", code=ExitCode.NOT_RUN) from None
+
+
+def _newest(model_io: Entry, interface: Interface, value: Any) -> np.ndarray:
+    array = np.asarray(value)
+    with_history = (model_io.get("history") or {}).get("of", ["images", "state"])
+    return array[-1] if interface.history > 1 and "state" in with_history else array
+
+
+def _made_up(what: Subject, state: State) -> Steps:
+    """Return a command: the first step holds still, the last is a little further, with grippers half way to closed."""
+    count = what.interface.action.steps if what.interface and what.interface.action.steps else _STEPS
+    steps = []
+    for place in range(count):
+        share = place / max(1, count - 1)
+        step = {}
+        for key, width in what.robot.dims(what.action_type).items():
+            now = np.asarray(state[key], np.float64).copy()
+            if key.endswith(sdk.State.EE_POSE):
+                now[: sdk.POSITION_DIM] += share * _MOVE[0] * np.arange(1, sdk.POSITION_DIM + 1)
+            elif key.endswith(sdk.State.EE_JOINT_STATE):
+                now *= 1 - 0.5 * share
+            else:
+                now += share * _MOVE[1] * np.arange(1, width + 1) / width
+            step[key] = now.astype(np.float32)
+        steps.append(step)
+    return steps
+
+
+def _code(what: Subject) -> list[str]:
+    """Return what the block says that code does: it is not in what is shown."""
+    listed = (what.model_io or {}).get("code") or ()
+    return [f"done in code, and not shown here: {sentence}; --run shows it" for sentence in listed]
+
+
+def _difference(given: Any, expected: Any) -> str:
+    """Return in what an input differs from what the block makes, "" if in nothing."""
+    if isinstance(expected, str) or isinstance(given, str):
+        return "" if given == expected else f"predict got {given!r}, other"
+    one, other = np.asarray(given), np.asarray(expected)
+    if one.shape != other.shape:
+        return f"predict got the shape {one.shape}, not {other.shape}: other"
+    if one.dtype != other.dtype:
+        return f"predict got {one.dtype}, not {other.dtype}: another type"
+    apart = float(np.abs(one.astype(np.float64) - other.astype(np.float64)).max(initial=0.0))
+    span = float(np.ptp(other.astype(np.float64))) if other.size else 0.0
+    return f"numbers differ by up to {apart:.3g}: others" if apart > _SMALL * max(span, 1.0) else ""
+
+
+def _vector_words(entry: Entry) -> str:
+    rule = entry.get("normalize") or {}
+    told = [f"normalised by {rule['rule']}" if "rule" in rule else "not normalised"]
+    told += [f"numbers of {rule['file']}"] if "file" in rule else []
+    told += [f"clipped to {rule['clip'][0]} to {rule['clip'][1]}"] if "clip" in rule else []
+    told += [f"padded to {entry['pad']}"] if "pad" in entry else []
+    return ", ".join(told)
+
+
+def _action_words(model_io: Entry, steps: int) -> str:
+    entry = model_io["action"]
+    return (
+        f"{entry['reference']}, {_vector_words(entry)}; {steps} steps, from step {entry.get('first', 0)} of the model's"
+    )

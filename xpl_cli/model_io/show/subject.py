@@ -1,0 +1,91 @@
+"""An adapter that is looked at: its block, compiled, and its robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from xpl import _spec as sdk
+from xpl import checkpoint, get_embodiment
+from xpl.convert import ConversionError, compile_interface
+from xpl.convert.gaps import absent, filled, gaps
+from xpl.embodiment import UnknownEmbodimentError
+from xpl_cli.basics.errors import ExitCode, UserError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from xpl import Embodiment
+    from xpl.contract import Config, Entry
+    from xpl.convert import Interface
+    from xpl_cli.packages.package import Package
+
+
+@dataclass(frozen=True)
+class Subject:
+    """An adapter that is looked at.
+
+    Attributes:
+        package: the adapter.
+        config: deploy.yml with overrides.
+        model_io: its block, without gaps; None if it has none.
+        interface: compiled from that.
+        robot: the robot of this configuration.
+        notes: what had to be filled in.
+    """
+
+    package: Package
+    config: Config
+    model_io: Entry | None
+    interface: Interface | None
+    robot: Embodiment
+    notes: tuple[str, ...]
+
+    @property
+    def action_type(self) -> str:
+        """Joint or ee."""
+        return str(self.config.get(sdk.Deploy.ACTION_TYPE) or sdk.DEPLOY_DEFAULTS[sdk.Deploy.ACTION_TYPE])
+
+    @property
+    def cameras(self) -> list[str]:
+        """The cameras that its block reads."""
+        return [camera for item in self.interface.images for camera in item.cameras] if self.interface else []
+
+    @property
+    def reach(self) -> int:
+        """Observations back to which it looks."""
+        declared = self.package.manifest.temporal.history
+        return max(declared, self.interface.span if self.interface else 1)
+
+
+def subject(package: Package, overrides: Config) -> Subject:
+    """Return an adapter with its block compiled.
+
+    Raises:
+        UserError: if its block does not fit the robot.
+    """
+    config = package.config(overrides)
+    try:
+        body = get_embodiment(str(config.get(sdk.Deploy.ENV_CFG_TYPE)))
+    except UnknownEmbodimentError as error:
+        raise UserError(str(error)) from None
+    if not package.manifest.model_io:
+        return Subject(package, config, None, None, body, ())
+    told = package.manifest.model_io.data
+    made = Subject(package, config, told, None, body, tuple(_holes(package.path, config, told)))
+    folders = checkpoint.folders(config, package.path)
+    try:
+        model_io = filled(told, body, made.action_type, absent(told, folders)) if made.notes else told
+        chunk = package.manifest.temporal.chunk
+        return replace(
+            made, model_io=model_io, interface=compile_interface(model_io, body, made.action_type, folders, chunk)
+        )
+    except ConversionError as error:
+        raise UserError(f"{package.path}: {error}", code=ExitCode.NOT_RUN) from None
+
+
+def _holes(path: Path, config: Config, model_io: Entry) -> list[str]:
+    """Return what is open in a block, or not there, and was filled in."""
+    found = [f"open: {gap.where} ({gap.reason}); a plain value stands there" for gap in gaps(model_io)]
+    lacking = absent(model_io, checkpoint.folders(config, path))
+    return [*found, *(f"{file} is not there: its normalisation is left out" for file in lacking)]

@@ -1,0 +1,42 @@
+"""The files of what is shown."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from xpl_cli.basics import atomic
+from xpl_cli.basics.errors import UserError
+from xpl_cli.model_io.show.page import page
+from xpl_cli.model_io.show.sheet import sheet
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from xpl_cli.model_io.show.seen import Seen
+
+PAGE: Final = "index.html"
+SHEET: Final = "show.png"
+
+
+def write(seen: Seen, folder: Path) -> list[str]:
+    """Write the page and the picture, and return their paths.
+
+    Raises:
+        UserError: if the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        atomic.write_file(folder / PAGE, page(seen).encode())
+        atomic.write_file(folder / SHEET, sheet(seen))
+    except OSError as error:
+        raise UserError(f"{folder} cannot be written: {error.strerror or error}") from None
+    return [str(folder / PAGE), str(folder / SHEET)]
+
+
+def told(seen: Seen) -> Iterator[str]:
+    """Yield what people should look at."""
+    yield from seen.notes
+    for view in seen.views:
+        for note in view.notes:
+            yield f"{view.input}, {view.camera}{f', {view.when} ago' if view.when else ''}: {note}"
