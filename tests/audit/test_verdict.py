@@ -271,7 +271,7 @@ def test_what_a_package_leaves_open_is_told(adapter: Path) -> None:
     assert _audited(adapter).startswith("OPEN 1 place to fill in (README.md:1), 1 model_io value unknown")
 
 
-def test_model_io_code_that_was_not_recorded_has_its_command(adapter: Path) -> None:
+def test_a_reference_that_was_not_recorded_has_its_command(adapter: Path) -> None:
     (adapter / "reference.py").write_text("CONVENTIONS = {}\n")
     reason = "reference.py was not recorded: xpl model-io record policy/Foo"
     assert _audited(adapter) == f"GREEN contract; conversions unproven ({reason})"

@@ -97,7 +97,7 @@ class Policy:
 """
 
 
-def test_the_model_io_code_of_the_page_can_be_recorded(tmp_path: Path) -> None:
+def test_the_reference_of_the_page_can_be_recorded(tmp_path: Path) -> None:
     code = next(text for text in CODE if "def answers" in text)
     folder = parity.made(tmp_path / "Foo", None, code=code)
     (folder / "authors").mkdir()

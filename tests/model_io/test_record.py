@@ -105,7 +105,7 @@ def answers(config):
 """
 
 
-def test_model_io_code_is_told_the_episode_so_far(tmp_path: Path) -> None:
+def test_a_reference_is_told_the_episode_so_far(tmp_path: Path) -> None:
     folder = parity.made(tmp_path / "Foo", code=RECURRENT)
     found = recorded(folder, seed=5)
     (session,) = found.pairs.sessions
@@ -180,7 +180,7 @@ COUNTED = "{'arm_joint_state': np.full(7, len(CALLS), np.float32), 'ee_joint_sta
         (BODY.format(f"return [{STEP}] * 1_000_000"), "may have 10000 action steps, got 1000000"),
     ],
 )
-def test_what_is_wrong_with_model_io_code_is_told(code: str, told: str, tmp_path: Path) -> None:
+def test_what_is_wrong_with_a_reference_is_told(code: str, told: str, tmp_path: Path) -> None:
     folder = parity.made(tmp_path / "Foo", None, code=code)
     with pytest.raises(UserError) as caught:
         recorded(folder)
@@ -201,7 +201,7 @@ def answers(config): ...
 """
 
 
-def test_model_io_code_that_writes_between_its_answers_is_told_so(tmp_path: Path) -> None:
+def test_a_reference_that_writes_between_its_answers_is_told_so(tmp_path: Path) -> None:
     """No length that stands there is taken for one: the file is followed while the code runs."""
     folder = parity.made(tmp_path / "Foo", None, code=GARBAGE)
     with pytest.raises(UserError, match=r"reference\.py ended without an answer") as caught:
@@ -209,7 +209,7 @@ def test_model_io_code_that_writes_between_its_answers_is_told_so(tmp_path: Path
     assert caught.value.code == ExitCode.NOT_RUN
 
 
-def test_a_package_without_model_io_code_is_told_so(tmp_path: Path) -> None:
+def test_a_package_without_a_reference_is_told_so(tmp_path: Path) -> None:
     folder = parity.made(tmp_path / "Foo", code=None)
     with pytest.raises(UserError, match=r"has no reference\.py") as caught:
         recorded(folder)
@@ -252,7 +252,7 @@ def test_the_commit_is_told_with_what_was_changed(tmp_path: Path) -> None:
     assert provenance.commit(tmp_path) == f"{clean}+"
 
 
-def test_model_io_code_cannot_change_what_the_next_question_shows() -> None:
+def test_a_reference_cannot_change_what_the_next_question_shows() -> None:
     def answer(episode: worker.Episode) -> Any:
         episode.observations[0]["state"]["ee_joint_state"][:] += 1
         episode.asked.clear()

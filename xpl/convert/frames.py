@@ -59,14 +59,14 @@ class Frame:
             return np.asarray(flange, np.float64)
         return poses.compose(poses.compose(poses.invert(self._outer), flange), self._inner)
 
-    def flange_rotation(self, model_io: np.ndarray) -> np.ndarray:
+    def flange_rotation(self, turned: np.ndarray) -> np.ndarray:
         """Return the rotation (..., 4) of the flange in the world, of the point's in the frame."""
-        turn = rotation.multiply(self._outer[_ROTATION], model_io)
+        turn = rotation.multiply(self._outer[_ROTATION], turned)
         return rotation.multiply(turn, rotation.conjugate(self._inner[_ROTATION]))
 
-    def flange_position(self, model_io: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    def flange_position(self, position: np.ndarray, turn: np.ndarray) -> np.ndarray:
         """Return where (..., 3) the flange is in the world, of where the point is, and how the flange is turned."""
-        return poses.transform(self._outer, model_io) - rotation.rotate(turn, self._inner[_POSITION])
+        return poses.transform(self._outer, position) - rotation.rotate(turn, self._inner[_POSITION])
 
 
 def tool(embodiment: Embodiment) -> np.ndarray:

@@ -22,8 +22,8 @@ def golden_parity(parity: Parity) -> Iterator[Finding | Proof]:
     ## What it does
     Shows a fresh server of every robot and action type the scripted episodes that reference.py was asked about, and
     compares the answers with those in golden_pairs.json: every number of every step, over histories, resets and
-    batches. A difference counts above `golden.tolerance`, a share of what the golden answers span; not if it is what a
-    batch rounds: within 2 % of the span, and gone where its environment is asked by itself. Of a model that
+    batches. A difference counts above `model_io.tolerance`, a share of what the golden answers span; not if it is what
+    a batch rounds: within 2 % of the span, and gone where its environment is asked by itself. Of a model that
     samples and takes no seed, means and spreads of many answers are compared. Where something differs, single changes
     of the model_io block, and of what the adapter is shown and commands, are tried, and the one that makes the
     difference fall is named. Where nothing differs, the same changes tell how clearly such a mistake would have shown,
@@ -150,7 +150,7 @@ def _blamed(message: str, cause: Found | None, *, expected: str, got: str, evide
     if isinstance(best, Pattern):
         evidence["cause"] = {"words": best.words, "convention": best.convention, "whole": False}
     elif best is not None:
-        where = "in the block `golden`" if cause is not None and cause.in_block else "in encode, predict or decode"
+        where = "in the block `model_io`" if cause is not None and cause.in_block else "in encode, predict or decode"
         advice = f"the answers would match with `{best.words}`: if the authors' code says so, change that {where}"
         if explanation is not None and explanation.cause is None:
             advice = f"`{best.words}` comes nearest: look at what the authors' code says of it, and at the rest"

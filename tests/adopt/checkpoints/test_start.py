@@ -64,7 +64,7 @@ def test_comments_say_the_source_beside_each_value(tmp_path: Path) -> None:
     assert "# seen: policy_preprocessor_step_2_normalizer_processor.safetensors observation.state min..max" in text
 
 
-def test_model_io_py_of_a_whole_checkpoint_names_every_convention(tmp_path: Path) -> None:
+def test_reference_py_of_a_whole_checkpoint_names_every_convention(tmp_path: Path) -> None:
     """What applies has a source; what nobody says is assumed; nothing of ours is imported."""
     begun = begin(trained.lerobot(tmp_path / "p", "diffusion", n_obs_steps=2, n_action_steps=8), gripper=(0.0, 1.0))
     found = reading.read(begun.files["reference.py"].decode())
@@ -77,7 +77,7 @@ def test_model_io_py_of_a_whole_checkpoint_names_every_convention(tmp_path: Path
     assert not found.conventions["history"].is_assumed
 
 
-def test_model_io_py_converts_as_the_parts_say(tmp_path: Path) -> None:
+def test_reference_py_converts_as_the_parts_say(tmp_path: Path) -> None:
     """Order by names, degrees and grippers between two values, both ways."""
     import numpy as np
 
@@ -109,7 +109,7 @@ def test_model_io_py_converts_as_the_parts_say(tmp_path: Path) -> None:
         assert back[key] == pytest.approx(values, abs=1e-5)
 
 
-def test_no_model_io_py_while_something_is_open(tmp_path: Path) -> None:
+def test_no_reference_py_while_something_is_open(tmp_path: Path) -> None:
     begun = begin(trained.lerobot(tmp_path / "p", n_action_steps=8))
     assert "reference.py" not in begun.files
     assert "model_io.state.0.parts.1.gripper.closed" in begun.notes[-1]

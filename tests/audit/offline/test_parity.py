@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -92,7 +93,7 @@ def test_what_two_recordings_differ_by_is_no_difference() -> None:
     assert ModelIO().tolerance == 1e-3
 
 
-def test_a_chunk_may_be_the_beginning_of_the_model_io_one_and_no_more() -> None:
+def test_a_chunk_may_be_the_beginning_of_the_golden_one_and_no_more() -> None:
     """What an adapter hands on is compared; what the model never said is told."""
     golden = session(2)
     shorter = [chunk[:2] for chunk in chunks(golden)]
@@ -182,6 +183,21 @@ def test_an_adapter_that_says_what_its_model_says_is_proven(tmp_path: Path) -> N
     assert (result.outcome, result.findings) == (Outcome.PASS, ())
     assert result.proof is not None
     assert {key: result.proof[key] for key in ("pairs", "assumed")} == {"pairs": 20, "assumed": 9}
+
+
+def test_a_value_of_the_block_is_named_by_its_place_in_it(tmp_path: Path) -> None:
+    """Where it is assumed, in the proof; where it is wrong, with the block that is to be changed."""
+    block = parity.block()
+    block["images"][0]["channels"] = {"assumed": "bgr", "why": "their loader is OpenCV's"}
+    proof = audited(recorded(parity.made(tmp_path / "Foo", block))).proof
+    assert proof is not None
+    assert "images[0].channels" in proof["assumptions"]
+    block["images"][0]["channels"] = "rgb"
+    parity.made(tmp_path / "Bar", block)
+    shutil.copy(tmp_path / "Foo" / "golden_pairs.json", tmp_path / "Bar")
+    fix = only(audited(tmp_path / "Bar")).fix
+    assert fix is not None
+    assert fix.text.endswith("change that in the block `model_io`")
 
 
 def test_a_proof_says_what_its_pairs_tell_apart(tmp_path: Path) -> None:
@@ -353,15 +369,15 @@ class Encoding(Counting):
 
 def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> None:
     """And each block gets the answers that it would have got by itself."""
-    golden = {"state": parity.BLOCK["state"], "action": parity.BLOCK["action"]}
-    manifest = {"temporal": {"kind": "chunk", "chunk": 1}, "model_io": golden}
+    block = {"state": parity.BLOCK["state"], "action": parity.BLOCK["action"]}
+    manifest = {"temporal": {"kind": "chunk", "chunk": 1}, "model_io": block}
     config = {"env_cfg_type": "franka_single", "action_type": "joint", "manifest": manifest}
     model = Counting(config)
-    absolute = {**golden, "action": {**golden["action"], "reference": "absolute"}}
-    broken = {**golden, "action": {**golden["action"], "pad": 3}}
+    absolute = {**block, "action": {**block["action"], "reference": "absolute"}}
+    broken = {**block, "action": {**block["action"], "pad": 3}}
     course = Course(Session("franka_single", "joint", 0, {}, 1, script.brief()))
     order = {"calls": course.told(script.brief()), "seconds": 100.0}
-    told = [packed.decode(one) for one in variants.variants(model, [golden, absolute, broken, golden], order)]
+    told = [packed.decode(one) for one in variants.variants(model, [block, absolute, broken, block], order)]
     assert model.calls == 3
     assert "ConversionError" in told[2]["error"]
     delta, other, again = (told[place]["result"] for place in (0, 1, 3))
@@ -374,4 +390,4 @@ def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> Non
     assert variants.unfit(model) is None
     assert "encode" in str(variants.unfit(Encoding(config)))
     assert "no model_io block" in str(variants.unfit(Counting({**config, "manifest": {}})))
-    assert list(variants.variants(model, [golden], {**order, "seconds": -1.0})) == []
+    assert list(variants.variants(model, [block], {**order, "seconds": -1.0})) == []

@@ -38,7 +38,7 @@ def prompt(text):
         ("authors/missing.py:5", set()),
     ],
 )
-def test_templates_are_read_in_model_io_code_and_at_its_source(source: str, wanted: set[str], tmp_path: Path) -> None:
+def test_templates_are_read_in_the_reference_and_at_its_source(source: str, wanted: set[str], tmp_path: Path) -> None:
     folder = tmp_path / "Foo"
     (folder / "authors").mkdir(parents=True)
     (folder / "reference.py").write_text(CODE.format(source=source))
@@ -47,7 +47,7 @@ def test_templates_are_read_in_model_io_code_and_at_its_source(source: str, want
     assert set(templates(folder)) == wanted | {"Task: {instruction}\n"}
 
 
-def test_without_model_io_code_there_are_none(tmp_path: Path) -> None:
+def test_without_a_reference_there_are_none(tmp_path: Path) -> None:
     assert templates(tmp_path) == []
     (tmp_path / "reference.py").write_text("def (")
     assert templates(tmp_path) == []

@@ -105,7 +105,7 @@ class Parity:
     def conventions(self) -> tuple[int, list[str]]:
         """How many conventions there are to agree on, and which of them, and of the block's values, are assumed."""
         manifest = self.probe.package.manifest
-        values = [one.where.removeprefix("golden.") for one in manifest.assumed]
+        values = [one.where.removeprefix("model_io.") for one in manifest.assumed]
         try:
             read = reading.read_file(self._path)
         except UserError:
