@@ -203,7 +203,8 @@ def provenance(folder: Path, module: object, conventions: str) -> dict[str, Any]
     sources = told.values() if isinstance(told, Mapping) else ()
     cited = {part for text in sources if isinstance(text, str) for part in re.split(r"[/:@]", text)}
     own = getattr(module, "__file__", None)
-    files, authors = {}, {}
+    files: dict[str, str] = {}
+    authors: dict[str, str] = {}
     for name, imported in sorted(sys.modules.items()):
         file = getattr(imported, "__file__", None)
         if not isinstance(file, str) or not Path(file).is_file():
@@ -211,7 +212,7 @@ def provenance(folder: Path, module: object, conventions: str) -> dict[str, Any]
         path, top = Path(file), name.partition(".")[0]
         if path.is_relative_to(folder) and not _is_environment(path.relative_to(folder)):
             files[path.relative_to(folder).as_posix()] = code_digest(path, conventions if file == own else None)
-        elif top in cited and top in path.parts:
+        elif top in cited and top in path.parts and len(authors) < _MOST_FILES:
             place = len(path.parts) - 1 - path.parts[::-1].index(top)
             authors["/".join(path.parts[place:])] = code_digest(path)
     libraries = {}
@@ -222,7 +223,7 @@ def provenance(folder: Path, module: object, conventions: str) -> dict[str, Any]
             libraries[name] = version[:80]
     return {
         "reference": dict(sorted(files.items())),
-        "authors": dict(list(authors.items())[:_MOST_FILES]),
+        "authors": authors,
         "python": platform.python_version(),
         "libraries": dict(list(libraries.items())[:_MOST_LIBRARIES]),
     }
