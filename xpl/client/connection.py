@@ -224,11 +224,12 @@ class BlockingTransport:
 
 def ended(received: Any) -> Exception:
     """Return why a connection ended, by the close frame that came: the server's own reason, or that it was lost."""
-    if received is not None and received.code == spec.CLOSE_CODES["server_failed"]:
-        return ServerFailedError(f"the policy server ended: {' '.join(received.reason.split())}")
-    return ConnectionResetError(
-        "no close frame" if received is None else f"{received.code} {' '.join(received.reason.split())}"
-    )
+    if received is None:
+        return ConnectionResetError("no close frame")
+    reason = " ".join(received.reason.split())
+    if received.code == spec.CLOSE_CODES["server_failed"]:
+        return ServerFailedError(f"the policy server ended: {reason}")
+    return ConnectionResetError(f"{received.code} {reason}")
 
 
 def parsed(url: str) -> Any:

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from xpl import _spec as spec
-from xpl.wire import telling
+from xpl.wire import codec, telling
+
+_CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
 
 _SPOILING = (
     spec.ErrorReason.WORKER_DIED,
@@ -74,3 +76,20 @@ class RequestTimeoutError(ClientError):
 
 class ServerFailedError(ServerConnectionError):
     """The server closed the connection because its policy cannot go on."""
+
+
+def of_answer(payload: Mapping[str, Any]) -> PolicyServerError:
+    """Return the error that a server answers with; a code of another generation stands for one of its own.
+
+    Raises:
+        WireError: code or reason is there and no text.
+    """
+    details = payload.get(spec.Payload.DETAILS)
+    details = details if isinstance(details, Mapping) else {}
+    code, reason = payload.get(spec.Payload.CODE), details.get("reason")
+    for name, value in ((spec.Payload.CODE, code), ("reason", reason)):
+        if not isinstance(value, (str, type(None))):
+            raise codec.WireError(f"the {name} of an error must be text, got {type(value).__name__}")
+    kind = EnvironmentMismatchError if reason == spec.ErrorReason.MISMATCH else PolicyServerError
+    known = code if isinstance(code, str) and code in _CODES else spec.ErrorCode.INTERNAL
+    return kind(known, str(payload.get(spec.Payload.MESSAGE)), details)

@@ -28,6 +28,7 @@ from xpl.client.errors import (
     ServerConnectionError,
     ServerFailedError,
     ServerRestartedError,
+    of_answer,
 )
 from xpl.client.retrying import after, left
 from xpl.wire import codec, packed
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from xpl.client.transport import Transport, Wishes
     from xpl.contract import Announcement, Config, Payload, State
 
-_CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
 _UNCOUNTED = (spec.ErrorReason.UNREADABLE, spec.ErrorReason.SHUTTING_DOWN, *retrying.AGAIN)
 _BETWEEN_EPISODES = (spec.Message.RESET, spec.Message.HEARTBEAT, spec.Message.PREPARE_CASE, spec.Message.TRIAL_END)
 _LOADING_POLL_S = 0.5
@@ -380,23 +380,7 @@ def _map(value: object) -> Mapping[str, Any]:
 def _payload(answer: codec.Frame, request: codec.Frame) -> Payload:
     payload = answer.payload
     if answer.message_type == spec.Message.ERROR:
-        raise _error(payload)
+        raise of_answer(payload)
     if answer.message_type != spec.ANSWERS[request.message_type]:
         raise ClientError(f"{request.message_type} was answered by {answer.message_type:.80}")
     return codec.unpacked(payload)
-
-
-def _error(payload: Payload) -> PolicyServerError:
-    """Return the error that a server answers with; a code of another generation stands for one of its own.
-
-    Raises:
-        WireError: code or reason is there and no text.
-    """
-    details = _map(payload.get(spec.Payload.DETAILS))
-    code, reason = payload.get(spec.Payload.CODE), details.get("reason")
-    for name, value in ((spec.Payload.CODE, code), ("reason", reason)):
-        if not isinstance(value, (str, type(None))):
-            raise codec.WireError(f"the {name} of an error must be text, got {type(value).__name__}")
-    kind = EnvironmentMismatchError if reason == spec.ErrorReason.MISMATCH else PolicyServerError
-    known = code if isinstance(code, str) and code in _CODES else spec.ErrorCode.INTERNAL
-    return kind(known, str(payload.get(spec.Payload.MESSAGE)), details)
