@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from xpl.trajectory import storage
 from xpl_cli.data.formats import hdf5
 from xpl_cli.data.formats.folders import FolderSet, ToldEpisode
 
@@ -22,5 +23,5 @@ def recognises(path: Path) -> bool:
 
 def opened(path: Path) -> FolderSet:
     """Return the set."""
-    files = hdf5.Files()
+    files = hdf5.Files(storage.opened)
     return FolderSet(path, NAME, hdf5.files(path), lambda file, key: ToldEpisode((file, files), "", key, _STEPS))

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -92,22 +92,34 @@ def opened(path: Path) -> Iterator[File]:
         yield file
 
 
-class Files:
-    """The file that was read last, open until another one is: opening it takes longer than reading a column."""
+class _Closable(Protocol):
+    def close(self) -> None: ...
 
-    def __init__(self) -> None:
+
+_Opened = TypeVar("_Opened", bound=_Closable)
+
+
+class Files(Generic[_Opened]):
+    """The file that was read last, open until another one is: opening it takes longer than reading a column.
+
+    Args:
+        opens: a file, by its path.
+    """
+
+    def __init__(self, opens: Callable[[str], _Opened]) -> None:
+        self._opens = opens
         self._path: Path | None = None
-        self._file: File | None = None
+        self._file: _Opened | None = None
 
     @contextmanager
-    def opened(self, path: Path) -> Iterator[File]:
+    def opened(self, path: Path) -> Iterator[_Opened]:
         """Open a file for reading, where it is not open; raises as `opened`."""
         libraries.h5py()
         try:
             with told(path):
                 if self._file is None or self._path != path:
                     self._close()
-                    self._path, self._file = path, storage.opened(str(path))
+                    self._path, self._file = path, self._opens(str(path))
                 yield self._file
         except DataError:
             self._close()
@@ -151,7 +163,12 @@ class Hdf5Episode(OutlinedEpisode):
     """
 
     def __init__(
-        self, file: tuple[Path, Files], group: str, key: str, steps: tuple[str, ...], instructions: tuple[str, ...] = ()
+        self,
+        file: tuple[Path, Files[File]],
+        group: str,
+        key: str,
+        steps: tuple[str, ...],
+        instructions: tuple[str, ...] = (),
     ) -> None:
         super().__init__(key)
         self._path, self._files = file

@@ -91,7 +91,7 @@ class RobomimicSet(Demonstrations):
     @functools.cached_property
     def _episodes(self) -> list[Hdf5Episode]:
         found: list[Hdf5Episode] = []
-        files = hdf5.Files()
+        files = hdf5.Files(storage.opened)
         for path in self._files:
             with hdf5.opened(path) as file:
                 group = storage.group(file, "data")

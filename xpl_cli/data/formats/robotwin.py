@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from xpl.trajectory import storage
 from xpl_cli.basics import files as bounded
 from xpl_cli.data.formats import hdf5
 from xpl_cli.data.formats.folders import FolderSet, sentences
@@ -42,7 +43,7 @@ def recognises(path: Path) -> bool:
 
 def opened(path: Path) -> FolderSet:
     """Return the set."""
-    files = hdf5.Files()
+    files = hdf5.Files(storage.opened)
     return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _Episode((file, files), "", key, _STEPS))
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
@@ -57,47 +56,27 @@ def recognises(path: Path) -> bool:
 
 def opened(path: Path) -> FolderSet:
     """Return the set; what an index beside the files says of them is not believed."""
-    kept = _Kept()
-    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _Episode(kept, file, key))
-
-
-class _Kept:
-    """The file of one episode, open until another one is read: opening it takes longer than reading a column."""
-
-    def __init__(self) -> None:
-        self._found: tuple[Path, Trajectory] | None = None
-
-    def at(self, path: Path) -> Trajectory:
-        """Return the trajectory in a file."""
-        if self._found is None or self._found[0] != path:
-            self.close()
-            self._found = path, trajectory.Trajectory(str(path))
-        return self._found[1]
-
-    def close(self) -> None:
-        """Close the file."""
-        if self._found is not None:
-            self._found[1].close()
-        self._found = None
+    files = hdf5.Files(trajectory.Trajectory)
+    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _Episode((file, files), key))
 
 
 class _Episode(OutlinedEpisode):
     """An episode. Its images are read from a file of their own, which is open as long as they are."""
 
-    def __init__(self, kept: _Kept, path: Path, key: str) -> None:
+    def __init__(self, file: tuple[Path, hdf5.Files[Trajectory]], key: str) -> None:
         super().__init__(key)
-        self._kept, self._path = kept, path
+        self._path, self._files = file
 
     @functools.cached_property
     def length(self) -> int:
         """How many steps it has."""
-        with self._open() as found:
+        with self._files.opened(self._path) as found:
             return len(found)
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         self.columns[column]  # whoever asks for another one gets KeyError
-        with self._open() as found:
+        with self._files.opened(self._path) as found:
             return found.rows(column, start, stop)
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
@@ -106,20 +85,9 @@ class _Episode(OutlinedEpisode):
         with trajectory.Trajectory(str(self._path)) as found, hdf5.told(found.path):
             yield from found.frames(camera, start, stop)
 
-    @contextmanager
-    def _open(self) -> Iterator[Trajectory]:
-        libraries.h5py()
-        found = self._kept.at(self._path)
-        try:
-            with hdf5.told(found.path):
-                yield found
-        except DataError:
-            self._kept.close()
-            raise
-
     def outline(self) -> Outline:
         """Return what the file says without rows and images."""
-        with self._open() as found:
+        with self._files.opened(self._path) as found:
             columns = {name: Column(shape, dtype) for name, (shape, dtype) in found.columns.items()}
             cameras = {name: _camera(found, name, picture) for name, picture in found.pictures.items()}
             extras = found.rest
