@@ -78,7 +78,7 @@ def series(dataset: Dataset, steps: Iterable[int]) -> Iterator[tuple[int, bytes]
     Raises:
         TrajectoryError: one cannot be read, or they are more than the file can hold, because they are one another.
     """
-    most = storage.FEW_BYTES + storage.EXPANSION * Path(dataset.file.filename).stat().st_size
+    most = storage.most_read(Path(dataset.file.filename).stat().st_size)
     for step in steps:
         data = encoded(dataset, step)
         most -= len(data)

@@ -38,8 +38,8 @@ MOST_FACT = 1 << 20
 """Numbers or texts of what is told of a whole episode."""
 MOST_TEXT = 1 << 24
 """Characters of one text."""
-FEW_BYTES = 1 << 25
-EXPANSION = 64
+_FEW_BYTES = 1 << 25
+_EXPANSION = 64
 """Bytes that are read of one series for each byte of its file, at most, beyond those few: rows may be one another."""
 
 PER_STEP = "per_step"
@@ -94,6 +94,11 @@ def group(root: Group, path: str) -> Group:
             raise TrajectoryError(f"{where(root)} has no group {path}")
         found = inner
     return found
+
+
+def most_read(size: int) -> int:
+    """Return how many bytes of numbers, or of encoded images of one camera, files of a size hold at most."""
+    return _FEW_BYTES + _EXPANSION * size
 
 
 def datasets(root: Group) -> dict[Place, Dataset]:

@@ -39,11 +39,6 @@ _EPISODE_BYTES: Final = 256
 """Bytes of a set for each of its episodes, at least: three steps of an arm take as much."""
 
 
-def most_read(size: int) -> int:
-    """Return how many bytes of numbers, or of encoded images of one camera, files of a size hold at most."""
-    return storage.FEW_BYTES + storage.EXPANSION * size
-
-
 @dataclass
 class Claims:
     """What was claimed so far by a set.
@@ -95,7 +90,7 @@ class Claims:
         if index not in self._seen:
             self._seen.add(index)
             self._count(episode)
-        self._hold("numbers", self._numbers, most_read(self.size))
+        self._hold("numbers", self._numbers, storage.most_read(self.size))
         for is_video, pixels in self._pixels.items():
             most = _FEW_IMAGES + _UNPACKED[is_video] * self.size
             self._hold("videos" if is_video else "images", pixels, most)
@@ -109,7 +104,7 @@ class Claims:
         if index not in self._answered:
             self._answered.add(index)
             self._numbers += size
-        self._hold("numbers and facts", self._numbers, most_read(self.size))
+        self._hold("numbers and facts", self._numbers, storage.most_read(self.size))
 
     def images(
         self, episode: Episode, camera: str, start: int, frames: Iterable[NDArray[np.uint8]]

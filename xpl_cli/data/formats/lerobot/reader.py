@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl.images import PIXELS
+from xpl.trajectory import storage
 from xpl_cli.data.formats import libraries, pictures, video
 from xpl_cli.data.formats.lerobot import layout
-from xpl_cli.data.sets.claims import most_read
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import Camera, Clip, Column, Demonstrations, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
@@ -117,7 +117,7 @@ class LeRobotSet(Demonstrations):
         where = f"{self.root / entry.data}, {camera}"
         due = start
         with _opened(self.root / entry.data) as file:
-            most = most_read((self.root / entry.data).stat().st_size)
+            most = storage.most_read((self.root / entry.data).stat().st_size)
             self._require(file, camera, entry.data)
             for number, first, last in _groups(self._sizes(entry.data), entry.first + start, entry.first + stop):
                 seen = 0
