@@ -161,24 +161,25 @@ def _grey(depth: np.ndarray) -> NDArray[np.uint8]:
 def _chart(episode: Episode, name: str) -> Chart:
     column = episode.columns[name]
     width = math.prod(column.shape)
-    low, high, lost = np.inf, -np.inf, 0
-    for _, rows in _blocks(episode, name, width):
+    steps = np.unique(np.linspace(0, episode.length - 1, _MOST_POINTS).round().astype(np.int64))
+    is_drawn = width <= MOST_CURVES
+    low, high, lost, picked = np.inf, -np.inf, 0, [np.zeros((0, width if is_drawn else 0))]
+    for start, rows in _blocks(episode, name, width):
         finite = np.isfinite(rows)
         known = rows[finite]
         low, high = min(low, known.min(initial=np.inf)), max(high, known.max(initial=-np.inf))
         lost += int((~finite).sum())
+        if is_drawn:
+            picked.append(_picked(rows, start, steps))
     if low > high:
         low = high = 0.0
-    steps = np.unique(np.linspace(0, episode.length - 1, _MOST_POINTS).round().astype(np.int64))
-    is_drawn = width <= MOST_CURVES
     other = name.replace("action/", "state/", 1)
     beside = None
     if is_drawn and other != name and other in episode.columns and episode.columns[other].shape == column.shape:
-        beside = _rows_at(episode, other, steps, width)
+        beside = np.concatenate([_picked(rows, start, steps) for start, rows in _blocks(episode, other, width)])
     what = f"{' x '.join(map(str, column.shape)) or 'one number'}, {column.dtype}"
     names = column.names or tuple(map(str, range(min(width, MOST_CURVES))))
-    curves = _rows_at(episode, name, steps, width) if is_drawn else np.zeros((0, 0))
-    return Chart(name, what, names, steps, curves, beside, float(low), float(high), lost)
+    return Chart(name, what, names, steps, np.concatenate(picked), beside, float(low), float(high), lost)
 
 
 def _blocks(episode: Episode, name: str, width: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
@@ -189,9 +190,6 @@ def _blocks(episode: Episode, name: str, width: int) -> Iterator[tuple[int, NDAr
         yield start, rows.reshape(len(rows), width).astype(np.float64)
 
 
-def _rows_at(episode: Episode, name: str, steps: NDArray[np.int64], width: int) -> NDArray[np.float64]:
-    """Return the rows of a column at these steps, (N, width)."""
-    blocks = _blocks(episode, name, width)
-    return np.concatenate(
-        [rows[steps[(steps >= start) & (steps < start + len(rows))] - start] for start, rows in blocks]
-    )
+def _picked(rows: NDArray[np.float64], start: int, steps: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return those of rows that lie at these steps, where the first row is that of a step."""
+    return rows[steps[(steps >= start) & (steps < start + len(rows))] - start]
