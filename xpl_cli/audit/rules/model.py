@@ -20,10 +20,9 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.profiles import Choice, Profile
 
 Numbers = Mapping[str, Any]
-
+"""What shows or proves something: JSON values by name."""
 SHARED: Final = "shared"
 """Key of evidence: whether what was found is in the golden pairs as well, so that both may have one mistake."""
-"""What shows or proves something: JSON values by name."""
 _NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?(e[-+]?\d+)?")
 
 

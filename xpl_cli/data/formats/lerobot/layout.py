@@ -331,7 +331,8 @@ def _of_lines(root: Path, info: Info) -> Iterator[Entry]:
 
 
 def _of_tables(root: Path, info: Info) -> Iterator[Entry]:
-    found = (documents.checked(row, _ROW_SCHEMA, f"{root / EPISODES}, row {number}") for number, row in _counted(root))
+    read = enumerate(_rows(root), 1)
+    found = (documents.checked(row, _ROW_SCHEMA, f"{root / EPISODES}, row {number}") for number, row in read)
     rows = sorted(found, key=lambda row: int(row["episode_index"]))
     begins: dict[str, int] = {}
     for row in rows:
@@ -355,10 +356,6 @@ def _of_tables(root: Path, info: Info) -> Iterator[Entry]:
             },
             {key: value for key, value in row.items() if key not in _KNOWN and not key.startswith(_POINTERS)},
         )
-
-
-def _counted(root: Path) -> Iterator[tuple[int, dict[str, Any]]]:
-    return enumerate(_rows(root), 1)
 
 
 def _pointer(row: Mapping[str, Any], prefix: str) -> dict[str, Any]:
