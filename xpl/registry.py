@@ -15,13 +15,22 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-RULES, WIRES, ENVS, ROBOTS, FORMATS = "xpl.rules", "xpl.wires", "xpl.envs", "xpl.robots", "xpl.formats"
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+RULES, WIRES, ENVS, ROBOTS, FORMATS, CONVENTIONS = (
+    "xpl.rules",
+    "xpl.wires",
+    "xpl.envs",
+    "xpl.robots",
+    "xpl.formats",
+    "xpl.conventions",
+)
 OURS = "xpl"
 """The distribution of what is built in."""
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from xpl import poses, rotation
+from xpl.conventions.frame import mount
+from xpl.conventions.point import tool
 from xpl.convert import ConversionError
-from xpl.convert.frames import mount, tool
 from xpl.embodiment import embodiment_names, get_embodiment
 from xpl.kinematics import Chain
 from xpl.manifest import Manifest

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from xpl.convert.errors import ConversionError, OpenError
+from xpl.errors import ConversionError, OpenError
 from xpl.worker.belonging import is_third_party
 from xpl.worker.lacking import lacking
 

@@ -12,15 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl import rotation
+from xpl.conventions.action_reference import counted, uncounted
 from xpl.convert.assembly import assembled
-from xpl.convert.errors import ConversionError
-from xpl.convert.parts import Part, Position, Rotation, State
+from xpl.convert.parts import Position, Rotation
 from xpl.convert.vectors import Vector
 from xpl.decoding import decode_rows
+from xpl.errors import ConversionError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from xpl.catalogue.part import Part, State
     from xpl.contract import Action, Entry
     from xpl.embodiment import Embodiment
 
@@ -137,16 +139,14 @@ class ActionOutput:
         if told == "absolute":
             return values
         start = item.read(state)
-        base = memory.get(item.label, start) if told == "delta_command" else start
         turns = self._turns(item, state, memory, done, len(values))
-        result = []
-        for index, change in enumerate(values):
+
+        def add(base: np.ndarray, change: np.ndarray, index: int) -> np.ndarray:
             if isinstance(item, Position) and item.applied == "body":
-                change = item.turned(change, turns[index])  # noqa: PLW2901 - the change as the world sees it
-            result.append(item.add(base, change))
-            if told != "delta_state":
-                base = result[-1]
-        return np.stack(result)
+                change = item.turned(change, turns[index])  # the change as the world sees it
+            return item.add(base, change)
+
+        return np.stack(counted(told, list(values), start, memory.get(item.label, start), add))
 
     def _relative(self, item: Part, absolute: Mapping[str, np.ndarray], state: State, memory: Memory) -> np.ndarray:
         """Return what the model says of the absolute numbers of one part, (H, width)."""
@@ -154,17 +154,15 @@ class ActionOutput:
         if told == "absolute":
             return wanted
         start = item.read(state)
-        base = memory.get(item.label, start) if told == "delta_command" else start
         turns = self._turns(item, state, memory, absolute, len(wanted))
-        result = []
-        for index, values in enumerate(wanted):
+
+        def subtract(base: np.ndarray, values: np.ndarray, index: int) -> np.ndarray:
             change = item.subtract(values, base)
             if isinstance(item, Position) and item.applied == "body":
                 change = rotation.rotate(rotation.conjugate(turns[index]), change)
-            result.append(change)
-            if told != "delta_state":
-                base = values
-        return np.stack(result)
+            return change
+
+        return np.stack(uncounted(told, list(wanted), start, memory.get(item.label, start), subtract))
 
     def _turns(
         self, item: Part, state: State, memory: Memory, done: Mapping[str, np.ndarray], height: int

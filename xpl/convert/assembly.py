@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl import poses
-from xpl.convert.parts import Gripper, Joints, Part, Position, Rotation, State
+from xpl.convert.parts import Position, Rotation
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from xpl.catalogue.part import Part, State
 
 
 def assembled(parts: Sequence[Part], columns: Mapping[str, np.ndarray], state: State) -> dict[str, np.ndarray]:
@@ -21,11 +26,12 @@ def assembled(parts: Sequence[Part], columns: Mapping[str, np.ndarray], state: S
     """
     made: dict[str, np.ndarray] = {}
     for item in parts:
-        if isinstance(item, (Joints, Gripper)):
+        if isinstance(item, (Position, Rotation)):
+            if item.key not in made:
+                made[item.key] = _poses([one for one in parts if one.key == item.key], columns, state[item.key])
+        elif item.key:
             values = item.write(columns[item.label])
             made[item.key] = np.where(np.isnan(values), made[item.key], values) if item.key in made else values
-        elif isinstance(item, (Position, Rotation)) and item.key not in made:
-            made[item.key] = _poses([one for one in parts if one.key == item.key], columns, state[item.key])
     return made
 
 

@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl import poses, rotation
-from xpl.convert.errors import ConversionError
+from xpl.conventions.frame import mount
+from xpl.conventions.point import tool
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
 
-
 _POSITION = slice(0, spec.POSITION_DIM)
 _ROTATION = slice(spec.POSITION_DIM, spec.POSE_DIM)
-
-
-def side_index(embodiment: Embodiment, side: str) -> int:
-    """Return the position of an arm by its name in the spec (single, left, right).
-
-    Raises:
-        ConversionError: if the robot has no such arm.
-    """
-    arms = list(embodiment.data["arms"])
-    if side not in arms:
-        raise ConversionError(f"{embodiment.name} has no arm {side!r}; say one of {', '.join(arms)}")
-    return arms.index(side)
 
 
 class Frame:
@@ -67,36 +54,3 @@ class Frame:
     def flange_position(self, position: np.ndarray, turn: np.ndarray) -> np.ndarray:
         """Return where (..., 3) the flange is in the world, of where the point is, and how the flange is turned."""
         return poses.transform(self._outer, position) - rotation.rotate(turn, self._inner[_POSITION])
-
-
-def tool(embodiment: Embodiment) -> np.ndarray:
-    """Return the pose (7,) of the point between the fingertips in the flange.
-
-    Raises:
-        ConversionError: if the standard does not know it for this robot.
-    """
-    known: Mapping[str, Any] | None = embodiment.data["end_effector"].get("tcp")
-    if not known:
-        raise ConversionError(
-            f"the standard does not know where {embodiment.name} has its fingertips; say point: flange"
-        )
-    return poses.pose(known["xyz"], rotation.from_rpy(known["rpy"]))
-
-
-def mount(embodiment: Embodiment, side: str) -> np.ndarray:
-    """Return the pose (7,) of an arm's base in the world; a single arm stands midway between the mounts of two.
-
-    Raises:
-        ConversionError: if the standard does not know it for this robot.
-    """
-    mounts = embodiment.data.get("mounts")
-    if not mounts:
-        raise ConversionError(f"the standard does not know where {embodiment.name} is mounted; say frame: world")
-    # Written with seven digits, and every pose goes through them.
-    turns = {name: rotation.normalise(entry["quaternion"]) for name, entry in mounts.items()}
-    if side in mounts:
-        return poses.pose(mounts[side]["xyz"], turns[side])
-    turn = next(iter(turns.values()))
-    if any(not np.allclose(turn, other) for other in turns.values()):
-        raise ConversionError(f"the mounts of {embodiment.name} are turned differently; say frame: world")
-    return poses.pose(np.mean([entry["xyz"] for entry in mounts.values()], axis=0), turn)

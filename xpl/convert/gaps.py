@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Union
 
 from xpl import _spec as spec
-from xpl.convert.errors import OpenError
+from xpl.errors import OpenError
 from xpl.nested import written
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from xpl.contract import Entry
     from xpl.embodiment import Embodiment
 

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
+from xpl.conventions import instruction
 from xpl.convert.actions import ActionOutput, Memory
 from xpl.convert.assembly import assembled
-from xpl.convert.errors import ConversionError
 from xpl.convert.gaps import refuse
 from xpl.convert.images import ImageInput
 from xpl.convert.parts import Rotation
 from xpl.convert.vectors import Vector
+from xpl.errors import ConversionError
 from xpl.observation import ObservationError, get_image, get_instruction
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from xpl.contract import Entry, Observation, State
     from xpl.embodiment import Embodiment
 
 __all__ = ["ConversionError", "Interface", "Memory", "compile_interface"]
-
-_PLACE = "{instruction}"
 
 
 def compile_interface(
@@ -187,9 +187,8 @@ class Interface:
             state.update({key: values[0].astype(np.float32) for key, values in made.items()})
         result = {**like, spec.Obs.VISION: vision, spec.Obs.STATE: state}
         if self._instruction is not None:
-            before, after = self._instruction.get("template", _PLACE).split(_PLACE, 1)
             text = str(inputs[self._instruction["input"]])
-            result[spec.Obs.INSTRUCTION] = text.removeprefix(before).removesuffix(after)
+            result[spec.Obs.INSTRUCTION] = instruction.decode(text, self._instruction)
         return result
 
     def _timeline(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -227,6 +226,4 @@ class Interface:
             raise ObservationError(
                 "the observation has no instruction, and the model needs one (model_io.instruction.empty: refuse)"
             )
-        text = text.strip(how["strip"]) if how.get("strip") else text
-        text = text.lower() if how.get("case") == "lower" else text
-        return {how["input"]: how.get("template", _PLACE).replace(_PLACE, text)}
+        return {how["input"]: instruction.encode(text, how)}

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from xpl.convert.errors import ConversionError
-from xpl.convert.numbers import Normalization
-from xpl.convert.parts import check_joints, part
+from xpl.conventions.joint_order import check_joints
+from xpl.conventions.normalization import Normalization
+from xpl.convert.parts import part
+from xpl.errors import ConversionError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from xpl.catalogue.part import Part
     from xpl.contract import Entry
-    from xpl.convert.parts import Part
     from xpl.embodiment import Embodiment
 
 

@@ -8,11 +8,12 @@ and whatever threads are left, it ends when all is said.
 from __future__ import annotations
 
 import faulthandler
+import itertools
 import os
 import signal
 import struct
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
@@ -26,9 +27,11 @@ FAILURES = (Exception, SystemExit)
 ERROR = "error"
 Order = Mapping[str, Any]
 """What an errand is asked: the keys stand in its module."""
+Play = Callable[[Order], Iterator[bytes]]
+"""Yields the answers to an order, packed, each before the next thing can change it."""
 
 
-def carry_out(asked: str, answers: str, play: Callable[[Order], Iterator[bytes]]) -> NoReturn:
+def carry_out(asked: str, answers: str, play: Play) -> NoReturn:
     """Do what the file `asked` says, write the answers to the file `answers`, and end the process.
 
     Args:
@@ -37,9 +40,39 @@ def carry_out(asked: str, answers: str, play: Callable[[Order], Iterator[bytes]]
         play: yields the answers, packed, each before the next thing can change it.
     """
     faulthandler.register(signal.SIGUSR1, all_threads=True)
-    order = packed.decode(Path(asked).read_bytes())
-    with Path(answers).open("wb", buffering=0) as told:
-        told.writelines(LENGTH.pack(len(answer)) + answer for answer in play(order))
+    _write(answers, play(packed.decode(Path(asked).read_bytes())))
+    _end()
+
+
+def stand(asked: str, answers: str, load: Callable[[Order], tuple[bytes, Play]]) -> NoReturn:
+    """Load something, as the file `asked` says, and then do what each line of the standard input asks.
+
+    A line is a number: orders lie beside `asked`, and answers beside `answers`, in files with this ending. All answers
+    to an order end with a length of zero.
+
+    Args:
+        asked: path of a packed map.
+        answers: path; its first answer is that of loading.
+        load: returns this answer, packed, and what carries orders out.
+    """
+    faulthandler.register(signal.SIGUSR1, all_threads=True)
+    orders = os.fdopen(os.dup(0), encoding="utf-8")
+    with open(os.devnull, "rb") as nothing:  # noqa: PTH123 - a device: what the adapter runs has no standard input
+        os.dup2(nothing.fileno(), 0)
+    first, play = load(packed.decode(Path(asked).read_bytes()))
+    _write(answers, [first, b""])
+    for line in orders:
+        order = packed.decode(Path(f"{asked}.{int(line)}").read_bytes())
+        _write(f"{answers}.{int(line)}", itertools.chain(play(order), [b""]))
+    _end()
+
+
+def _write(path: str, answers: Iterable[bytes]) -> None:
+    with Path(path).open("wb", buffering=0) as told:
+        told.writelines(LENGTH.pack(len(answer)) + answer for answer in answers)
+
+
+def _end() -> NoReturn:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(0)  # a model's threads may go on for ever

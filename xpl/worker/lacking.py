@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +18,8 @@ from xpl.ecosystem import checkout
 from xpl.worker.belonging import is_third_party
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from xpl.contract import Config
 
 _OPEN_LIBRARY = "cannot open shared object file"  # the dynamic linker's words
@@ -89,7 +90,7 @@ def lacking(error: BaseException, policy_dir: Path, config: Config) -> dict[str,
 
 
 def _lacking(error: BaseException, policy_dir: Path, config: Config) -> tuple[str, str] | None:
-    from xpl.convert.errors import OpenError  # imported already where it was raised
+    from xpl.errors import OpenError  # imported already where it was raised
 
     found: tuple[str, str] | None = None
     if isinstance(error, ShadowError):

@@ -1,11 +1,6 @@
-"""Answers the same questions with one word of the model_io block after another: an errand (`xpl.worker.errand`).
+"""Answers the same questions with one word of the model_io block after another (`xpl.worker.changes`).
 
-What an audit looks for the mistake with, where an adapter and its model differ. The model is loaded once; only its
-conversions are compiled again. That says something of adapters whose conversions are those of the block alone.
-
-    as `xpl.worker.inprocess.load` reads, further "blocks", "calls" (as in `xpl.worker.reference`), "seconds"
-    one map for the load, whose result is None, or the reason why the block does not convert here; one for each block
-    in its order, as far as the seconds reach: its result is the chunk of every question
+Only the conversions are compiled again. That says something of adapters whose conversions are those of the block alone.
 """
 
 from __future__ import annotations
@@ -13,8 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Callable, NoReturn
+from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
 
@@ -23,10 +17,11 @@ from xpl import checkpoint
 from xpl.convert import Interface, compile_interface
 from xpl.episodes import EpisodeCounter
 from xpl.policy import Policy
-from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
-from xpl.worker.inprocess import on_model
+from xpl.worker.errand import FAILURES, failed, result
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
     from xpl.contract import Entry
 
 _MOST_BYTES = 256 << 20
@@ -41,33 +36,48 @@ def unfit(model: Any) -> str | None:
     return f"the adapter converts in code: {', '.join(own)}" if own else None
 
 
-def variants(model: Policy, blocks: Sequence[Entry], order: Order) -> Iterator[bytes]:
-    """Yield the answers under each block, packed.
+class Variants:
+    """Answers under other words of the block.
+
+    What the model answers to equal inputs is remembered, and what the adapter's own block makes of pictures.
 
     Args:
-        model: the adapter's; its `interface` is exchanged.
-        blocks: model_io blocks; pictures that the first one makes are remembered.
-        order: `calls` and `seconds`.
+        model: the adapter's; its `interface` is exchanged, and `predict` wrapped.
+        block: its own model_io block.
     """
-    until = time.monotonic() + order["seconds"]
-    sampling = blocks[0].get("sampling", "none") if blocks else ""
-    memory = _Memory(model, seeded=sampling == "seeded")
-    if sampling in {"none", "seeded"} and not blocks[0].get("recurrent"):
-        model.predict = memory.predict  # type: ignore[method-assign]
-    pictures = _Pictures(blocks[0]) if blocks else None
-    folders = checkpoint.folders(model.config, model.policy_dir)
-    for block in blocks:
-        if time.monotonic() > until:
-            return
+
+    def __init__(self, model: Policy, block: Entry) -> None:
+        self._model = model
+        sampling = block.get("sampling", "none")
+        self._memory = _Memory(model, seeded=sampling == "seeded")
+        self._remembers = sampling in {"none", "seeded"} and not block.get("recurrent")
+        self._pictures = _Pictures(block)
+        self._folders = checkpoint.folders(model.config, model.policy_dir)
+
+    def answers(self, blocks: Sequence[Entry], calls: Sequence[Mapping[str, Any]], seconds: float) -> Iterator[bytes]:
+        """Yield the answers under each block, packed, as far as the seconds reach."""
+        model, until = self._model, time.monotonic() + seconds
+        own, predicts = model.interface, model.predict
+        if self._remembers:
+            model.predict = self._memory.predict  # type: ignore[method-assign]
         try:
-            interface = compile_interface(block, model.embodiment, model.action_type, folders, model.chunk)
-            if pictures is not None:
-                pictures.take_over(interface, block)
+            for block in blocks:
+                if time.monotonic() > until:
+                    return
+                yield self._under(block, calls)
+        finally:
+            model.interface, model.predict = own, predicts  # type: ignore[method-assign]
+
+    def _under(self, block: Entry, calls: Sequence[Mapping[str, Any]]) -> bytes:
+        model = self._model
+        try:
+            interface = compile_interface(block, model.embodiment, model.action_type, self._folders, model.chunk)
+            self._pictures.take_over(interface, block)
             model.interface = interface
-            memory.begin()
-            yield result(list(renewed(model, order["calls"])))
+            self._memory.begin()
+            return result(list(renewed(model, calls)))
         except FAILURES as error:
-            yield failed(error)
+            return failed(error)
 
 
 def renewed(model: Policy, calls: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
@@ -152,7 +162,7 @@ class _Pictures:
 
     def _remembering(self, text: str, encode: Callable[[Any], np.ndarray]) -> Callable[[Any], np.ndarray]:
         def remembered(obs: object) -> np.ndarray:
-            key = (text, id(obs))  # all observations live as long as this process
+            key = (text, id(obs))  # all observations live as long as the process
             if key not in self._made:
                 made = encode(obs)
                 self._held += made.nbytes
@@ -162,18 +172,3 @@ class _Pictures:
             return self._made[key]
 
         return remembered
-
-
-def main(asked: str, answers: str) -> NoReturn:
-    """Ask as one file says, write the answers to another, and end."""
-    carry_out(asked, answers, _all)
-
-
-def _all(order: Order) -> Iterator[bytes]:
-    def play(model: Any) -> Iterator[bytes]:
-        why = unfit(model)
-        yield result(why)
-        if why is None:
-            yield from variants(model, order["blocks"], order)
-
-    return on_model(order, play)

@@ -114,12 +114,49 @@ def run(module: str, order: Mapping[str, object], place: Place) -> Done:
         asked.write_bytes(b"".join(packed.encode(order)))
         start = SDK_START + f"from {module} import main; main(*sys.argv[2:])"
         command = spawn.command(place.python, start, str(asked), str(told), prefix=prefix)
-        errand = _Run(command, place, environment, folder / "log", told)
-        problem = errand.wait()
-        try:
-            return Done(_read(told), problem, errand.last)
-        except packed.PackingError as error:
-            return Done([], f"wrote what is no answer: {error}", errand.last)
+        errand = _Run(command, place, environment, folder / "log")
+        with errand.running():
+            return errand.done(told, place.limit_s)
+
+
+class Standing:
+    """An errand that loads something once, and is then asked several times (`xpl.worker.errand.stand`).
+
+    Args:
+        module: of the SDK.
+        order: what it loads.
+        place: where; its limit is that of loading.
+
+    Attributes:
+        loaded: what came of loading.
+    """
+
+    def __init__(self, module: str, order: Mapping[str, object], place: Place) -> None:
+        self._place, self._asked = place, 0
+        with contextlib.ExitStack() as opened:
+            prefix, self._folder, environment = opened.enter_context(_room(place))
+            (self._folder / "asked").write_bytes(b"".join(packed.encode(order)))
+            start = SDK_START + f"from {module} import main; main(*sys.argv[2:])"
+            paths = (str(self._folder / "asked"), str(self._folder / "answers"))
+            command = spawn.command(place.python, start, *paths, prefix=prefix)
+            self._run = _Run(command, place, environment, self._folder / "log")
+            opened.enter_context(self._run.running(subprocess.PIPE))
+            self.loaded = self._run.done(self._folder / "answers", place.limit_s)
+            self._opened = opened.pop_all()
+
+    def ask(self, order: Mapping[str, object], limit_s: float) -> Done:
+        """Return the answers to an order; none if the errand ended before."""
+        self._asked += 1
+        (self._folder / f"asked.{self._asked}").write_bytes(b"".join(packed.encode(order)))
+        self._run.say(f"{self._asked}\n")
+        done = self._run.done(self._folder / f"answers.{self._asked}", limit_s)
+        for name in ("asked", "answers"):
+            (self._folder / f"{name}.{self._asked}").unlink(missing_ok=True)
+        return done
+
+    def close(self) -> None:
+        """End the process."""
+        self._opened.close()
 
 
 def _read(told: Path) -> list[Answer]:
@@ -135,7 +172,7 @@ def _read(told: Path) -> list[Answer]:
     while len(data) >= LENGTH.size:
         (length,) = LENGTH.unpack_from(data)
         data = data[LENGTH.size :]
-        if length > len(data):
+        if length > len(data) or not length:  # which is the end of a standing errand's answers
             break
         found.append(Answer.read(packed.decode(data[:length])))
         data = data[length:]
@@ -156,15 +193,33 @@ def _room(place: Place) -> Iterator[tuple[tuple[str, ...], Path, dict[str, str]]
             yield kept.prefix, kept.folder or Path(own), kept.environment(environment)
 
 
+def _counted(told: Path) -> tuple[int, bool]:
+    """Return how many answers a file has, as far as their lengths say, and whether it says that these are all."""
+    count = place = 0
+    if not told.is_file():
+        return 0, False
+    with told.open("rb") as stream:
+        while len(head := stream.read(LENGTH.size)) == LENGTH.size:
+            (length,) = LENGTH.unpack(head)
+            place += LENGTH.size + length
+            if not length:
+                return count, True
+            if place > _MOST_BYTES:  # no length of an answer: whatever runs there may have written it
+                break
+            stream.seek(place)
+            count += 1
+    return count, False
+
+
 class _Run:
     """A command in a group of its own."""
 
-    def __init__(self, command: list[str], place: Place, environment: dict[str, str], log: Path, told: Path) -> None:
-        self._command, self._place, self._environment, self._log, self._told = command, place, environment, log, told
-        self._heard = 0
+    def __init__(self, command: list[str], place: Place, environment: dict[str, str], log: Path) -> None:
+        self._command, self._place, self._environment, self._log = command, place, environment, log
 
-    def wait(self) -> str | None:
-        """Run it, end all that it started, and return why it was ended before it ended itself, or None."""
+    @contextlib.contextmanager
+    def running(self, stdin: int = subprocess.DEVNULL) -> Iterator[None]:
+        """Start it, and in the end end it and all that it started."""
         before = {member.pid for member in family.descendants(os.getpid())}
         family.adopt_orphans()
         # A file, not a pipe: a process that the adapter leaves behind would keep a pipe open.
@@ -172,58 +227,68 @@ class _Run:
             process = subprocess.Popen(
                 self._command,
                 cwd=self._place.checkout,
-                stdin=subprocess.DEVNULL,
+                stdin=stdin,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=self._environment,
                 start_new_session=True,
             )
         try:
-            return self._waited(process)
+            self._process = process
+            yield
         finally:
             spawn.end_group(process.pid)
             process.wait()
+            if process.stdin is not None:
+                with contextlib.suppress(OSError):
+                    process.stdin.close()
             family.end_adopted(before)
+
+    def say(self, line: str) -> None:
+        """Write a line to its standard input; who waits for an answer will see if it is not there any more."""
+        assert self._process.stdin is not None  # noqa: S101 - it was started so
+        with contextlib.suppress(OSError):
+            self._process.stdin.write(line.encode())
+            self._process.stdin.flush()
+
+    def done(self, told: Path, limit_s: float) -> Done:
+        """Return the answers that it writes to a file until it ends, or says that these are all."""
+        problem = self._waited(told, limit_s)
+        try:
+            return Done(_read(told), problem, self.last)
+        except packed.PackingError as error:
+            return Done([], f"wrote what is no answer: {error}", self.last)
 
     @property
     def last(self) -> str:
         """The last line that it printed."""
         return next((line.strip() for line in reversed(self._lines()) if line.strip()), "it printed nothing")
 
-    def _waited(self, process: subprocess.Popen[bytes]) -> str | None:
+    def _waited(self, told: Path, limit_s: float) -> str | None:
+        """Return why the process was ended before it ended itself or its answers, or None."""
+        process, heard = self._process, 0
         began, size, life = time.monotonic(), -1, None
         while True:
             now = time.monotonic()
-            written = self._told.stat().st_size if self._told.is_file() else 0
+            written = told.stat().st_size if told.is_file() else 0
             if life is None or written != size:  # another answer: patience begins anew
                 size, life = written, Life(process.pid, self._place.patience, now)
-                self._tell()
+                count, is_all = _counted(told)
+                if count > heard and self._place.heard is not None:
+                    self._place.heard(count)
+                heard = count
+                if is_all:
+                    return None
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(min(life.every_s, _EVERY_S))
                 return None
             why = life.look(time.monotonic())
             if why is None and written > _MOST_BYTES:
                 why = f"wrote answers of more than {_MOST_BYTES} bytes"
-            if why is None and time.monotonic() - began > self._place.limit_s:
+            if why is None and time.monotonic() - began > limit_s:
                 why = f"did not answer within {time.monotonic() - began:.0f} s"
             if why is not None:
                 return self._where(process, why)
-
-    def _tell(self) -> None:
-        """Tell how many answers there are, as far as their lengths say."""
-        if self._place.heard is None or not self._told.is_file():
-            return
-        count = place = 0
-        with self._told.open("rb") as stream:
-            while len(head := stream.read(LENGTH.size)) == LENGTH.size:
-                place += LENGTH.size + LENGTH.unpack(head)[0]
-                if place > _MOST_BYTES:  # no length of an answer: whatever runs there may have written it
-                    break
-                stream.seek(place)
-                count += 1
-        if count > self._heard:
-            self._heard = count
-            self._place.heard(count)
 
     def _where(self, process: subprocess.Popen[bytes], why: str) -> str:
         """Have the process print its stacks, and return why it is ended and where it stood."""

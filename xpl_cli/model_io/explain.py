@@ -1,4 +1,4 @@
-"""Which single change explains that answers differ from the golden ones.
+"""Which change, or which two, explain that answers differ from the golden ones.
 
 found = explain(before, tried, tolerance)
 found.text        # "with `channels: bgr` the difference falls from 0.31 to 1e-07"
@@ -36,11 +36,13 @@ class Tried:
         words: of the change.
         convention: of the vocabulary.
         remaining: the differences.
+        besides: words and convention of another change that is made as well; None for a single one.
     """
 
     words: str
     convention: str
     remaining: Differences
+    besides: tuple[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ class Cause:
         after: the same with the change.
         parts: the numbers of an action that it mends.
         left: those that stay above the tolerance.
+        besides: words and convention of another change that is made as well; None for a single one.
     """
 
     words: str
@@ -62,14 +65,25 @@ class Cause:
     after: float
     parts: tuple[str, ...]
     left: tuple[str, ...] = ()
+    besides: tuple[str, str] | None = None
+
+    @property
+    def told(self) -> str:
+        """Its words, and those of the change besides."""
+        return f"`{self.words}`" + (f" and `{self.besides[0]}`" if self.besides else "")
+
+    @property
+    def conventions(self) -> tuple[str, ...]:
+        """What it is about."""
+        return (self.convention, *((self.besides[1],) if self.besides else ()))
 
     @property
     def text(self) -> str:
         """What happens with the change."""
         if self.left:
             fall = f"the difference falls from {self.before:.2g} to {self.after:.1g}"
-            return f"consistent with `{self.words}`: {fall}, still above the tolerance in {ranges(self.left)}"
-        return f"with `{self.words}` the difference falls from {self.before:.2g} to {self.after:.1g}"
+            return f"consistent with {self.told}: {fall}, still above the tolerance in {ranges(self.left)}"
+        return f"with {self.told} the difference falls from {self.before:.2g} to {self.after:.1g}"
 
 
 @dataclass(frozen=True)
@@ -100,7 +114,7 @@ class Explanation:
     def text(self) -> str:
         """The explanation as a finding says it, or "" if there is none."""
         if (found := self.cause or self.near) is not None:
-            others = _listed([f"`{tie.words}`" for tie in self.ties[:3]])
+            others = _listed([tie.told for tie in self.ties[:3]])
             more = f" (as with {others}: the pairs do not tell them apart)" if others else ""
             return found.text + more
         told = [f"{one.text} in {ranges(one.parts)}" for one in self.partial]
@@ -146,7 +160,7 @@ def _whole(one: Tried, before: Differences, off: Sequence[str], tolerance: float
     if after > tolerance and after * _FACTOR > largest:
         return None
     left = tuple(part for part, value in one.remaining.items() if value > tolerance)
-    return Cause(one.words, one.convention, largest, after, tuple(off), left)
+    return Cause(one.words, one.convention, largest, after, tuple(off), left, one.besides)
 
 
 def _alike(causes: Sequence[Cause], tolerance: float) -> list[Cause]:
@@ -155,7 +169,7 @@ def _alike(causes: Sequence[Cause], tolerance: float) -> list[Cause]:
     found: dict[str, Cause] = {}
     for cause in causes:
         if cause.after <= least:
-            found.setdefault(cause.words, cause)
+            found.setdefault(cause.told, cause)
     return list(found.values())
 
 

@@ -21,8 +21,9 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl import poses, rotation
+from xpl.conventions.frame import mount
+from xpl.conventions.point import tool
 from xpl.convert import ConversionError
-from xpl.convert.frames import mount, tool
 from xpl.kinematics import Chain, KinematicsError
 from xpl.manifest import CameraNeeds
 from xpl_cli.model_io import pictures

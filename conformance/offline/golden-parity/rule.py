@@ -24,10 +24,10 @@ def golden_parity(parity: Parity) -> Iterator[Finding | Proof]:
     compares the answers with those in golden_pairs.json: every number of every step, over histories, resets and
     batches. A difference counts above `model_io.tolerance`, a share of what the golden answers span; not if it is what
     a batch rounds: within 2 % of the span, and gone where its environment is asked by itself. Of a model that
-    samples and takes no seed, means and spreads of many answers are compared. Where something differs, single changes
-    of the model_io block, and of what the adapter is shown and commands, are tried, and the one that makes the
-    difference fall is named. Where nothing differs, the same changes tell how clearly such a mistake would have shown,
-    and which conventions the pairs leave undetermined.
+    samples and takes no seed, means and spreads of many answers are compared. Where something differs, the usual
+    mistakes of all conventions are tried, as changes of the model_io block, or of what the adapter is shown, reads and
+    commands, one by one and then two at once, and what makes the difference fall is named. Where nothing differs, the
+    same changes tell how clearly such a mistake would have shown, and which conventions the pairs leave undetermined.
 
     ## Why it matters
     An audit that compares an adapter with itself does not see that blue and red, degrees and radians or two arms are
@@ -148,20 +148,26 @@ def _blamed(message: str, cause: Found | None, *, expected: str, got: str, evide
     advice = f"compare the authors' code with the adapter; `{names.CODE}` names where it says what"
     best = None if explanation is None else explanation.leads
     if isinstance(best, Pattern):
-        evidence["cause"] = {"words": best.words, "convention": best.convention, "whole": False}
-    elif best is not None:
-        where = "in the block `model_io`" if cause is not None and cause.in_block else "in encode, predict or decode"
-        advice = f"the answers would match with `{best.words}`: if the authors' code says so, change that {where}"
-        if explanation is not None and explanation.cause is None:
-            advice = f"`{best.words}` comes nearest: look at what the authors' code says of it, and at the rest"
         evidence["cause"] = {
             "words": best.words,
             "convention": best.convention,
+            "conventions": [best.convention],
+            "whole": False,
+        }
+    elif best is not None:
+        where = "in the block `model_io`" if cause is not None and cause.in_block else "in encode, predict or decode"
+        advice = f"the answers would match with {best.told}: if the authors' code says so, change that {where}"
+        if explanation is not None and explanation.cause is None:
+            advice = f"{best.told} comes nearest: look at what the authors' code says of it, and at the rest"
+        evidence["cause"] = {
+            "words": " and ".join((best.words, *(best.besides or ())[:1])),
+            "convention": best.convention,
+            "conventions": list(best.conventions),
             "before": best.before,
             "after": best.after,
             "whole": explanation is not None and explanation.cause is not None,
             "left": list(best.left),
-            "ties": [] if explanation is None else [tie.words for tie in explanation.ties],
+            "ties": [] if explanation is None else [tie.told.replace("`", "") for tie in explanation.ties],
         }
     finding = blame(
         f"{message}; {told}" if told else message,

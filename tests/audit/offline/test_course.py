@@ -6,10 +6,10 @@ import contextlib
 from typing import Any
 
 import numpy as np
-
-from xpl_cli.audit.offline.parity.around import Around
-from xpl_cli.audit.offline.parity.course import Course
 from xpl_cli.model_io.alternatives.signals import Signal
+
+from xpl_cli.audit.offline.search.around import Around
+from xpl_cli.audit.offline.search.course import Course
 from xpl_cli.model_io.pairs import Session
 from xpl_cli.model_io.script import played, whole
 
@@ -69,7 +69,7 @@ def test_all_environments_are_played_together() -> None:
         clients.append(Client())
         return contextlib.nullcontext(clients[-1])
 
-    with Around(course, [], connect, once=False, together=True) as around:
+    with Around(course, {}, connect, once=False, together=True) as around:
         for _ in range(2):
             answers = around.answers(UNCHANGED, course.everything)
         assert answers is not None

@@ -20,9 +20,9 @@ from xpl.wire import packed
 from xpl.worker import variants
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.offline.parity import distribution
-from xpl_cli.audit.offline.parity.course import Course
 from xpl_cli.audit.offline.parity.fact import Compared, Parity
 from xpl_cli.audit.offline.parity.judgement import Judgement
+from xpl_cli.audit.offline.search.course import Course
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, Result
 from xpl_cli.audit.rules.options import Options

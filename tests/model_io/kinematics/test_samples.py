@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.support.recordings.arms import moments, rows
-from xpl import get_embodiment
-from xpl.convert import ConversionError, tables
+from xpl import get_embodiment, tables
+from xpl.convert import ConversionError
 from xpl_cli.model_io.kinematics import samples, witness
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xpl.convert.errors import ConversionError
-from xpl.convert.numbers import Normalization
+from xpl.conventions.normalization import Normalization
+from xpl.errors import ConversionError
 
 if TYPE_CHECKING:
     from pathlib import Path

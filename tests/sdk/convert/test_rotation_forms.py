@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from xpl import rotation
-from xpl.convert import ConversionError, rotations
+from xpl.conventions import rotation as rotations
+from xpl.convert import ConversionError
 
 TURNS = Rotation.random(64, random_state=7)
 WXYZ = TURNS.as_quat(scalar_first=True)

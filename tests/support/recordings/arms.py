@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import get_embodiment, poses
-from xpl.convert import frames
+from xpl.conventions import frame as frames
 from xpl.convert.parts import part
 from xpl.kinematics import Chain
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import get_embodiment
-from xpl.convert import frames, rotations
+from xpl.conventions import rotation as rotations
+from xpl.convert.frames import Frame
 from xpl.rotation import conjugate, multiply, rotate
 from xpl_cli.data.sets.interface import Camera, Column
 
@@ -198,7 +199,7 @@ def _arm(motion: Motion, side: str, how: Convention, role: str) -> dict[str, np.
         else (motion.commands, motion.grip, motion.targets)
     )
     robot = get_embodiment(motion.robot)
-    pose = frames.Frame(robot, side, how.point, how.frame).encode(flange[side])
+    pose = Frame(robot, side, how.point, how.frame).encode(flange[side])
     grip = np.asarray(opening[side], np.float64)[:, None]
     return {
         "joints": joints[side].astype(np.float64),

@@ -10,11 +10,11 @@ import pytest
 
 from tests.support.adapters.model_io import observation
 from xpl import rotation
+from xpl.catalogue.walk import UnfitError, changed, leaves
 from xpl.convert.images import ImageInput
 from xpl.policy import Policy
 from xpl.wire import packed
 from xpl.worker.encoded import pictures, play, texts, turns, vectors
-from xpl.worker.encoded.walk import UnfitError, changed, leaves
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

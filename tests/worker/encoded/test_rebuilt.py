@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from xpl.catalogue.walk import UnfitError
 from xpl.convert.images import ImageInput
-from xpl.convert.resample import resize
+from xpl.resample import resize
 from xpl.worker.encoded.rebuilt import Rebuilt
-from xpl.worker.encoded.walk import UnfitError
 
 RNG = np.random.default_rng(3)
 CAMERAS = ("cam_head", "cam_wrist")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.support.adapters.model_io import observation
+from xpl.catalogue.walk import UnfitError
 from xpl.policy import Policy
 from xpl.worker.encoded.segments import Segments
-from xpl.worker.encoded.walk import UnfitError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -1,101 +1,24 @@
-"""Changes of encoded pictures: what black and white are, the order of colours and axes, and how they got their size."""
+"""Changes of how encoded pictures got their size."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
+from xpl.catalogue.walk import EncodeOne, UnfitError, channel_axis, leaves
+from xpl.conventions.image_size import FRACTIONS
 from xpl.convert.images import ImageInput
 from xpl.observation import get_image
-from xpl.worker.encoded.walk import EncodeOne, UnfitError, changed, leaves
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from xpl.contract import Entry, Observation
 
-_LEAST = 12
-"""Pixels that a side of a picture has at least."""
-_CROPS = (1.0, 0.9, 0.95, 0.875, 0.8, 0.85, 0.9**0.5, 0.95**0.5, 0.8**0.5, 0.9**2, 0.8**2)
+_CROPS = (1.0, *FRACTIONS, 0.95**0.5, 0.8**0.5, 0.9**2, 0.8**2)
 """What an adapter may cut out of what it is shown."""
-
-
-def channel_axis(array: Any) -> int | None:
-    """Return which axis of a picture, or of several in one array, holds its colours; None for what is no picture."""
-    if isinstance(array, str) or array.ndim < 3:
-        return None
-    height, width, last = array.shape[-3:]
-    if last == 3 and min(height, width) >= _LEAST:
-        return -1
-    return -3 if height == 3 and min(width, last) >= _LEAST else None
-
-
-def scaled(value: Any, how: Entry) -> Any:
-    """Return pictures whose black and white are others.
-
-    Args:
-        value: encoded inputs.
-        how: `of` and `to`: what black and white are by channel now, and what they become.
-
-    Raises:
-        UnfitError: if the pictures cannot be of these numbers.
-    """
-    (black, white), (new_black, new_white) = (np.asarray(how[name], np.float64) for name in ("of", "to"))
-
-    def change(array: Any) -> Any:
-        axis = channel_axis(array)
-        if axis is None:
-            return None
-        last = np.moveaxis(array, axis, -1).astype(np.float64)
-        share = (last - black) / (white - black)
-        if share.min() < -1e-3 or share.max() > 1.001 or np.ptp(share) < 0.25:
-            raise UnfitError(f"pictures from {array.min():.3g} to {array.max():.3g}")
-        return np.moveaxis(new_black + share * (new_white - new_black), -1, axis).astype(np.float32)
-
-    return changed(value, change)
-
-
-def colours(value: Any, _how: Entry) -> Any:
-    """Return pictures whose colours are in the other order."""
-
-    def change(array: Any) -> Any:
-        axis = channel_axis(array)
-        return None if axis is None else np.ascontiguousarray(np.flip(array, axis))
-
-    return changed(value, change)
-
-
-def layout(value: Any, how: Entry) -> Any:
-    """Return pictures whose axes are in another order: `to` is hwc, chw, or turned for height and width exchanged."""
-
-    def change(array: Any) -> Any:
-        axis = channel_axis(array)
-        if axis is None:
-            return None
-        if how["to"] == "turned":
-            one, other = (-3, -2) if axis == -1 else (-2, -1)
-            return np.ascontiguousarray(np.swapaxes(array, one, other))
-        wanted = -1 if how["to"] == "hwc" else -3
-        return None if axis == wanted else np.ascontiguousarray(np.moveaxis(array, axis, wanted))
-
-    return changed(value, change)
-
-
-def beside(value: Any, _how: Entry) -> Any:
-    """Return two pictures in one that lie beside each other below each other instead, or the other way round."""
-
-    def change(array: Any) -> Any:
-        axis = channel_axis(array)
-        if axis is None:
-            return None
-        rows, columns = (-3, -2) if axis == -1 else (-2, -1)
-        height, width = array.shape[rows], array.shape[columns]
-        if width == 2 * height:
-            return np.concatenate(np.split(array, 2, columns), rows)
-        return np.concatenate(np.split(array, 2, rows), columns) if height == 2 * width else None
-
-    return changed(value, change)
 
 
 def sizes(value: object) -> list[tuple[int, int]]:

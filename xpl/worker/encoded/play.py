@@ -1,33 +1,33 @@
-"""Answers the same questions with one change of the encoded inputs after another: an errand (`xpl.worker.errand`).
+"""Answers the same questions with one change of the encoded inputs after another (`xpl.worker.changes`).
 
 What an audit looks for the mistake with where an adapter converts in code: pictures that `encode` made are scaled
-otherwise, texts and vectors written otherwise, while `decode` sees what was shown. The model is loaded once.
-
-    as `xpl.worker.inprocess.load` reads, further "changes", "calls" (as in `xpl.worker.reference`), "seconds"
-    one map for the load, whose result is None, or the reason why nothing can be changed; one for each change in its
-    order, as far as the seconds reach: its result has "answers", the chunk of every question; "apart", how far pictures
-    are from those before; "draws", how many times something was drawn; "words", if the process knows better what the
-    change is; or there is an "error"
+otherwise, texts and vectors written otherwise, while `decode` sees what was shown. Of each change the answer has
+"answers", the chunk of every question; "apart", how far pictures are from those before; "draws", how many times
+something was drawn; "words", if the process knows better what the change is; or there is an "error".
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Callable, NoReturn
+from typing import TYPE_CHECKING, Any, Callable
 
 from xpl import _spec as spec
+from xpl.catalogue import convention as catalogue
+from xpl.catalogue.walk import EncodeOne, UnfitError, changed, leaves
 from xpl.contract import Entry, Observation
-from xpl.policy import Policy
+from xpl.conventions import instruction
 from xpl.wire.arrays import as_array
-from xpl.worker.encoded import pictures, texts, turns, vectors
+from xpl.worker.encoded import pictures, turns, vectors
 from xpl.worker.encoded.draws import Drawn
 from xpl.worker.encoded.rebuilt import Rebuilt
 from xpl.worker.encoded.segments import Segments
-from xpl.worker.encoded.walk import EncodeOne, UnfitError, changed, leaves
-from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
-from xpl.worker.inprocess import on_model
+from xpl.worker.errand import FAILURES, failed, result
 from xpl.worker.variants import renewed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from xpl.policy import Policy
 
 _MOST_KEPT = 64
 """Observations whose inputs are kept."""
@@ -36,27 +36,21 @@ _SAMPLES = 6
 
 Encode = Callable[[Observation, int], Any]
 
-_CHANGES: dict[str, Callable[[Any, Entry], Any]] = {
-    "scaled": pictures.scaled,
-    "colours": pictures.colours,
-    "layout": pictures.layout,
-    "beside": pictures.beside,
-    "ordered": vectors.ordered,
-    "linear": vectors.linear,
-}
 
-
-def changes(model: Policy, wanted: Sequence[Mapping[str, Any]], order: Order) -> Iterator[bytes]:
+def changes(
+    model: Policy, wanted: Sequence[Mapping[str, Any]], calls: Sequence[Mapping[str, Any]], seconds: float
+) -> Iterator[bytes]:
     """Yield the answers under each change, packed.
 
     Args:
         model: the adapter's; its `encode` is wrapped.
         wanted: changes: maps with a `kind`, and what that needs; `way`: in, out or both, where a change may be of what
-            the model answers, too.
-        order: `calls` and `seconds`.
+            the model answers, too. `several` does those that it lists under `of` one after the other.
+        calls: what is shown and asked.
+        seconds: how long it may take.
     """
-    until = time.monotonic() + order["seconds"]
-    samples = [obs for call in order["calls"] for _, obs in call.get("show", ())][:_SAMPLES]
+    until = time.monotonic() + seconds
+    samples = [obs for call in calls for _, obs in call.get("show", ())][:_SAMPLES]
     own, predicts = model.encode, model.predict
     known: dict[str, Any] = {"kept": _remembering(own)}
     for how in wanted:
@@ -65,20 +59,30 @@ def changes(model: Policy, wanted: Sequence[Mapping[str, Any]], order: Order) ->
         try:
             model.reset()
             model.update_obs(samples[0])  # so that there is an environment that encodes
-            told: dict[str, Any] = {}
             if how["kind"] == "drawn":
-                yield _drawn(model, how, order["calls"])
+                yield _drawn(model, how, calls)
                 continue
-            if how.get("way") != "out":
-                wrapped, told = _wrapped(model, own, how, samples, known)
-                model.encode = wrapped  # type: ignore[method-assign, assignment]
-            if how.get("way") in ("out", "both"):
-                model.predict = _answering(predicts, how)  # type: ignore[method-assign]
-            yield result({"answers": list(renewed(model, order["calls"])), **told})
+            told: dict[str, Any] = {}
+            encode: Any = own
+            predict, held = predicts, known
+            for one in how["of"] if how["kind"] == "several" else [how]:
+                if one.get("way") != "out":
+                    encode, more = _wrapped(model, encode, one, samples, held)
+                    told, held = _told(told, more), {"kept": _remembering(encode)}
+                if one.get("way") in ("out", "both"):
+                    predict = _answering(predict, one)
+            model.encode, model.predict = encode, predict  # type: ignore[method-assign]
+            yield result({"answers": list(renewed(model, calls)), **told})
         except FAILURES as error:
             yield failed(error)
         finally:
             model.encode, model.predict = own, predicts  # type: ignore[method-assign]
+
+
+def _told(before: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is to be told of several changes: words of each that knows better."""
+    words = [told["words"] for told in (before, more) if "words" in told]
+    return {**before, **more, **({"words": " and ".join(words)} if len(words) > 1 else {})}
 
 
 def _remembering(encode: Encode) -> Encode:
@@ -107,9 +111,10 @@ def _drawn(model: Policy, how: Entry, calls: Sequence[Mapping[str, Any]]) -> byt
 
 def _answering(predicts: Callable[..., Any], how: Entry) -> Callable[..., Any]:
     """Return the model with its answers changed."""
+    change = catalogue.found("kinds", how["kind"])
 
     def predict(inputs: object, envs: list[int]) -> Any:
-        return [_CHANGES[how["kind"]](as_array(row), how) for row in predicts(inputs, envs)]
+        return [change(as_array(row), how) for row in predicts(inputs, envs)]
 
     return predict
 
@@ -132,8 +137,8 @@ def _wrapped(
     if kind == "resized":
         return _resized(own, encode, how, sample, known)
     if kind == "text":
-        texts.text(encode(sample), how, sample)
-        return (lambda obs, env: texts.text(kept(obs, env), how, obs)), {}
+        instruction.written(encode(sample), how, sample)
+        return (lambda obs, env: instruction.written(kept(obs, env), how, obs)), {}
     if kind in ("normalized", "segmented"):
         if kind not in known:
             several = kind == "segmented"
@@ -144,7 +149,9 @@ def _wrapped(
     if kind == "rotation":
         turn = turns.Turned([encode(one) for one in samples], how)
         return (lambda obs, env: turn(kept(obs, env))), {}
-    change = _CHANGES[kind]
+    change = catalogue.found("kinds", kind)
+    if change is None:
+        raise UnfitError(f"nobody here knows the change {kind}")
     before = encode(sample)
     if _equal(change(before, how), before):
         raise UnfitError("it changes nothing")
@@ -189,19 +196,3 @@ def _same(one: Any, other: Any) -> bool:
     if isinstance(one, str) or isinstance(other, str):
         return bool(one == other)
     return one.shape == other.shape and bool((one == other).all())
-
-
-def main(asked: str, answers: str) -> NoReturn:
-    """Ask as one file says, write the answers to another, and end."""
-    carry_out(asked, answers, _all)
-
-
-def _all(order: Order) -> Iterator[bytes]:
-    def play(model: Any) -> Iterator[bytes]:
-        if not isinstance(model, Policy):
-            yield result("the adapter does not derive from xpl.Policy")
-            return
-        yield result(None)
-        yield from changes(model, order["changes"], order)
-
-    return on_model(order, play)

@@ -6,19 +6,20 @@ orientation. That stays; how a picture gets its size is exchanged.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
+from xpl.catalogue.walk import EncodeOne, UnfitError, changed, channel_axis, leaves
 from xpl.convert.images import ImageInput
 from xpl.observation import get_image
-from xpl.worker.encoded.pictures import channel_axis, whole
-from xpl.worker.encoded.walk import EncodeOne, UnfitError, changed, leaves
+from xpl.worker.encoded.pictures import whole
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from xpl.contract import Entry, Observation
 
 _MOST_CAMERAS = 8

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.worker.encoded.pictures import channel_axis
-from xpl.worker.encoded.vectors import is_vector, lines, of_width
-from xpl.worker.encoded.walk import EncodeOne, UnfitError, changed, leaves
+from xpl.catalogue.walk import EncodeOne, UnfitError, changed, channel_axis, is_vector, leaves
+from xpl.worker.encoded.vectors import lines, of_width
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
     from xpl.contract import Entry, Observation
 
 _WIDTHS = range(3, 10)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
 
-from xpl.worker.encoded.pictures import channel_axis
-from xpl.worker.encoded.vectors import is_vector
-from xpl.worker.encoded.walk import UnfitError, changed, leaves
+from xpl.catalogue.walk import UnfitError, changed, channel_axis, is_vector, leaves
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from xpl.contract import Entry
 
 _NEAR = 1e-4

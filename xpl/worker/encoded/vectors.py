@@ -1,4 +1,4 @@
-"""Changes of encoded vectors: their order, and numbers that the adapter has but does not use, or uses wrongly."""
+"""Encoded vectors normalised by numbers that the adapter has but does not use, or uses wrongly."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.worker.encoded.pictures import channel_axis
-from xpl.worker.encoded.walk import Change, EncodeOne, UnfitError, changed, leaves
+from xpl.catalogue.walk import Change, EncodeOne, UnfitError, changed, channel_axis, is_vector, leaves
 
 if TYPE_CHECKING:
     from xpl.contract import Entry, Observation
@@ -22,63 +21,6 @@ _EPSILON = 1e-6
 
 Line = tuple[str, Change, Change]
 """A normalisation by its words: there and back."""
-
-
-def is_vector(leaf: Any) -> bool:
-    """Tell whether an encoded array holds numbers of a state."""
-    return not isinstance(leaf, str) and leaf.dtype.kind == "f" and leaf.ndim in (1, 2) and leaf.shape[-1] > 3
-
-
-def ordered(value: Any, how: Entry) -> Any:
-    """Return vectors in another order.
-
-    Args:
-        value: encoded inputs, or what a model answered.
-        how: `order`: where each number is taken from; vectors of another width are left.
-
-    Raises:
-        UnfitError: if there is no vector of this width.
-    """
-    order, seen = np.asarray(how["order"]), False
-
-    def change(leaf: Any) -> Any:
-        nonlocal seen
-        if channel_axis(leaf) is not None or isinstance(leaf, str) or leaf.ndim < 1 or leaf.shape[-1] != order.size:
-            return None
-        seen = True
-        return leaf[..., order]
-
-    result = changed(value, change)
-    if not seen:
-        raise UnfitError("no vector of this width")
-    return result
-
-
-def linear(value: Any, how: Entry) -> Any:
-    """Return vectors with some numbers scaled and moved.
-
-    Args:
-        value: encoded inputs.
-        how: `width` of the vectors that are meant, `places` in them, `scale` and `offset`.
-
-    Raises:
-        UnfitError: if there is no vector of this width.
-    """
-    seen = False
-
-    def change(leaf: Any) -> Any:
-        nonlocal seen
-        if channel_axis(leaf) is not None or not is_vector(leaf) or leaf.shape[-1] != how["width"]:
-            return None
-        seen = True
-        result = np.array(leaf, np.float64)
-        result[..., how["places"]] = result[..., how["places"]] * how["scale"] + how["offset"]
-        return result
-
-    result = changed(value, change)
-    if not seen:
-        raise UnfitError("no vector of this width")
-    return result
 
 
 class Normalized:

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl.convert.actions import ActionOutput
-from xpl.convert.errors import ConversionError
 from xpl.convert.gaps import refuse
 from xpl.convert.images import ImageInput
 from xpl.convert.vectors import Vector
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
+from xpl.errors import ConversionError
 from xpl_cli.basics import files
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import ExitCode

@@ -10,7 +10,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.convert.assembly import assembled
-from xpl.convert.errors import ConversionError
+from xpl.errors import ConversionError
 from xpl.trajectory.names import stored
 from xpl_cli.data.sets.delegating import DelegatingEpisode, DelegatingSet
 from xpl_cli.data.sets.errors import DataError

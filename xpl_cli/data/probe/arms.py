@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import rotation
-from xpl.convert import ConversionError, rotations
+from xpl.conventions import rotation as rotations
+from xpl.convert import ConversionError
 from xpl_cli.data.probe import tracking
 from xpl_cli.data.probe.answer import Contest
 from xpl_cli.data.probe.tracking import SHIFTS, Follow

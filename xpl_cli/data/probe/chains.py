@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import get_embodiment, poses, robots, rotation
-from xpl.convert import ConversionError, frames
+from xpl.conventions import frame as frames
+from xpl.conventions.point import tool
+from xpl.convert import ConversionError
 from xpl.embodiment import UnknownEmbodimentError, embodiment_names
 
 if TYPE_CHECKING:
@@ -86,7 +88,7 @@ def places(robot: Embodiment, side: str) -> dict[tuple[str, str], tuple[np.ndarr
     for point, frame in itertools.product(("flange", "tcp"), ("world", "base")):
         try:
             outer = frames.mount(robot, side) if frame == "world" else _STILL
-            inner = frames.tool(robot) if point == "tcp" else _STILL
+            inner = tool(robot) if point == "tcp" else _STILL
         except ConversionError:
             continue
         found[point, frame] = (outer, inner)

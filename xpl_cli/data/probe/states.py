@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import get_embodiment, poses, rotation
-from xpl.convert import ConversionError, rotations
+from xpl.conventions import rotation as rotations
+from xpl.convert import ConversionError
 from xpl_cli.data.probe import chains
 from xpl_cli.data.probe.answer import MARGIN, Answer, Contest, enough, unknown
 from xpl_cli.data.probe.arms import FORMS, told

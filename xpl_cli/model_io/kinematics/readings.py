@@ -14,7 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import rotation
-from xpl.convert import ConversionError, frames, rotations
+from xpl.catalogue.part import arm_of
+from xpl.conventions import frame as frames
+from xpl.conventions import rotation as rotations
+from xpl.conventions.point import POINTS, tool
+from xpl.convert import ConversionError
 from xpl.convert.parts import part
 
 if TYPE_CHECKING:
@@ -23,12 +27,8 @@ if TYPE_CHECKING:
     from xpl import Embodiment
     from xpl_cli.model_io.kinematics.samples import Columns
 
-_AXES = [one + two + three for one, two, three in itertools.product("xyz", repeat=3) if one != two != three]
-ORDERS = (*_AXES, *(axes.upper() for axes in _AXES))
-"""Orders of Euler angles, fixed axes and moving ones."""
 NO_WORD = "no word of the block"
 """Mark of what only code can say."""
-_POINTS, _FRAMES, _UNITS = ("flange", "tcp"), ("world", "base"), ("m", "cm", "mm")
 _INVERTED = ("quaternion_wxyz", "quaternion_xyzw", "matrix", "axis_angle")
 """Forms whose inverse is written as often; that of a 6D form is the other one, that of Euler angles no mistake seen."""
 
@@ -70,7 +70,7 @@ def joints(columns: Columns, others: Columns | None, embodiment: Embodiment) -> 
     """
     entry = dict(columns.entry)
     dof = columns.rows.shape[1]
-    arm = embodiment.arms[frames.side_index(embodiment, entry["arm"])]
+    arm = arm_of(embodiment, entry["arm"])
     names = list(entry.get("names") or arm.joint_names or ())
     sign = np.asarray(entry.get("sign", np.ones(dof)), np.float64)
 
@@ -99,7 +99,7 @@ def joints(columns: Columns, others: Columns | None, embodiment: Embodiment) -> 
 def positions(columns: Columns, embodiment: Embodiment) -> Poses:
     """Return the ways to read positions."""
     entry = {"arm": columns.entry["arm"]}
-    units = _first(columns.entry.get("unit", "m"), _UNITS)
+    units = _first(columns.entry.get("unit", "m"), list(frames.UNITS))
     made = [part({"position": {**entry, "unit": unit}}, embodiment) for unit in units]
     values = np.stack([item.write(columns.rows) for item in made])
     return Poses([{"unit": unit} for unit in units], values, _places(columns, embodiment))
@@ -123,7 +123,7 @@ def _forms(columns: Columns) -> Iterator[tuple[dict[str, str], np.ndarray]]:
         (form, euler)
         for form in rotations.WIDTHS
         if rotations.WIDTHS[form] == width
-        for euler in (ORDERS if form == "euler" else (None,))
+        for euler in (rotations.ORDERS if form == "euler" else (None,))
     ]
     scales = {"": columns.rows, **({f"degrees ({NO_WORD})": np.deg2rad(columns.rows)} if width == len("xyz") else {})}
     for form, euler in [declared, *(pair for pair in pairs if pair != declared)]:
@@ -144,8 +144,8 @@ def _places(columns: Columns, embodiment: Embodiment) -> list[tuple[str, str, st
     """Return arm, point and frame as declared, then the others that the standard knows of this robot."""
     entry = columns.entry
     found = []
-    for frame in _first(entry.get("frame", "world"), _FRAMES):
-        for point in _first(entry.get("point", "flange"), _POINTS):
+    for frame in _first(entry.get("frame", "world"), frames.FRAMES):
+        for point in _first(entry.get("point", "flange"), POINTS):
             for arm in _first(entry["arm"], list(embodiment.data["arms"]) if frame == "world" else [entry["arm"]]):
                 try:
                     offsets(embodiment, arm, point, frame)
@@ -164,7 +164,7 @@ def offsets(embodiment: Embodiment, arm: str, point: str, frame: str) -> tuple[n
     """
     still = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     outer = frames.mount(embodiment, arm) if frame == "world" else still
-    return outer, frames.tool(embodiment) if point == "tcp" else still
+    return outer, tool(embodiment) if point == "tcp" else still
 
 
 def _first(one: str, known: Sequence[str]) -> list[str]:

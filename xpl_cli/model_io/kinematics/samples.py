@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xpl.convert import ConversionError, rotations, tables
-from xpl.convert.parts import Joints, part
+from xpl import tables
+from xpl.conventions import rotation as rotations
+from xpl.conventions.joint_order import Joints
+from xpl.convert import ConversionError
+from xpl.convert.parts import part
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any, Final, TypedDict
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl.convert.frames import side_index
+from xpl.catalogue.part import arm_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from xpl import Embodiment
+    from xpl.catalogue.part import Part
     from xpl.contract import Action, Entry, State
     from xpl.convert import Interface
-    from xpl.convert.parts import Part
     from xpl.convert.vectors import Vector
 
 _AXES: Final = ("x", "y", "z")
@@ -146,9 +146,7 @@ def _names(kind: str, how: Entry, item: Part, robot: Embodiment) -> Sequence[str
             return [f"about {axis}" for axis in how["euler"]]
         return _NAMES[how["form"]]
     if kind in ("joints", "hand"):
-        known = how.get("names") or (
-            robot.arms[side_index(robot, how["arm"])].joint_names if kind == "joints" else None
-        )
+        known = how.get("names") or (arm_of(robot, how["arm"]).joint_names if kind == "joints" else None)
         return known or [
             f"{'joint' if kind == 'joints' else 'finger joint'} {place + 1}" for place in range(item.width)
         ]
@@ -200,7 +198,7 @@ def _partners(kind: str, how: Entry, item: Part, place: int, robot: Embodiment) 
         if place == 0:
             yield f"{item.key}[0] opening", item.key, 0, ""
     else:
-        known = robot.arms[side_index(robot, how["arm"])].joint_names if kind == "joints" else None
+        known = arm_of(robot, how["arm"]).joint_names if kind == "joints" else None
         names = how.get("names")
         index = known.index(names[place]) if known and names else place
         yield f"{item.key}[{index}]", item.key, index, "rad"

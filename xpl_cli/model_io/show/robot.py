@@ -9,8 +9,8 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl import poses, rotation
+from xpl.conventions.frame import mount
 from xpl.convert import ConversionError
-from xpl.convert.frames import mount
 from xpl.kinematics import Chain, KinematicsError
 from xpl_cli.model_io.show.drawing import Dot, Figure, Line, Shape, Word
 

@@ -21,7 +21,7 @@ from xpl.worker import variants
 from xpl.worker.loading import load_model_class
 from xpl_cli.audit.engine.checks import Checks
 from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
-from xpl_cli.audit.offline.parity.changed import Changed
+from xpl_cli.audit.offline.search.loaded import Changed
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options

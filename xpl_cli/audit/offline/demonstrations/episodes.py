@@ -11,10 +11,10 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl import poses
+from xpl.conventions.frame import mount
 from xpl.convert import ConversionError
-from xpl.convert.frames import mount
 from xpl.kinematics import Chain, KinematicsError
-from xpl_cli.audit.offline.parity.course import Course
+from xpl_cli.audit.offline.search.course import Course
 from xpl_cli.model_io.pairs import Session
 from xpl_cli.model_io.script import Call
 

@@ -16,7 +16,7 @@ from xpl_cli.audit.offline.demonstrations.certainty import LEAST_EPISODES, Margi
 from xpl_cli.audit.offline.demonstrations.episodes import Asking, LackingError, Recording, recording, session
 from xpl_cli.audit.offline.demonstrations.measure import Errors, Part, Ruler
 from xpl_cli.audit.offline.demonstrations.search import Outcome, Search
-from xpl_cli.audit.offline.parity.played import RefusedError, replay
+from xpl_cli.audit.offline.search.played import RefusedError, replay
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics.atomic import write_file

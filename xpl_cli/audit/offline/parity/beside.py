@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
-from xpl_cli.audit.offline.parity.course import Course
-from xpl_cli.audit.offline.parity.played import RefusedError, by_number
+from xpl_cli.audit.offline.search.course import Course
+from xpl_cli.audit.offline.search.played import RefusedError, by_number
 from xpl_cli.audit.served.rounding import OF_SPAN
 
 if TYPE_CHECKING:

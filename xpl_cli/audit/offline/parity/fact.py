@@ -11,8 +11,8 @@ from xpl.manifest import ModelIO
 from xpl_cli.audit.offline.parity import distribution, margins
 from xpl_cli.audit.offline.parity.beside import unrounded
 from xpl_cli.audit.offline.parity.judgement import Judgement
-from xpl_cli.audit.offline.parity.played import RefusedError, overrides, play
 from xpl_cli.audit.offline.parity.search import Found, Search
+from xpl_cli.audit.offline.search.played import RefusedError, overrides, play
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.basics.errors import UserError
 from xpl_cli.model_io import names, reading

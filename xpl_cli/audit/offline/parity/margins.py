@@ -8,24 +8,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl import checkpoint
-from xpl.convert import ConversionError
-from xpl.manifest import ModelIO
-from xpl_cli.audit.offline.parity.around import Around
-from xpl_cli.audit.offline.parity.changed import Changed
-from xpl_cli.audit.offline.parity.course import Course
-from xpl_cli.audit.offline.parity.played import overrides
-from xpl_cli.model_io.alternatives.block import alternatives
-from xpl_cli.model_io.alternatives.signals import signals
+from xpl_cli.audit.offline.search.course import Course
+from xpl_cli.audit.offline.search.played import overrides
+from xpl_cli.audit.offline.search.ways import Ways
 from xpl_cli.model_io.difference import differences
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl_cli.audit.offline.parity.judgement import Judgement
+    from xpl_cli.audit.offline.search.contest import Family
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.model_io.difference import Step
 
@@ -60,8 +55,22 @@ def margins(probe: Probe, judged: Judgement, settings: Mapping[str, object]) -> 
         settings: keys of deploy.yml that the pairs were recorded with.
     """
     course = Course(judged.session)
-    found = list(_of_block(probe, judged, course, settings))
-    return found or list(_of_commands(probe, judged, course))
+    ways = Ways(probe, course, overrides(judged.session, settings), time.monotonic() + MARGIN_S)
+    with ways.loaded:
+        family = ways.block()
+        found = [] if family is None else list(_under(family, judged, course))
+    if found:
+        return found
+    commands = ways.commands(ways.known(judged.given), lambda _answered: False)
+    return list(_under(replace(commands, mistakes=[one for one in commands.mistakes if one.rank <= 1]), judged, course))
+
+
+def _under(family: Family, judged: Judgement, course: Course) -> Iterator[Shown]:
+    """Yield how clearly each mistake of a family would show."""
+    chosen = range(min(_MOST, len(family.mistakes)))
+    for answered in family.ask(chosen, course.everything):
+        if answered.given is not None:
+            yield _shown(judged, answered.words, answered.convention, answered.given)
 
 
 def told(shown: Sequence[Shown], pairs: int) -> dict[str, Any]:
@@ -86,39 +95,6 @@ def told(shown: Sequence[Shown], pairs: int) -> dict[str, Any]:
         # A change that the pairs do not tell from the right one, of a convention that they otherwise tell.
         found["unseen"] = [one.words for one in shown if one.times <= 1 and one.convention in seen]
     return found
-
-
-def _of_block(probe: Probe, judged: Judgement, course: Course, settings: Mapping[str, object]) -> Iterator[Shown]:
-    """Yield what other words of the block would come to; nothing where the adapter does not convert by it alone."""
-    package, session = probe.package, judged.session
-    block = package.manifest.model_io or ModelIO()
-    if not block:
-        return
-    settled = package.config({**probe.options.overrides, **overrides(session, settings)})
-    folders = checkpoint.folders(settled, package.path)
-    try:
-        every = alternatives(block.data, session.robot, session.action_type, folders, package.manifest.temporal.chunk)
-        changes = [one for one, _ in zip(every, range(_MOST), strict=False)]
-    except ConversionError:
-        return
-    again = Changed(probe, course, settled)
-    found = again.blocks([block.data, *(one.block for one in changes)], course.everything, MARGIN_S)
-    for change, given in zip(changes, (found or [])[1:], strict=False):
-        if given is not None:
-            yield _shown(judged, change.words, change.convention, given)
-
-
-def _of_commands(probe: Probe, judged: Judgement, course: Course) -> Iterator[Shown]:
-    """Yield what changes of commands would come to, which ask the model nothing."""
-    manifest, session = probe.package.manifest, judged.session
-    around = Around(course, judged.given)
-    until = time.monotonic() + MARGIN_S
-    for one in signals(session.robot, session.action_type, history=manifest.reach):
-        if one.shown is not None or one.rank > 1 or time.monotonic() > until:
-            continue
-        given = around.answers(one, course.everything)
-        if given is not None:
-            yield _shown(judged, one.words, one.convention, given)
 
 
 def _shown(judged: Judgement, words: str, convention: str, given: Mapping[int, Sequence[Step | None]]) -> Shown:

@@ -1,38 +1,32 @@
-"""Which single change explains that an adapter's answers differ from the golden ones.
+"""Which mistake explains that an adapter's answers differ from the golden ones; where none does, which two.
 
-Families of changes (`xpl_cli.model_io.alternatives`) are tried one after another until one explains it: other words of
-the model_io block, where the adapter converts by its block alone; for conversions in code, changes of what it commands,
-which cost no play, of what its `encode` makes, and of what it is shown. The time is bounded: a finding without a cause
-is still a finding.
+The mistakes of the catalogue are tried in one way after another until one explains it: as other words of the model_io
+block, where the adapter converts by its block alone; for conversions in code, as changes of what it commands, which
+cost no play, of what its `encode` makes, and of what it is shown. Then those that ease the difference are undone, and
+the others tried besides. The time is bounded: a finding without a cause is still a finding.
 """
 
 from __future__ import annotations
 
-import functools
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
-from xpl import checkpoint
 from xpl.client import ClientError
+from xpl.conventions.point import tool
 from xpl.convert import ConversionError
-from xpl.convert.frames import tool
-from xpl.manifest import ModelIO
-from xpl_cli.audit.offline.parity.around import Around
-from xpl_cli.audit.offline.parity.changed import Changed
-from xpl_cli.audit.offline.parity.contest import Ask, Contest
-from xpl_cli.audit.offline.parity.course import Course
-from xpl_cli.audit.offline.parity.played import overrides
+from xpl_cli.audit.offline.parity.golden import GoldenRuler
 from xpl_cli.audit.offline.parity.shown import Shown
+from xpl_cli.audit.offline.search.contest import held
+from xpl_cli.audit.offline.search.course import Course
+from xpl_cli.audit.offline.search.played import overrides
+from xpl_cli.audit.offline.search.ways import Ways
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.basics.errors import UserError
 from xpl_cli.model_io import reading
-from xpl_cli.model_io.alternatives.block import alternatives
-from xpl_cli.model_io.alternatives.encodings import encodings
-from xpl_cli.model_io.alternatives.prompts import templates
-from xpl_cli.model_io.alternatives.signals import Signal, signals
 from xpl_cli.model_io.difference import Thread
 from xpl_cli.model_io.explain import Explanation, Tried
 from xpl_cli.model_io.fitted import fitted
@@ -44,17 +38,16 @@ from xpl_cli.model_io.rigid import rigid
 if TYPE_CHECKING:
     import numpy as np
 
-    from xpl.contract import Config
     from xpl_cli.audit.offline.parity.judgement import Judgement
+    from xpl_cli.audit.offline.search.contest import Family, Held
+    from xpl_cli.audit.offline.search.loaded import Answered
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.model_io.pairs import Chunk
 
 
 SEARCH_S: Final = 240.0
 """Longest search, s."""
-_MANY: Final = 0.45
-_FEW: Final = 0.9
-"""Shares of the time that is left for changes of encoded inputs: of all, and of those that lower the difference."""
+_FIRSTS: Final = 6
+"""Mistakes of a family that are undone so that others are tried besides."""
 
 
 @dataclass(frozen=True)
@@ -62,27 +55,12 @@ class Found:
     """What a search came to.
 
     Attributes:
-        explanation: the best single change.
+        explanation: the best mistake, or two.
         in_block: whether it is a word of the model_io block.
     """
 
     explanation: Explanation
     in_block: bool
-
-
-@dataclass(frozen=True)
-class _Inputs:
-    """What an adapter reads.
-
-    Attributes:
-        cameras: names of cameras.
-        state: fields of the state, without an arm's prefix; None if that is not known.
-        instructions: those of the script; empty if it reads none.
-    """
-
-    cameras: list[str]
-    state: list[str] | None
-    instructions: list[str]
 
 
 class Search:
@@ -98,27 +76,37 @@ class Search:
     def __init__(
         self, probe: Probe, judgement: Judgement, settings: Mapping[str, object], seconds: float = SEARCH_S
     ) -> None:
-        self._probe = probe
-        self._manifest = probe.package.manifest
-        self._judgement = judgement
+        self._probe, self._judgement = probe, judgement
         self._course = Course(judgement.session)
         self._config = overrides(judgement.session, settings)
-        self._until = time.monotonic() + min(seconds, probe.options.clock.left)
+        until = time.monotonic() + min(seconds, probe.options.clock.left)
+        self._ways = Ways(probe, self._course, self._config, until, **self._inputs)
+        self._until = until
+        self._ruler = GoldenRuler(self._course, judgement, self._course.everything)
+        self._tried: list[tuple[Family, Held]] = []
+        self._unseen: list[Pattern] = []
 
     def run(self) -> Found | None:
-        """Return the change that explains the difference best, None if none lowers it.
+        """Return the mistake that explains the difference best, or the two, None if none lowers it.
 
         A word of the block is preferred to a change around the adapter that does the same.
         """
+        with self._ways.loaded:
+            return self._run()
+
+    def _run(self) -> Found | None:
         found: list[Found] = []
-        self._unseen: list[Pattern] = []
-        for family in (self._by_block, self._by_commands, self._by_encodings, self._by_shown):
-            explanation = family()
+        for way in (self._by_block, self._by_commands, self._by_inputs, self._by_shown):
+            explanation = way()
             if explanation is None:
                 continue
-            found.append(Found(explanation, in_block=family == self._by_block))
+            found.append(Found(explanation, in_block=way == self._by_block))
             if explanation.cause is not None:
                 return found[-1]
+        self._ways.halve()
+        two = next(self._two(), None)
+        if two is not None:
+            return two
         near = [one for one in found if one.explanation.near is not None]
         best = next((one for one in (*near, *found) if one.explanation.text), found[0])
         judgement = self._judgement
@@ -130,52 +118,108 @@ class Search:
         explanation = replace(best.explanation, patterns=told)
         return Found(explanation, best.in_block) if explanation.text else None
 
-    # -- words of the block --------------------------------------------------------------------------------------------
+    # -- one mistake ---------------------------------------------------------------------------------------------------
 
     def _by_block(self) -> Explanation | None:
         """Return what other words of the block explain; None where the adapter does not convert by it alone."""
-        session, package = self._judgement.session, self._probe.package
-        if not self._model_io:
+        family = self._ways.block()
+        if family is None:
             return None
-        chunk = self._manifest.temporal.chunk
-        folders = checkpoint.folders(self._settled, package.path)
-        try:
-            changes = list(
-                alternatives(self._model_io.data, session.robot, session.action_type, folders, chunk, self._templates)
-            )
-        except ConversionError:
+        tried = held(family, self._ruler)
+        if not self._ways.by_block:
             return None
-        converts_by_it = True
-        again = Changed(self._probe, self._course, self._settled)
-        contest = Contest(self._course, self._judgement, self._course.everything)
-
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
-            nonlocal converts_by_it
-            tried = [self._model_io.data, *(changes[number].block for number in chosen)]
-            found = again.blocks(tried, wanted, self._left)
-            converts_by_it = converts_by_it and found is not None
-            for number, given in zip(chosen, (found or [])[1:], strict=False):
-                yield Tried(changes[number].words, changes[number].convention, contest.remaining(given))
-
-        explained = contest.held(len(changes), ask)
-        return explained if converts_by_it else None
-
-    # -- changes around the adapter ------------------------------------------------------------------------------------
+        self._tried.append((family, tried))
+        return self._explained(tried)
 
     def _by_commands(self) -> Explanation:
         """Return what changes of the answers that are known explain."""
-        changes = [signal for signal in self._signals if signal.shown is None]
-        around = Around(self._course, self._judgement.given)
-        contest = Contest(self._course, self._judgement, self._course.everything)
-        found = contest.held(len(changes), self._asking(around, changes, contest))
+        family = self._ways.commands(self._ways.known(self._judgement.given), self._ruler.leaves_nothing)
+        tried = held(family, self._ruler)
+        self._tried.append((family, tried))
+        found = self._explained(tried)
         if found.cause is not None:
             return found
         judgement = self._judgement
         line = fitted(self._threads, judgement.shares, judgement.spread, judgement.tolerance)
         fits = [] if line is None else [line]
         fits += rigid(self._threads, judgement.shares, judgement.spread, judgement.tolerance, self._tool)
-        fit = contest.explained(fits)
+        fit = self._ruler.explained(fits)
         return fit if fit.cause is not None or (fit.partial and not found.partial) else found
+
+    def _by_inputs(self) -> Explanation | None:
+        """Return what changes of encoded inputs explain; None if there is no time for them."""
+        if self._ways.left <= 0:
+            return None
+        family = self._ways.inputs()
+        tried = held(family, self._ruler)
+        self._tried.append((family, tried))
+        found = self._ruler.explained([self._both_ways(answered) for _, answered in tried.last])
+        if found.cause is None and self._ways.loaded.draws == 0 and self._kind.draws:
+            self._unseen.append(Pattern("the adapter draws no number, and the model samples", "sampling"))
+        return found
+
+    def _both_ways(self, answered: Answered) -> Tried:
+        """Return a change of what goes in, with the line that what comes out is then of the golden answers, if any."""
+        tried = self._ruler.tried(answered)
+        line = self._line(answered, tried)
+        return tried if line is None else Tried(f"{tried.words}, both ways", tried.convention, line.remaining)
+
+    def _by_shown(self) -> Explanation | None:
+        """Return what changes of what is shown explain; None if the adapter cannot be served for it."""
+        shown = Shown(self._probe, self._course, self._judgement, self._config, repeats=self._repeats)
+        found = [one for one in self._ways.around_it if one.shown is not None]
+        try:
+            explanation = shown.explained(found, self._ways, self._until)
+        except (NotRun, ClientError):
+            return None
+        finally:
+            self._unseen += shown.patterns
+        return explanation
+
+    # -- two mistakes --------------------------------------------------------------------------------------------------
+
+    def _two(self) -> Iterator[Found]:
+        """Yield what explains the difference by two mistakes, each of the catalogue, or the second a line."""
+        for family, tried in self._tried:
+            for place in self._ruler.eased(tried.first, _FIRSTS):
+                if self._ways.left <= 0:
+                    return
+                explanation = self._besides(family, place)
+                if explanation is not None and explanation.cause is not None:
+                    yield Found(explanation, in_block=self._ways.by_block and family is self._tried[0][0])
+
+    def _besides(self, family: Family, place: int) -> Explanation | None:
+        """Return what the mistake of a number explains together with another one."""
+        first = next(family.ask([place], self._ruler.everything), None)
+        if first is None or first.given is None:
+            return None
+        named = first.words, first.convention
+        tried = self._ruler.tried(first)
+        line = self._line(first, tried)
+        seconds = [] if line is None else [replace(line, besides=named)]
+        after = family.after(place)
+        families = [self._ways.commands(first.given, self._ruler.leaves_nothing)] if _is_known(first.given) else []
+        for other in (*families, *([] if after is None else [after])):
+            seconds += [self._ruler.tried(answered, named) for _, answered in held(other, self._ruler).last]
+            explanation = self._ruler.explained([_first_named(one) for one in seconds])
+            if explanation.cause is not None:
+                return explanation
+        return None
+
+    # -- what is known -------------------------------------------------------------------------------------------------
+
+    def _explained(self, tried: Held) -> Explanation:
+        return self._ruler.explained([self._ruler.tried(answered) for _, answered in tried.last])
+
+    def _line(self, answered: Answered, tried: Tried) -> Tried | None:
+        """Return the line that answers under a mistake are of the golden ones, if any is."""
+        judgement = self._judgement
+        if answered.given is None or max(tried.remaining.values()) <= judgement.tolerance:
+            return None
+        if not _is_known(answered.given) or len(answered.given) != len(self._course.everything):
+            return None
+        threads = self._threads_of([answered.given[number] for number in self._course.everything])
+        return fitted(threads, tried.remaining, judgement.spread, judgement.tolerance)
 
     @property
     def _tool(self) -> np.ndarray | None:
@@ -185,70 +229,15 @@ class Search:
         except ConversionError:
             return None
 
-    def _by_encodings(self) -> Explanation | None:
-        """Return what changes of encoded inputs explain; None if there is no time for them."""
-        if self._left <= 0:
-            return None
-        inputs, session = self._inputs, self._judgement.session
-        changes = list(
-            encodings(
-                session.robot,
-                session.action_type,
-                pictures=bool(inputs.cameras),
-                text=bool(inputs.instructions),
-                templates=self._templates,
-            )
-        )
-        again = Changed(self._probe, self._course, self._settled)
-        contest = Contest(self._course, self._judgement, self._course.everything)
-
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
-            # The last family needs time, too; but those that are left of many are near the mistake.
-            share = _MANY if len(chosen) == len(changes) else _FEW
-            answered = again.encodings([changes[number] for number in chosen], wanted, share * self._left)
-            for one in answered:
-                tried = Tried(one.words, one.convention, contest.remaining(one.given))
-                yield self._both_ways(tried, one.given) if len(wanted) == len(self._course.everything) else tried
-
-        found = contest.held(len(changes), ask)
-        if found.cause is None and again.draws == 0 and self._kind.draws:
-            self._unseen.append(Pattern("the adapter draws no number, and the model samples", "sampling"))
-        return found
-
-    def _both_ways(self, tried: Tried, given: Mapping[int, Chunk] | None) -> Tried:
-        """Return a change of what goes in, with the line that what comes out is then of the golden answers, if any."""
-        judgement = self._judgement
-        if given is None or max(tried.remaining.values()) <= judgement.tolerance:
-            return tried
-        threads = self._threads_of([given[number] for number in self._course.everything])
-        line = fitted(threads, tried.remaining, judgement.spread, judgement.tolerance)
-        return tried if line is None else Tried(f"{tried.words}, both ways", tried.convention, line.remaining)
-
-    def _by_shown(self) -> Explanation | None:
-        """Return what changes of what is shown explain; None if the adapter cannot be served for it."""
-        shown = Shown(self._probe, self._course, self._judgement, self._config, repeats=self._repeats)
-        changes = [signal for signal in self._signals if signal.shown is not None]
-        try:
-            found = shown.explained(changes, self._asking, self._inputs.cameras, self._until)
-        except (NotRun, ClientError):
-            return None
-        self._unseen += shown.patterns
-        return found
-
     @property
     def _kind(self) -> Kind:
         return Kind(
-            keeps_state=bool(self._model_io.recurrent) or self._manifest.temporal.kind == "memory",
-            history=self._manifest.reach,
+            keeps_state=bool(self._ways.model_io.recurrent) or self._ways.manifest.temporal.kind == "memory",
+            history=self._ways.manifest.reach,
             draws=self._draws or "sampling" in self._named,
         )
 
-    @functools.cached_property
-    def _templates(self) -> list[str]:
-        """The templates of instructions that reference.py or its source writes."""
-        return templates(self._probe.package.path)
-
-    @functools.cached_property
+    @cached_property
     def _named(self) -> Collection[str]:
         """The conventions that reference.py names."""
         try:
@@ -256,32 +245,11 @@ class Search:
         except UserError:
             return ()
 
-    def _asking(self, around: Around, changes: Sequence[Signal], contest: Contest) -> Ask:
-        """Return what tries changes; those that are less likely than one that leaves nothing are not tried."""
-
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
-            explained: int | None = None
-            for number in chosen:
-                signal = changes[number]
-                if self._left <= 0 or (explained is not None and signal.rank > explained):
-                    return
-                tried = Tried(signal.words, signal.convention, contest.remaining(around.answers(signal, wanted)))
-                if explained is None and max(tried.remaining.values()) <= self._judgement.tolerance:
-                    explained = signal.rank
-                yield tried
-
-        return ask
-
-    @functools.cached_property
-    def _settled(self) -> Config:
-        """The values of deploy.yml after all overrides."""
-        return self._probe.package.config({**self._probe.options.overrides, **self._config})
-
-    @functools.cached_property
+    @cached_property
     def _threads(self) -> list[Thread]:
         return self._threads_of(self._judgement.given)
 
-    def _threads_of(self, given: Sequence[Chunk]) -> list[Thread]:
+    def _threads_of(self, given: Sequence[Any]) -> list[Thread]:
         """Return the episodes of each environment, with some answers."""
         questions, judgement = self._judgement.session.questions, self._judgement
         return [
@@ -294,50 +262,39 @@ class Search:
             for episode in self._course.episodes(self._course.everything)
         ]
 
-    @functools.cached_property
-    def _inputs(self) -> _Inputs:
+    @cached_property
+    def _inputs(self) -> dict[str, Any]:
         """What the adapter reads, everything if it does not say that."""
-        read = list(self._manifest.read)
-        shown = [self._course.observation(*question.shown[-1]) for question in self._judgement.session.questions]
+        read, session = list(self._probe.package.manifest.read), self._judgement.session
+        shown = [self._course.observation(*question.shown[-1]) for question in session.questions]
         texts = sorted({obs[sdk.Obs.INSTRUCTION] for obs in shown})
         if not read:
-            return _Inputs(list(self._judgement.session.cameras), None, texts)
+            return {"cameras": list(session.cameras), "instructions": texts}
         cameras, fields = (
             [name.partition(".")[2] for name in read if name.startswith(f"{group}.")]
             for group in (sdk.Obs.VISION, sdk.Obs.STATE)
         )
-        return _Inputs(cameras, fields, texts if sdk.Obs.INSTRUCTION in read else [])
-
-    @functools.cached_property
-    def _signals(self) -> list[Signal]:
-        session, history, inputs = self._judgement.session, self._model_io.history, self._inputs
-        found = signals(
-            session.robot,
-            session.action_type,
-            cameras=inputs.cameras,
-            reads=inputs.state,
-            history=self._manifest.reach if history is None else history.length,
-            stride=1 if history is None else history.stride,
-            instructions=inputs.instructions,
-        )
-        return list(found)
-
-    # -- both ----------------------------------------------------------------------------------------------------------
-
-    @property
-    def _model_io(self) -> ModelIO:
-        return self._manifest.model_io or ModelIO()
+        return {"cameras": cameras, "reads": fields, "instructions": texts if sdk.Obs.INSTRUCTION in read else []}
 
     @property
     def _repeats(self) -> bool:
         """Whether a reset is enough between two plays: the model draws nothing, or nothing that could be had again."""
-        return is_free(self._manifest) or not self._draws
+        return is_free(self._ways.manifest) or not self._draws
 
     @property
     def _draws(self) -> bool:
         """Whether the adapter says that its model draws."""
-        return not self._manifest.deterministic or self._model_io.draws
+        return not self._ways.manifest.deterministic or self._ways.model_io.draws
 
-    @property
-    def _left(self) -> float:
-        return max(0.0, self._until - time.monotonic())
+
+def _is_known(given: Mapping[int, Sequence[Any]]) -> bool:
+    """Tell whether every step of all answers is known."""
+    return all(step is not None for chunk in given.values() for step in chunk)
+
+
+def _first_named(tried: Tried) -> Tried:
+    """Return two changes with that first which was undone first."""
+    if tried.besides is None:
+        return tried
+    words, convention = tried.besides
+    return Tried(words, convention, tried.remaining, (tried.words, tried.convention))

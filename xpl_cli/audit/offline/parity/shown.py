@@ -11,30 +11,37 @@ import functools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
-from xpl_cli.audit.offline.parity.around import Around
-from xpl_cli.audit.offline.parity.contest import Ask, Contest
-from xpl_cli.model_io.alternatives.signals import Signal
-from xpl_cli.model_io.alternatives.signals.pictures import dark
+from xpl.catalogue import Mistake
+from xpl.catalogue.pictures import dark
+from xpl_cli.audit.offline.parity.golden import GoldenRuler
+from xpl_cli.audit.offline.search.around import Around
+from xpl_cli.audit.offline.search.contest import Family, held
 from xpl_cli.model_io.difference import differences
 from xpl_cli.model_io.explain import Explanation, Tried
 from xpl_cli.model_io.patterns import Pattern
 
 if TYPE_CHECKING:
     from xpl.contract import Observation, ObservationDict
-    from xpl_cli.audit.offline.parity.course import Course
     from xpl_cli.audit.offline.parity.judgement import Judgement
+    from xpl_cli.audit.offline.search.contest import Held
+    from xpl_cli.audit.offline.search.course import Course
+    from xpl_cli.audit.offline.search.ways import Ways
     from xpl_cli.audit.served.probe import Probe
 
-Asking = Callable[[Around, Sequence[Signal], Contest], Ask]
 Answers = Mapping[int, Sequence[Any]]
 
-_SAME: Final = Signal(
+_SAME: Final = Mistake(
     0, "each environment asked by itself", "recurrent", shown=lambda seen: [dict(obs) for obs in seen]
 )
 """Changes nothing of what is shown."""
+_LITTLE_S: Final = 15.0
+"""What two mistakes of which one is of what is shown may take."""
+_FIRSTS: Final = 4
+"""Mistakes that are undone so that others are tried besides."""
 
 
 class Shown:
@@ -56,45 +63,73 @@ class Shown:
         self.patterns: list[Pattern] = []
         """What was seen besides."""
 
-    def explained(
-        self, changes: Sequence[Signal], asking: Asking, cameras: Sequence[str], until: float
-    ) -> Explanation | None:
-        """Return what changes explain; None if nothing can be said so.
+    def explained(self, mistakes: Sequence[Mistake], ways: Ways, until: float) -> Explanation | None:
+        """Return what mistakes explain; None if nothing can be said so.
 
         Args:
-            changes: of what is shown.
-            asking: returns what tries them.
-            cameras: that the adapter reads.
+            mistakes: as changes of what is shown.
+            ways: of the adapter.
             until: when to end, by the monotonic clock.
         """
         numbers = self._replayable
-        contest = Contest(self._course, self._judgement, numbers)
+        ruler = GoldenRuler(self._course, self._judgement, numbers)
         alone: Explanation | None = None
-        if contest.differs:
+        if ruler.differs:
             with self._around(together=False) as around:
                 apart = around.answers(_SAME, numbers)
                 if self._is_as_before(apart, numbers):
-                    fit = [one for one in changes if not one.windowed or self._repeats]
-                    found = contest.held(len(fit), asking(around, fit, contest))
+                    fit = [one for one in mistakes if not one.windowed or self._repeats]
+                    found = self._held(fit, around, ruler, ways)
                     if found.cause is None and time.monotonic() < until:
-                        self.patterns += self._cameras_without_effect(around, cameras)
+                        self.patterns += self._cameras_without_effect(around, ways.case.cameras)
                     return found
-                alone = contest.explained([Tried(_SAME.words, _SAME.convention, contest.remaining(apart))])
+                alone = ruler.explained([Tried(_SAME.words, _SAME.convention, ruler.remaining(apart))])
                 if alone.cause is not None:
                     crossed = self._crossed(around, numbers)
-                    return contest.explained([crossed(contest.remaining(apart))]) if crossed else alone
-        return self._all_together([one for one in changes if not one.windowed], asking) or alone
+                    return ruler.explained([crossed(ruler.remaining(apart))]) if crossed else alone
+        return self._all_together([one for one in mistakes if not one.windowed], ways) or alone
 
-    def _all_together(self, changes: Sequence[Signal], asking: Asking) -> Explanation | None:
+    def _all_together(self, mistakes: Sequence[Mistake], ways: Ways) -> Explanation | None:
         everything = self._course.everything
-        contest = Contest(self._course, self._judgement, everything)
         with self._around(together=True) as around:
             if not self._is_as_before(around.answers(_SAME, everything), everything):
                 self.patterns.append(
                     Pattern("the same questions, asked once more, have other answers: look at the seed", "sampling")
                 )
                 return None
-            return contest.held(len(changes), asking(around, changes, contest))
+            return self._held(mistakes, around, GoldenRuler(self._course, self._judgement, everything), ways)
+
+    def _held(self, mistakes: Sequence[Mistake], around: Around, ruler: GoldenRuler, ways: Ways) -> Explanation:
+        """Return what mistakes explain, one by one; where none does, with a change of commands besides."""
+        tried = held(Family(mistakes, ways.asking(around, mistakes, ruler.leaves_nothing)), ruler)
+        found = ruler.explained([ruler.tried(answered) for _, answered in tried.last])
+        if found.cause is not None:
+            return found
+        return self._besides(mistakes, tried, around, ruler, ways) or found
+
+    def _besides(
+        self, mistakes: Sequence[Mistake], tried: Held, around: Around, ruler: GoldenRuler, ways: Ways
+    ) -> Explanation | None:
+        """Return what explains the difference by two mistakes: of what is shown, and another one."""
+        until = time.monotonic() + _LITTLE_S
+        for place in ruler.eased(tried.first, _FIRSTS):
+            first = mistakes[place]
+            given = around.answers(first, ruler.everything) if ways.left > 0 and time.monotonic() < until else None
+            if given is None:
+                continue
+            others = [_after(first, one) for one in mistakes if not (one.windowed or first.windowed)]
+            for family in (
+                ways.commands(given, ruler.leaves_nothing),
+                Family(others, ways.asking(around, others, ruler.leaves_nothing)),
+            ):
+                last = held(family, ruler).last
+                both = [(one.words, one.convention) for _, one in last]
+                rests = [ruler.remaining(one.given) for _, one in last]
+                pairs = zip(both, rests, strict=True)
+                found = ruler.explained([Tried(first.words, first.convention, rest, named) for named, rest in pairs])
+                if found.cause is not None:
+                    return found
+        return None
 
     def _crossed(self, apart: Around, numbers: Sequence[int]) -> Callable[[Mapping[str, float]], Tried] | None:
         """Return what to say if environments see only one input of each other: alike in all, it makes no difference."""
@@ -104,7 +139,7 @@ class Shown:
             ("each environment's own pictures", "camera", (sdk.Obs.VISION,)),
         ):
             same = {key: first[key] for key in keys if key in first}
-            alike = Signal(0, words, convention, shown=functools.partial(_with, same))
+            alike = Mistake(0, words, convention, shown=functools.partial(_with, same))
             with self._around(together=True) as around:
                 one, other = around.answers(alike, numbers), apart.answers(alike, numbers)
             if one is not None and other is not None and self._are_same(one, other):
@@ -116,14 +151,16 @@ class Shown:
         once = self._repeats and not together
         with self._probe.own_server(self._config, [] if once else ["--renew"]) as server:
             connect = functools.partial(self._probe.connected, server.url)
-            with Around(self._course, self._judgement.given, connect, once=once, together=together) as around:
+            with Around(
+                self._course, dict(enumerate(self._judgement.given)), connect, once=once, together=together
+            ) as around:
                 yield around
 
     def _cameras_without_effect(self, around: Around, cameras: Sequence[str]) -> Iterator[Pattern]:
         """Tell which cameras may be exchanged for darkness."""
         judgement, number = self._judgement, self._replayable[-1]
         for camera in cameras:
-            answers = around.answers(Signal(0, camera, "camera", dark(camera)), [number])
+            answers = around.answers(Mistake(0, camera, "camera", shown=dark(camera)), [number])
             if answers is None:
                 continue
             far = differences([judgement.given[one] for one in answers], list(answers.values()), judgement.spread)
@@ -143,6 +180,13 @@ class Shown:
     def _are_same(self, one: Answers, other: Answers) -> bool:
         found = differences([one[number] for number in other], list(other.values()), self._judgement.spread)
         return all(share <= self._judgement.allowed[part] for part, share in found.items())
+
+
+def _after(first: Mistake, second: Mistake) -> Mistake:
+    """Return both changes of what is shown; what is commanded is changed as each says, in their order."""
+    one, other = first.shown, second.shown
+    assert one is not None and other is not None  # noqa: S101, PT018 - both are of what is shown
+    return replace(second, shown=lambda seen: other(one(seen)))
 
 
 def _with(same: Observation, seen: Sequence[Observation]) -> list[ObservationDict]:

@@ -1,0 +1,137 @@
+"""What an adapter's `encode` returns, whatever it is made of: its arrays, tensors and texts, and these changed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Callable
+
+import numpy as np
+
+from xpl.contract import Observation
+from xpl.wire.arrays import ArrayError, as_array
+
+Change = Callable[[Any], Any]
+"""Returns what takes the place of a leaf."""
+EncodeOne = Callable[[Observation], Any]
+"""An adapter's `encode`, of one environment."""
+
+_DEEPEST = 6
+_LEAST = 12
+"""Pixels that a side of a picture has at least."""
+
+
+class UnfitError(ValueError):
+    """A change has no meaning for what this adapter's model reads."""
+
+
+def leaves(value: object, depth: int = _DEEPEST) -> Iterator[Any]:
+    """Yield the arrays and texts of a value, in their order; arrays as numpy's."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for item in value.values() if depth else ():
+            yield from leaves(item, depth - 1)
+    elif isinstance(value, (list, tuple)) and not _is_vector(value):
+        for item in value if depth else ():
+            yield from leaves(item, depth - 1)
+    else:
+        array = _array(value)
+        if array is not None:
+            yield array
+
+
+def changed(value: object, change: Change, depth: int = _DEEPEST) -> Any:
+    """Return a value with its arrays and texts changed.
+
+    Args:
+        value: arrays, tensors, texts, and maps and lists of these.
+        change: returns what becomes of an array or a text; None leaves it.
+        depth: how deep maps and lists are followed.
+    """
+    if isinstance(value, str):
+        result = change(value)
+        return value if result is None else result
+    if isinstance(value, Mapping):
+        return {key: changed(item, change, depth - 1) if depth else item for key, item in value.items()}
+    if isinstance(value, (list, tuple)) and not _is_vector(value):
+        items = [changed(item, change, depth - 1) if depth else item for item in value]
+        return type(value)(*items) if hasattr(value, "_fields") else type(value)(items)
+    array = _array(value)
+    result = None if array is None else change(array)
+    return value if result is None else _like(value, result)
+
+
+def _is_vector(value: Any) -> bool:
+    return bool(value) and all(isinstance(item, (int, float)) and not isinstance(item, bool) for item in value)
+
+
+def _array(value: object) -> Any:
+    """Return an array of an array, a tensor or a list of numbers, or None."""
+    if isinstance(value, (list, tuple)):
+        return np.asarray(value, np.float64)
+    if not hasattr(value, "shape") or not hasattr(value, "ndim"):
+        return None
+    try:
+        return as_array(value)
+    except ArrayError:
+        return None
+
+
+def _like(value: object, array: np.ndarray) -> Any:
+    """Return an array as what it came from: a tensor of the same device, an array, a list."""
+    if isinstance(value, np.ndarray):
+        return array if value.dtype.kind != "f" else array.astype(value.dtype, copy=False)
+    if hasattr(value, "new_tensor"):
+        return value.new_tensor(array)
+    return type(value)(array.tolist()) if isinstance(value, (list, tuple)) else array
+
+
+def channel_axis(array: Any) -> int | None:
+    """Return which axis of a picture, or of several in one array, holds its colours; None for what is no picture."""
+    if isinstance(array, str) or array.ndim < 3:
+        return None
+    height, width, last = array.shape[-3:]
+    if last == 3 and min(height, width) >= _LEAST:
+        return -1
+    return -3 if height == 3 and min(width, last) >= _LEAST else None
+
+
+def is_vector(leaf: Any) -> bool:
+    """Tell whether an encoded array holds numbers of a state."""
+    return not isinstance(leaf, str) and leaf.dtype.kind == "f" and leaf.ndim in (1, 2) and leaf.shape[-1] > 3
+
+
+def pictures(value: Any, change: Callable[[Any, int], Any]) -> Any:
+    """Return encoded inputs with their pictures changed.
+
+    Args:
+        value: encoded inputs.
+        change: of a picture and the axis of its colours; None leaves it.
+    """
+
+    def changed_one(array: Any) -> Any:
+        axis = channel_axis(array)
+        return None if axis is None else change(array, axis)
+
+    return changed(value, changed_one)
+
+
+def vectors(value: Any, width: int, change: Callable[[Any], Any]) -> Any:
+    """Return encoded inputs, or what a model answered, with the vectors of a width changed.
+
+    Raises:
+        UnfitError: if there is none.
+    """
+    seen = False
+
+    def changed_one(leaf: Any) -> Any:
+        nonlocal seen
+        if channel_axis(leaf) is not None or isinstance(leaf, str) or leaf.ndim < 1 or leaf.shape[-1] != width:
+            return None
+        seen = True
+        return change(leaf)
+
+    result = changed(value, changed_one)
+    if not seen:
+        raise UnfitError("no vector of this width")
+    return result

@@ -1,0 +1,47 @@
+"""Radians or degrees. Source: spec/v1/model_io.schema.json#/$defs/angle_unit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.catalogue import Case, Convention, Mistake, fields
+from xpl.catalogue.edits import alike, everywhere, parts, word
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from xpl.embodiment import Embodiment
+
+_NAME = "angle_unit"
+
+UNITS = {"rad": 1.0, "deg": float(np.rad2deg(1.0))}
+"""What a radian is in each unit."""
+
+
+def _in_block(case: Case) -> Iterator[Mistake]:
+    sites = parts(case.block, "joints", "hand") if case.block else []
+    for unit in ("deg", "rad"):
+        yield from everywhere(sites, 0, f"unit: {unit}", _NAME, word("unit", unit, "rad"))
+    yield from alike(case.block, ["joints"], "unit", _NAME) if case.block else ()
+
+
+def _around(case: Case) -> Iterator[Mistake]:
+    for change in _changes(case.embodiment):
+        yield from fields.mistakes(change, case)
+
+
+def _changes(embodiment: Embodiment) -> Iterator[fields.Change]:
+    for later, told, prefixes in fields.scopes(embodiment.prefixes):
+        keys = [prefix + spec.State.ARM_JOINT_STATE for prefix in prefixes]
+        yield fields.linear(later, f"unit{told}: deg", _NAME, keys, UNITS["deg"])
+        yield fields.linear(later, f"unit{told}: rad, not deg", _NAME, keys, 1 / UNITS["deg"])
+    if embodiment.arms[0].gripper != "parallel_gripper":
+        hands = [prefix + spec.State.EE_JOINT_STATE for prefix in embodiment.prefixes]
+        yield fields.linear(0, "unit of hands: deg", _NAME, hands, UNITS["deg"])
+        yield fields.linear(0, "unit of hands: rad, not deg", _NAME, hands, 1 / UNITS["deg"])
+
+
+CONVENTION = Convention(_NAME, in_block=_in_block, around=_around)

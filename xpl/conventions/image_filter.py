@@ -1,0 +1,57 @@
+"""Filter of a resampling, antialias, and whether bytes or floats are resampled.
+
+Source: spec/v1/model_io.schema.json#/$defs/filter; the filters themselves are `xpl.resample`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from xpl.catalogue import Case, Convention, Mistake, pictures
+from xpl.catalogue.edits import everywhere
+from xpl.catalogue.pictures import Steps, StepsChange, inside, stepped
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_NAME = "image_filter"
+_RESAMPLED = ("resize", "letterbox")
+
+FILTERS: tuple[tuple[str, bool], ...] = (
+    ("bilinear", True),
+    ("bilinear", False),
+    ("area", False),
+    ("bicubic", True),
+    ("bicubic", False),
+    ("lanczos", True),
+    ("nearest", False),
+)
+"""Filter and antialias, the likeliest first."""
+
+
+def _in_block(case: Case) -> Iterator[Mistake]:
+    sites = pictures.sites(case.block)
+    for value in (True, False):
+        edit = stepped(inside(_RESAMPLED, "antialias", value, default=False))
+        yield from everywhere(sites, 1, f"antialias: {str(value).lower()}", _NAME, edit)
+    for kind in dict.fromkeys(name for name, _ in FILTERS):
+        for antialias, rank in ((None, 1), (True, 2), (False, 2)):
+            told = f"filter: {kind}" + ("" if antialias is None else f", antialias: {str(antialias).lower()}")
+            yield from everywhere(sites, rank, told, _NAME, stepped(_filtered(kind, antialias)))
+    for kind in ("float", "uint8"):
+        yield from everywhere(sites, 2, f"as: {kind}", _NAME, stepped(inside(_RESAMPLED, "as", kind, "uint8")))
+
+
+def _filtered(kind: str, antialias: bool | None) -> StepsChange:  # noqa: FBT001 - a word of the block
+    def change(steps: Steps) -> Steps:
+        more = {} if antialias is None else {"antialias": antialias}
+        return [
+            {name: {**how, "filter": kind, **more}} if name in _RESAMPLED else step
+            for step in steps
+            for name, how in step.items()
+        ]
+
+    return change
+
+
+CONVENTION = Convention(_NAME, in_block=_in_block)

@@ -1,0 +1,209 @@
+"""Numbers of pixels: range, mean and std, and the layout of axes. Source: spec/v1/model_io.schema.json, `images`."""
+
+from __future__ import annotations
+
+import itertools
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl.catalogue import Case, Convention, Mistake, pictures, walk
+from xpl.catalogue.edits import GONE, Block, Change, everywhere
+from xpl.errors import ConversionError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from xpl.contract import Entry
+
+_NAME = "image_range"
+_BYTES = 255.0
+
+MEANS: Mapping[str, tuple[list[float], list[float]]] = {
+    "ImageNet's": ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]),
+    "CLIP's": ([0.48145466, 0.4578275, 0.40821073], [0.26862954, 0.26130258, 0.27577711]),
+    "0.5": ([0.5, 0.5, 0.5], [0.5, 0.5, 0.5]),
+}
+"""Mean and standard deviation by channel, red first, as models were met with them: torchvision's, OpenAI CLIP's, and
+SigLIP's, which is the range from -1 to 1."""
+
+RANGES: tuple[tuple[int, list[float]], ...] = (
+    (0, [0, 1]),
+    (0, [-1, 1]),
+    (1, [0, 255]),
+    (2, [-0.5, 0.5]),
+)
+"""By likelihood, what 0 and 255 become."""
+
+
+class Pixels:
+    """Bytes as the numbers of an image input.
+
+    Args:
+        entry: of `images` in the block.
+        where: how errors call it.
+
+    Attributes:
+        is_bytes: they stay bytes; else float32.
+        low, scale: `bytes * scale + low`, then `mean` is taken off and `std` divided by; float32.
+
+    Raises:
+        ConversionError: if they are no numbers of images.
+    """
+
+    def __init__(self, entry: Entry, where: str) -> None:
+        self.is_bytes = entry["dtype"] == "uint8"
+        low, high = entry.get("range", (0.0, 1.0))
+        self.low, self._span = np.float32(low), high - low
+        self.scale = np.float32(self._span / _BYTES)
+        self.mean = np.asarray(entry.get("mean", 0.0), np.float32)
+        self.std = np.asarray(entry.get("std", 1.0), np.float32)
+        if self.is_bytes and not {"range", "mean", "std"}.isdisjoint(entry):
+            raise ConversionError(
+                f"{where}: bytes have neither range nor mean and std; say dtype: float32, or leave them out"
+            )
+        if not self._span:
+            raise ConversionError(f"{where}: range is {low} at both ends; say what 0 and 255 become")
+        if (self.std == 0).any():
+            raise ConversionError(f"{where}: std holds a zero, and images are divided by it; give each channel's own")
+
+    def encode(self, values: np.ndarray) -> np.ndarray:
+        """Return the model's numbers of images (..., 3), 0 to 255."""
+        if self.is_bytes:
+            return values if values.dtype == np.uint8 else np.clip(np.floor(values + 0.5), 0, _BYTES).astype(np.uint8)
+        result: np.ndarray = (values * self.scale + self.low - self.mean) / self.std
+        return result.astype(np.float32, copy=False)
+
+    def decode(self, values: np.ndarray) -> np.ndarray:
+        """Return images (..., 3) uint8 of the model's numbers."""
+        if self.is_bytes:
+            return values
+        found = (values * self.std + self.mean - self.low) * (_BYTES / self._span)
+        result: np.ndarray = np.clip(np.floor(found + 0.5), 0, _BYTES).astype(np.uint8)
+        return result
+
+
+# -- mistakes ----------------------------------------------------------------------------------------------------------
+
+
+def _in_block(case: Case) -> Iterator[Mistake]:
+    sites = pictures.sites(case.block)
+    for rank, span in RANGES:
+        yield from everywhere(sites, rank, f"range: {span}", _NAME, _ranged(span))
+    yield from everywhere(sites, 2, "dtype: uint8", _NAME, _as_bytes)
+    yield from everywhere(sites, 0, "mean and std: none", _NAME, _without_mean)
+    for name, (mean, std) in MEANS.items():
+        yield from everywhere(sites, 1, f"mean and std: {name}", _NAME, _with_mean(mean, std))
+    yield from everywhere(sites, 2, "mean and std in the other order of channels", _NAME, _mean_reversed)
+
+
+def _as_float(entry: Block) -> dict[str, Any]:
+    return {} if entry["dtype"] == "float32" else {"dtype": "float32"}
+
+
+def _as_bytes(entry: Block) -> Block | None:
+    return None if entry["dtype"] == "uint8" else {"dtype": "uint8", "range": GONE, "mean": GONE, "std": GONE}
+
+
+def _ranged(span: Sequence[float]) -> Change:
+    def change(entry: Block) -> Block | None:
+        if entry["dtype"] == "float32" and list(entry.get("range", [0, 1])) == span:
+            return None
+        return {"range": GONE if span == [0, 1] else span, **_as_float(entry)}
+
+    return change
+
+
+def _without_mean(entry: Block) -> Block | None:
+    return {"mean": GONE, "std": GONE} if {"mean", "std"} & set(entry) else None
+
+
+def _with_mean(mean: Sequence[float], std: Sequence[float]) -> Change:
+    def change(entry: Block) -> Block | None:
+        if (entry.get("mean"), entry.get("std")) == (mean, std):
+            return None
+        return {"mean": mean, "std": std, "range": GONE, **_as_float(entry)}
+
+    return change
+
+
+def _mean_reversed(entry: Block) -> Block | None:
+    turned = {key: entry[key][::-1] for key in ("mean", "std") if key in entry}
+    return turned if any(entry[key] != values for key, values in turned.items()) else None
+
+
+def _around(case: Case) -> Iterator[Mistake]:
+    for words, scale, offset in (("0 to 1, not -1 to 1", 0.5, 127.5), ("-1 to 1, not 0 to 1", 2.0, -255.0)):
+        yield from pictures.shown(1, f"range: {words}", _NAME, partial(_linear, scale=scale, offset=offset), case)
+
+
+def _linear(picture: np.ndarray, *, scale: float, offset: float) -> np.ndarray:
+    return np.clip(np.rint(picture * scale + offset), 0, _BYTES).astype(np.uint8)
+
+
+def _in_inputs(case: Case) -> Iterator[Mistake]:
+    if not case.cameras:
+        return
+    forms = [(rank, f"range: {span}", [[span[0]] * 3, [span[1]] * 3]) for rank, span in RANGES]
+    forms.append((2, "range: [0, 1], divided by 255 once more", [[0.0] * 3, [1 / _BYTES] * 3]))
+    of_bytes: list[tuple[int, str, list[list[float]]]] = []
+    for name, (mean, std) in MEANS.items():
+        if name == "0.5":  # which is the range from -1 to 1
+            continue
+        for told, order in (("", slice(None)), (", of the other order of channels", slice(None, None, -1))):
+            ends = list(zip(mean[order], std[order]))
+            black = [-one / other for one, other in ends]
+            white, white_of_bytes = ([(most - one) / other for one, other in ends] for most in (1, _BYTES))
+            forms.append((1 + bool(told), f"mean and std: {name}{told}", [black, white]))
+            of_bytes.append((2, f"mean and std: {name}{told}, of 0 to 255", [black, white_of_bytes]))
+    for (rank, words, to), (other_rank, other, of) in [
+        *itertools.permutations(forms, 2),
+        *itertools.product(forms, of_bytes),
+    ]:
+        told = other[len("range: ") :] if words.startswith("range: ") and other.startswith("range: ") else other
+        how = {"kind": "scaled", "of": of, "to": to}
+        yield Mistake(max(rank, other_rank), f"{words}, not {told}", _NAME, encoded=how)
+    for layout in ("hwc", "chw"):
+        yield Mistake(1, f"layout: {layout}", _NAME, encoded={"kind": "layout", "to": layout})
+
+
+def _scaled(value: Any, how: Entry) -> Any:
+    """Return pictures whose black and white are others.
+
+    Args:
+        value: encoded inputs.
+        how: `of` and `to`: what black and white are by channel now, and what they become.
+
+    Raises:
+        UnfitError: if the pictures cannot be of these numbers.
+    """
+    (black, white), (new_black, new_white) = (np.asarray(how[name], np.float64) for name in ("of", "to"))
+
+    def change(array: Any, axis: int) -> Any:
+        last = np.moveaxis(array, axis, -1).astype(np.float64)
+        share = (last - black) / (white - black)
+        if share.min() < -1e-3 or share.max() > 1.001 or np.ptp(share) < 0.25:
+            raise walk.UnfitError(f"pictures from {array.min():.3g} to {array.max():.3g}")
+        return np.moveaxis(new_black + share * (new_white - new_black), -1, axis).astype(np.float32)
+
+    return walk.pictures(value, change)
+
+
+def _laid_out(value: Any, how: Entry) -> Any:
+    """Return pictures whose axes are in another order: `to` is hwc or chw."""
+
+    def change(array: Any, axis: int) -> Any:
+        wanted = -1 if how["to"] == "hwc" else -3
+        return None if axis == wanted else np.ascontiguousarray(np.moveaxis(array, axis, wanted))
+
+    return walk.pictures(value, change)
+
+
+CONVENTION = Convention(
+    _NAME,
+    in_block=_in_block,
+    around=_around,
+    in_inputs=_in_inputs,
+    kinds={"scaled": _scaled, "layout": _laid_out},
+)

@@ -1,0 +1,211 @@
+"""Text of the task: its template, case, and what is stripped.
+
+Source: spec/v1/model_io.schema.json#/$defs/instruction.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Callable
+
+from xpl import _spec as spec
+from xpl.catalogue import Case, Convention, Mistake, Stage, walk
+from xpl.catalogue import convention as catalogue
+from xpl.catalogue.edits import Site, everywhere, word
+from xpl.observation import get_instruction
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from xpl.catalogue.mistake import Episode, Obs, Shown
+    from xpl.contract import Entry, Observation, ObservationDict
+
+_NAME = spec.Obs.INSTRUCTION
+HOLE = "{instruction}"
+
+TEMPLATES = (
+    HOLE,
+    "{instruction}\n",
+    "In: What action should the robot take to {instruction}?\nOut:",
+    "What action should the robot take to {instruction}?",
+    "Task: {instruction}",
+    "Task: {instruction}\n",
+    "Task: {instruction}, State: ",
+    "task: {instruction}",
+    "{instruction}.",
+)
+"""Prompts that were met: LeRobot's pi0, OpenVLA's, openpi's pi05, and their neighbours."""
+
+_STAGES = {
+    "strip": Stage(lambda text, letters: text.strip(letters) if letters else text, lambda text, _letters: text),
+    "case": Stage(lambda text, case: text.lower() if case == "lower" else text, lambda text, _case: text),
+}
+_OWN = frozenset(("input", "template", "empty", *_STAGES))
+"""Keys of the instruction that are read here; each other is another convention's."""
+
+
+def encode(text: str, how: Entry) -> str:
+    """Return an instruction as the model gets it.
+
+    Args:
+        text: the standard's.
+        how: `instruction` of the block: strip, case, template.
+    """
+    for key in (*_STAGES, *(key for key in how if key not in _OWN)):
+        if key in how:
+            text = catalogue.found("texts", key).encode(text, how[key])
+    return str(how.get("template", HOLE)).replace(HOLE, text)
+
+
+def decode(text: str, how: Entry) -> str:
+    """Return the instruction in a text that the model gets; letters and what was stripped stay as they are."""
+    before, after = how.get("template", HOLE).split(HOLE, 1)
+    return text.removeprefix(before).removesuffix(after)
+
+
+# -- mistakes ----------------------------------------------------------------------------------------------------------
+
+
+def _in_block(case: Case) -> Iterator[Mistake]:
+    how = case.block.get(_NAME)
+    if not how:
+        return
+    site = [Site((_NAME,), how)]
+    for letters in ("lower", "keep"):
+        yield from everywhere(site, 0, f"instruction: case: {letters}", _NAME, word("case", letters, "keep"))
+    for strip in ("", " ", ".", ". ", " .", " \n", "\n"):
+        rank = 0 if strip in ("", " ") else 1
+        yield from everywhere(site, rank, f"instruction: strip: {strip!r}", _NAME, word("strip", strip, ""))
+    now = how.get("template", HOLE)
+    for text in dict.fromkeys((*case.templates, *TEMPLATES, now.strip(), f"{now}\n", f"{now} ", now.lower())):
+        if HOLE in text:
+            yield from everywhere(site, 1, f"instruction: template: {text!r}", _NAME, word("template", text, HOLE))
+    for empty in ("blank", "refuse"):
+        yield from everywhere(site, 3, f"instruction: empty: {empty}", _NAME, word("empty", empty, "refuse"))
+
+
+_CHANGES: tuple[tuple[int, str, Callable[[str], str]], ...] = (
+    (0, "case: lower", str.lower),
+    (0, "strip: ' '", lambda text: text.strip(" ")),
+    (1, "strip: '. '", lambda text: text.strip(". ")),
+    (1, "case: lower, strip: ' '", lambda text: text.strip(" ").lower()),
+    (1, "a full stop at the end", lambda text: text.rstrip(". ") + "."),
+    (1, "a line break at the end", lambda text: f"{text}\n"),
+    (1, "underscores for spaces", lambda text: text.replace(" ", "_")),
+    (1, "spaces for underscores", lambda text: text.replace("_", " ")),
+    (1, "without punctuation", lambda text: "".join(sign for sign in text if sign.isalnum() or sign in " _")),
+    (2, "a capital first", lambda text: text[:1].upper() + text[1:]),
+    (2, "strip: line breaks", lambda text: text.strip("\n")),
+    (3, "case: upper", str.upper),
+    (1, "none", lambda _: ""),
+)
+
+
+def _around(case: Case) -> Iterator[Mistake]:
+    if not case.instructions:
+        return
+    for rank, words, change in _CHANGES:
+        yield Mistake(rank, f"instruction: {words}", _NAME, shown=_said(change))
+    for other in dict.fromkeys(case.instructions):
+        yield Mistake(1, f"instruction: always {other!r}", _NAME, shown=_said(_always(other)))
+    yield Mistake(1, "instruction: the episode's first", _NAME, shown=_first)
+
+
+def blank(observations: Sequence[Obs]) -> Episode:
+    """Show no instruction."""
+    return _said(_always(""))(observations)
+
+
+def _always(text: str) -> Callable[[str], str]:
+    return lambda _said: text
+
+
+def _said(change: Callable[[str], str]) -> Shown:
+    def shown(observations: Sequence[Obs]) -> Episode:
+        return [_with(obs, change) for obs in observations]
+
+    return shown
+
+
+def _with(obs: Obs, change: Callable[[str], str]) -> ObservationDict:
+    result = dict(obs)
+    if isinstance(result.get(spec.Obs.INSTRUCTION), str):
+        result[spec.Obs.INSTRUCTION] = change(result[spec.Obs.INSTRUCTION])
+    several = result.get(spec.Obs.INSTRUCTIONS)
+    if isinstance(several, (list, tuple)):
+        result[spec.Obs.INSTRUCTIONS] = [change(text) for text in several]
+    return result
+
+
+def _first(observations: Sequence[Obs]) -> Episode:
+    said = {
+        key: observations[0][key] for key in (spec.Obs.INSTRUCTION, spec.Obs.INSTRUCTIONS) if key in observations[0]
+    }
+    return [{**obs, **said} for obs in observations]
+
+
+def _in_inputs(case: Case) -> Iterator[Mistake]:
+    if not case.instructions:
+        return
+    for rank, letters, strip in (
+        (0, "keep", ""),
+        (0, "lower", ""),
+        (0, "keep", " "),
+        (1, "lower", " "),
+        (1, "keep", ". "),
+        (1, "lower", ". "),
+    ):
+        how = {"kind": "text", "case": letters, "strip": strip}
+        words = f"instruction: case: {letters}, strip: {strip!r}"
+        yield Mistake(rank, words, _NAME, encoded=how)
+        for template in dict.fromkeys((*case.templates, *TEMPLATES)):
+            told = f"{words}, template: {template!r}"
+            yield Mistake(rank + 1, told, _NAME, encoded={**how, "template": template})
+
+
+_DONE: tuple[Callable[[str], str], ...] = (
+    str,
+    lambda text: text.strip(" "),
+    str.strip,
+    lambda text: text.strip(". "),
+    str.lower,
+    lambda text: text.strip().lower(),
+    lambda text: text.strip(". ").lower(),
+    lambda text: text.replace(" ", "_"),
+    str.upper,
+)
+"""What adapters do to an instruction."""
+
+
+def written(value: object, how: Entry, obs: Observation) -> Any:
+    """Return encoded inputs whose texts have the instruction otherwise.
+
+    Args:
+        value: encoded inputs.
+        how: `case`, `strip`, and perhaps `template`, as in a model_io block; without a template the text around the
+            instruction stays.
+        obs: the observation.
+
+    Raises:
+        UnfitError: if there is no text.
+    """
+    said = get_instruction(obs) or ""
+    wanted = encode(said, {key: value for key, value in how.items() if key in ("case", "strip")})
+    seen = False
+
+    def change(leaf: object) -> Any:
+        nonlocal seen
+        if not isinstance(leaf, str):
+            return None
+        seen = True
+        if "template" in how:
+            return how["template"].replace(HOLE, wanted)
+        done = max((one(said) for one in _DONE if one(said) in leaf), key=len, default="")
+        return leaf.replace(done, wanted) if done else wanted
+
+    result = walk.changed(value, change)
+    if not seen:
+        raise walk.UnfitError("no text")
+    return result
+
+
+CONVENTION = Convention(_NAME, in_block=_in_block, around=_around, in_inputs=_in_inputs, texts=_STAGES)

@@ -1,0 +1,7 @@
+"""State that the model keeps, and when it advances. Source: spec/v1/model_io.schema.json, `recurrent`."""
+
+from __future__ import annotations
+
+from xpl.catalogue import Convention
+
+CONVENTION = Convention("recurrent")

@@ -1,0 +1,117 @@
+"""Golden pairs as a ruler: what is left of a difference under each mistake."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from xpl_cli.audit.offline.search.contest import Ruler
+from xpl_cli.model_io.difference import differences
+from xpl_cli.model_io.explain import Explanation, Tried, explain
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.offline.parity.judgement import Judgement
+    from xpl_cli.audit.offline.search.course import Course
+    from xpl_cli.audit.offline.search.loaded import Answered
+    from xpl_cli.model_io.difference import Step
+
+_FEW: Final = 3
+"""Questions on which mistakes are tried before they are on all."""
+_MOST: Final = (24, 8)
+"""Those that go on, of those tried on one question and on a few: so many that leave least, or mend most."""
+_PROMISING: Final = 0.5
+"""Share of the difference that may be left to go on."""
+_EASED: Final = 0.9
+"""Share of the mean difference that may be left of one of two mistakes."""
+_INFINITE: Final = float("inf")
+
+
+class GoldenRuler(Ruler):
+    """Which of many mistakes explains a difference.
+
+    Args:
+        course: the questions.
+        judgement: of the adapter's answers to them.
+        among: numbers of the questions that are looked at; a difference has to be among them.
+    """
+
+    def __init__(self, course: Course, judgement: Judgement, among: Sequence[int]) -> None:
+        self._course = course
+        self._judgement = judgement
+        self.everything = among
+        self.before = self.remaining({number: judgement.given[number] for number in among})
+
+    @property
+    def differs(self) -> bool:
+        """Whether there is anything to explain."""
+        return any(share > self._judgement.allowed[part] for part, share in self.before.items())
+
+    def leaves_nothing(self, answered: Answered) -> bool:
+        """Whether no difference is left under a mistake."""
+        return max(self.remaining(answered.given).values()) <= self._judgement.tolerance
+
+    def tried(self, answered: Answered, besides: tuple[str, str] | None = None) -> Tried:
+        """Return what is left under a mistake, and under another one besides, if there is one."""
+        return Tried(answered.words, answered.convention, self.remaining(answered.given), besides)
+
+    def explained(self, tried: Sequence[Tried]) -> Explanation:
+        """Return which of some mistakes, tried on all questions, explains the difference."""
+        return explain(self.before, tried, self._judgement.tolerance)
+
+    def remaining(self, given: Mapping[int, Sequence[Step | None]] | None) -> dict[str, float]:
+        """Return how far answers to some questions are from the golden ones; steps that are not known do not count."""
+        judgement = self._judgement
+        if not given:
+            return dict.fromkeys(judgement.spread, _INFINITE)
+        return differences([judgement.golden[number] for number in given], list(given.values()), judgement.spread)
+
+    @cached_property
+    def rounds(self) -> Sequence[Sequence[int]]:
+        """One question, then a few: one that tells much, one that is right, another one."""
+        judgement = self._judgement
+        worst = {number: max(self.remaining({number: judgement.given[number]}).values()) for number in self.everything}
+        wrong = [number for number in self.everything if judgement.off[number]]
+        right = [number for number in self.everything if not judgement.off[number]]
+        largest = max(worst[number] for number in wrong)
+        telling = [number for number in wrong if worst[number] >= _PROMISING * largest]
+        chosen = list(dict.fromkeys([telling[0], *right[:1], *telling[1:], *wrong]))[:_FEW]
+        return chosen[:1], chosen
+
+    def kept(self, answered: Sequence[Answered], wanted: Sequence[int], turn: int) -> list[int]:
+        """Return the places of those that are worth more questions: that leave least, or mend most numbers."""
+        judgement = self._judgement
+        before = self._before(wanted)
+        largest = max(before.values())
+        rests = [self.remaining(one.given) for one in answered]
+        left = [max(one.values()) / largest if largest < _INFINITE else _INFINITE for one in rests]
+        mended = [sum(value > judgement.allowed[part] >= one[part] for part, value in before.items()) for one in rests]
+        worth = [place for place in range(len(answered)) if left[place] <= _PROMISING or mended[place]]
+        best = sorted(worth, key=lambda place: left[place])[: _MOST[turn]]
+        widest = sorted(worth, key=lambda place: -mended[place])[: _MOST[turn]]
+        return sorted({*best, *widest})
+
+    def eased(self, answered: Sequence[Answered], most: int) -> list[int]:
+        """Return the places of those that may be one of two mistakes, best first: the mean of what is left falls.
+
+        Args:
+            answered: to the questions of the first round.
+            most: how many to return at the most; of several on one convention with equal rests the first counts.
+        """
+        before = self._before(self.rounds[0])
+        found: dict[tuple[float, str], int] = {}
+        for place, one in enumerate(answered):
+            share = self._mean(self.remaining(one.given)) / self._mean(before)
+            if share <= _EASED:
+                found.setdefault((float(f"{share:.6g}"), one.convention), place)
+        return [place for _, place in sorted(found.items())][:most]
+
+    def _mean(self, rest: Mapping[str, float]) -> float:
+        """Return the mean of what is left of all numbers; what is allowed counts as nothing."""
+        allowed = self._judgement.allowed
+        return float(np.mean([max(0.0, value - allowed[part]) for part, value in rest.items()])) or 1e-12
+
+    def _before(self, wanted: Sequence[int]) -> dict[str, float]:
+        return self.remaining({one: self._judgement.given[one] for one in self._course.with_earlier(wanted)})

@@ -1,0 +1,109 @@
+"""Parts of a session: some of its questions, with what has to happen before them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.model_io.script import Call, played
+
+if TYPE_CHECKING:
+    from xpl.contract import ObservationDict
+    from xpl_cli.model_io.pairs import Question, Session
+
+Key = tuple[int, int]
+"""Number of an episode, and an environment."""
+
+
+def _name(env: int, place: int) -> str:
+    return f"{env} {place}"
+
+
+class Course:
+    """A session whose questions are asked again, some at a time. Observations are made once.
+
+    Args:
+        session: the session.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self._made: dict[tuple[int, int], ObservationDict] = {}
+
+    @cached_property
+    def everything(self) -> list[int]:
+        """The numbers of all questions."""
+        return [question.number for question in self.session.questions]
+
+    def observation(self, env: int, place: int) -> ObservationDict:
+        """Return the observation of a recipe."""
+        key = (env, place)
+        if key not in self._made:
+            self._made[key] = self.session.scene.observation(env, place)
+        return self._made[key]
+
+    def seen(self, question: Question) -> list[ObservationDict]:
+        """Return what was shown in a question's episode up to it."""
+        return [self.observation(env, place) for env, place in question.shown]
+
+    def episodes(self, wanted: Iterable[int]) -> list[list[int]]:
+        """Return questions by their episodes, each in its order."""
+        found: dict[Key, list[int]] = {}
+        for number in sorted(wanted):
+            found.setdefault(self._key(number), []).append(number)
+        return list(found.values())
+
+    def with_earlier(self, wanted: Iterable[int]) -> list[int]:
+        """Return questions with those that are asked before them in their episodes: an adapter may remember them."""
+        last = self._last(wanted)
+        return [number for number in self.everything if number <= last.get(self._key(number), -1)]
+
+    def calls(self, wanted: Sequence[int]) -> list[Call]:
+        """Return the calls that ask some questions, and those before them, as the whole session does.
+
+        Of an episode that is only passed something is shown: what is drawn in the next one depends on its number.
+        """
+        questions = self.session.questions
+        until = {key: questions[number].call for key, number in self._last(wanted).items()}
+        passed = set(range(max((episode for episode, _ in until), default=0))) - {episode for episode, _ in until}
+        found = []
+        for place, (call, episode) in enumerate(played(self.session.calls)):
+            show = tuple(recipe for recipe in call.show if place <= until.get((episode, recipe[0]), -1))
+            if call.show and episode in passed:
+                show = call.show
+                passed.remove(episode)
+            ask = tuple(env for env in call.ask if place <= until.get((episode, env), -1))
+            if call.reset or show or ask:
+                found.append(Call(call.reset, show, ask))
+        return found
+
+    def told(self, calls: Sequence[Call], known: set[str]) -> dict[str, Any]:
+        """Return calls as a process in the adapter's interpreter takes them (`xpl.worker.changes`).
+
+        Args:
+            calls: of this session.
+            known: names of the observations that the process has; those that are sent are added.
+        """
+        new = {_name(*recipe): recipe for call in calls for recipe in call.show if _name(*recipe) not in known}
+        known.update(new)
+        return {
+            "observations": {name: self.observation(*recipe) for name, recipe in new.items()},
+            "calls": [
+                {sdk.Method.RESET: True}
+                if call.reset
+                else {"ask": list(call.ask)}
+                if call.ask
+                else {"show": [[env, _name(env, place)] for env, place in call.show]}
+                for call in calls
+            ],
+        }
+
+    def _last(self, wanted: Iterable[int]) -> dict[Key, int]:
+        """Return the last of some questions in each episode."""
+        return {self._key(number): number for number in sorted(wanted)}
+
+    def _key(self, number: int) -> Key:
+        question = self.session.questions[number]
+        return question.episode, question.env

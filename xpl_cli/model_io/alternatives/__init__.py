@@ -1,1 +1,0 @@
-"""Single changes that may be what is wrong with an adapter: of its model_io block's words, and around its code."""

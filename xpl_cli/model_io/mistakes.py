@@ -1,0 +1,81 @@
+"""Usual mistakes as other words of a model_io block: those that fit the robot, each with the block that it makes.
+
+for mistake, block in in_block(Case(embodiment, "joint", block=manifest["model_io"], folders=[package])):
+    mistake.words, mistake.convention, block      # "channels: bgr", "image_channels", {...}
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from xpl.catalogue import convention as catalogue
+from xpl.catalogue.edits import edited
+from xpl.convert import ConversionError, compile_interface
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from xpl.catalogue import Case, Mistake
+    from xpl.convert import Interface
+
+
+def in_block(case: Case, chunk: int | None = None) -> Iterator[tuple[Mistake, dict[str, Any]]]:
+    """Yield every mistake of the block that fits the robot, each block once, the likeliest first.
+
+    A mistake may be made at several places: all images, the state and the action. The widths of vectors stay.
+
+    Args:
+        case: the adapter; its block is valid by its schema.
+        chunk: action steps that the manifest declares.
+
+    Raises:
+        ConversionError: if the block itself does not fit.
+    """
+    yield from fitting(case, catalogue.in_block(case), chunk)
+
+
+def fitting(
+    case: Case, mistakes: Iterable[Mistake], chunk: int | None = None
+) -> Iterator[tuple[Mistake, dict[str, Any]]]:
+    """Yield those of some mistakes that fit, each block once, and none that is as the block is.
+
+    Raises:
+        ConversionError: if the block itself does not fit.
+    """
+    block: Mapping[str, Any] = case.block
+
+    def widths(of: Mapping[str, Any]) -> list[int]:
+        return _widths(compile_interface(of, case.embodiment, case.action_type, case.folders, chunk))
+
+    wanted, seen = widths(block), {_same(block)}
+    for mistake in mistakes:
+        made = edited(block, mistake.edits or {})
+        text = _same(made)
+        if text in seen:
+            continue
+        seen.add(text)
+        try:
+            fits = widths(made) == wanted
+        except ConversionError:
+            continue
+        if fits and _validator().is_valid(made):
+            yield mistake, made
+
+
+def _same(block: Mapping[str, Any]) -> str:
+    return json.dumps(block, sort_keys=True)
+
+
+def _widths(interface: Interface) -> list[int]:
+    return [interface.action.vector.padded, *(vector.padded for vector in interface.states.values())]
+
+
+@cache
+def _validator() -> Any:
+    import jsonschema_rs
+
+    return jsonschema_rs.validator_for(spec.schema("model_io"))
