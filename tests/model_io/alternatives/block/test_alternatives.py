@@ -90,7 +90,7 @@ def test_the_likeliest_come_first_and_the_block_itself_is_left_alone() -> None:
             "frame",
             lambda b: b["state"][0]["parts"][0]["position"].update(unit="m"),
         ),
-        ("one arm, poses in the base, history", "history", lambda b: b["history"].update(stride=1)),
+        ("one arm, poses in the base, history", "history_stride", lambda b: b["history"].update(stride=1)),
         (
             "one arm, cumulative poses",
             "image_filter",

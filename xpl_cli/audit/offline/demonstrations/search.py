@@ -29,6 +29,7 @@ from xpl_cli.model_io.alternatives.prompts import templates
 from xpl_cli.model_io.alternatives.signals import Signal, signals
 from xpl_cli.model_io.alternatives.signals.pictures import dark
 from xpl_cli.model_io.alternatives.signals.texts import texts
+from xpl_cli.packages import conventions
 
 if TYPE_CHECKING:
     from xpl.manifest import Manifest
@@ -53,7 +54,7 @@ _FAR: Final = 1.1
 """Nor are those that leave more than this share of the error of holding the pose: of such a policy nothing is told."""
 _UNREAD: Final = 6
 """Questions in which an input has to change nothing to be called unread."""
-_ALL_ADAPTERS: Final = frozenset(("history", "chunk", sdk.Obs.INSTRUCTION))
+_ALL_ADAPTERS: Final = frozenset((*conventions.HISTORY, "chunk", sdk.Obs.INSTRUCTION))
 """Conventions whose changes around the adapter are tried although it converts by its block."""
 
 Ask = Callable[[Sequence[int], Sequence[int]], Iterator["Chunks | None"]]
@@ -199,7 +200,7 @@ class Search:
 
     def _by_signals(self, around: Around, *, all_of_them: bool) -> list[Change]:
         """Return what changes around the adapter come to."""
-        history = self._model_io.history
+        history = self._model_io.longest
         around_it = signals(
             self._session.robot,
             self._session.action_type,
@@ -234,7 +235,9 @@ class Search:
         if self._instructions and blank is not None:
             shown.append((sdk.Obs.INSTRUCTION, blank))
         if self._history > 1:
-            shown.append(("history", Signal(0, "history", "history", lambda seen: [dict(seen[-1])], windowed=True)))
+            shown.append(
+                ("history", Signal(0, "history", "history_length", lambda seen: [dict(seen[-1])], windowed=True))
+            )
         later = [number for number in self._few if number not in self._refused and self._session.asked[number][1] > 0]
         if not (numbers := later[:_UNREAD]):
             return
@@ -257,7 +260,9 @@ class Search:
         for name in unread:
             if name in handed:
                 yield name, "camera"
-            elif name == "history" or (name in self._model_io.data and len(said) > 1):
+            elif name == "history":
+                yield name, "history_length"
+            elif name in self._model_io.data and len(said) > 1:
                 yield name, name
 
     # -- trying --------------------------------------------------------------------------------------------------------
@@ -314,7 +319,7 @@ class Search:
     @property
     def _history(self) -> int:
         """Observations that the model_io block hands over; 1 where it does not say."""
-        return 1 if self._model_io.history is None else self._model_io.history.length
+        return 1 if self._model_io.longest is None else self._model_io.longest.length
 
     @cached_property
     def _inputs(self) -> list[str]:

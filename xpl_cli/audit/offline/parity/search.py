@@ -310,7 +310,7 @@ class Search:
 
     @functools.cached_property
     def _signals(self) -> list[Signal]:
-        session, history, inputs = self._judgement.session, self._model_io.history, self._inputs
+        session, history, inputs = self._judgement.session, self._model_io.longest, self._inputs
         found = signals(
             session.robot,
             session.action_type,

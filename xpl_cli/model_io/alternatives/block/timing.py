@@ -45,16 +45,20 @@ def histories(block: Block) -> Iterator[Candidate]:
     site = [Site(("history",), history)]
     length = history["length"]
     for pad in ("zeros", "repeat"):
-        yield from everywhere(site, 0, f"history: pad: {pad}", "history", word("pad", pad, "repeat"))
+        yield from everywhere(site, 0, f"history: pad: {pad}", "history_padding", word("pad", pad, "repeat"))
+    for order in ("newest_first", "oldest_first"):
+        yield from everywhere(
+            site, 0, f"history: order: {order}", "history_order", word("order", order, "oldest_first")
+        )
     stride = history.get("stride", 1)
     for value in dict.fromkeys((1, stride + 1, max(1, stride - 1), 2, 3, 4, 2 * stride, max(1, stride // 2))):
-        yield from everywhere(site, 1, f"history: stride: {value}", "history", word("stride", value, 1))
+        yield from everywhere(site, 1, f"history: stride: {value}", "history_stride", word("stride", value, 1))
     for of in (["images", "state"], ["images"], ["state"]):
         told = f"history: of: {', '.join(of)}"
-        yield from everywhere(site, 2, told, "history", word("of", of, ["images", "state"]))
+        yield from everywhere(site, 2, told, "history_length", word("of", of, ["images", "state"]))
     for value in dict.fromkeys((1, length - 1, length + 1, 2)):
         if value >= 1:
-            yield from everywhere(site, 3, f"history: length: {value}", "history", word("length", value))
+            yield from everywhere(site, 3, f"history: length: {value}", "history_length", word("length", value))
 
 
 def instructions(block: Block, templates: Sequence[str] = ()) -> Iterator[Candidate]:

@@ -28,8 +28,8 @@ def chunks(action_type: str, history: int) -> Iterator[Signal]:
         yield Signal(rank, words, "chunk", None, _ordered(order))
         for mode in modes:
             yield Signal(rank, words, "chunk", None, _changes_ordered(order, mode))
-    yield Signal(1, "answers: to the observation before", "history", None, _of_question(1))
-    yield Signal(1, "answers: to the observation after", "history", None, _of_question(-1))
+    yield Signal(1, "answers: to the observation before", "history_length", None, _of_question(1))
+    yield Signal(1, "answers: to the observation after", "history_length", None, _of_question(-1))
 
 
 def _s(count: int) -> str:

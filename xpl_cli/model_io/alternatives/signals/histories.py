@@ -21,24 +21,25 @@ def histories(length: int, action_type: str, stride: int = 1) -> Iterator[Signal
     if length < 2:
         return
     span = (length - 1) * stride + 1
-    for rank, words, order in (
-        (0, "history: the other order in time", lambda seen: _last(seen, span)[::-1]),
-        (0, "history: the newest shown once more", lambda seen: [*seen, seen[-1]]),
-        (1, "history: the newest only", lambda seen: seen[-1:]),
-        (1, "history: stride 2", lambda seen: [*[seen[0]] * span, *seen[::-1][::2][::-1]]),
-        (2, "history: stride 3", lambda seen: [*[seen[0]] * span, *seen[::-1][::3][::-1]]),
-        (1, "history: stride 1, not 2", _doubled),
+    for rank, words, convention, order in (
+        (0, "history: the other order in time", "history_order", lambda seen: _last(seen, span)[::-1]),
+        (0, "history: the newest shown once more", "history_length", lambda seen: [*seen, seen[-1]]),
+        (1, "history: the newest only", "history_length", lambda seen: seen[-1:]),
+        (1, "history: stride 2", "history_stride", lambda seen: [*[seen[0]] * span, *seen[::-1][::2][::-1]]),
+        (2, "history: stride 3", "history_stride", lambda seen: [*[seen[0]] * span, *seen[::-1][::3][::-1]]),
+        (1, "history: stride 1, not 2", "history_stride", _doubled),
         (
             2,
             "history: the first observation instead of those before",
+            "history_padding",
             lambda seen: [seen[0], *[seen[0]] * (span - 2), seen[-1]],
         ),
-        (2, "history: the oldest and the newest exchanged", lambda seen: _ends(_last(seen, span))),
+        (2, "history: the oldest and the newest exchanged", "history_order", lambda seen: _ends(_last(seen, span))),
     ):
         shown = _shown(order)
-        yield Signal(rank, words, "history", shown, windowed=True)
+        yield Signal(rank, words, convention, shown, windowed=True)
         for moved in rebased(shown, action_type):
-            yield Signal(rank, words, "history", shown, moved, windowed=True)
+            yield Signal(rank, words, convention, shown, moved, windowed=True)
 
 
 def _shown(order: _Order) -> Shown:
