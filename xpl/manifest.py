@@ -15,6 +15,7 @@ from xpl import robots
 from xpl._spec import MODEL_CLASS
 from xpl.assumptions import Assumption, assumptions, settled
 from xpl.document import Document, many, named, one, part
+from xpl.history import History
 
 if TYPE_CHECKING:
     from xpl.contract import Entry
@@ -143,22 +144,6 @@ class Gripper(Document):
 
 
 @dataclass(frozen=True)
-class History(Document):
-    """Earlier observations that the model sees, too; what is open has its default."""
-
-    length: int = one(int, 1)
-    stride: int = one(int, 1)
-    pad: str = one(str, "repeat")
-    mask: str | None = one(str)
-    of: tuple[str, ...] = many(str, ("images", "state"))
-
-    @property
-    def reach(self) -> int:
-        """Control steps that it reaches over, the newest observation included."""
-        return (self.length - 1) * self.stride + 1
-
-
-@dataclass(frozen=True)
 class ModelIO(Document):
     """What the model itself reads and answers. `xpl.convert` compiles the block as it is written (`data`).
 
@@ -181,11 +166,33 @@ class ModelIO(Document):
     def __bool__(self) -> bool:
         return bool(self.data)
 
+    def histories(self, kind: str) -> list[History]:
+        """Return the history of each input of a kind, in the block's order: its own, or the common one.
+
+        Args:
+            kind: `images` or `state`.
+        """
+        common = self.history if self.history is not None and kind in self.history.of else History()
+        entries = {"images": self.images, "state": self.state}[kind]
+        own = [entry.get("history") for entry in entries]
+        return [History.parse(entry) if isinstance(entry, Mapping) else common for entry in own]
+
+    @property
+    def declared_histories(self) -> list[History]:
+        """Every history that the block declares: the common one, then those of single inputs."""
+        own = (entry.get("history") for entry in (*self.images, *self.state))
+        common = [] if self.history is None else [self.history]
+        return [*common, *(History.parse(entry) for entry in own if isinstance(entry, Mapping))]
+
+    @property
+    def longest(self) -> History | None:
+        """The declared history that reaches back farthest; None without any."""
+        return max(self.declared_histories, key=lambda one: one.reach, default=None)
+
     @property
     def remembered(self) -> tuple[str, ...]:
         """The inputs, `images` and `state`, of which the model sees earlier observations, too."""
-        there = {"images": self.images, "state": self.state}
-        return () if self.history is None else tuple(name for name in self.history.of if there.get(name))
+        return tuple(kind for kind in ("images", "state") if any(one.length > 1 for one in self.histories(kind)))
 
     @property
     def draws(self) -> bool:
@@ -251,9 +258,9 @@ class Manifest(Document):
 
     @property
     def reach(self) -> int:
-        """Control steps that the history reaches over, the newest observation included; 1 without one."""
-        of_model = 1 if self.model_io is None or self.model_io.history is None else self.model_io.history.reach
-        return max(of_model, self.temporal.history)
+        """Control steps that the longest history reaches over, the newest observation included; 1 without one."""
+        longest = None if self.model_io is None else self.model_io.longest
+        return max(1 if longest is None else longest.reach, self.temporal.history)
 
     @property
     def read(self) -> tuple[str, ...]:

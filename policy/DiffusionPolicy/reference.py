@@ -25,7 +25,10 @@ CONVENTIONS = {
     "chunk": "huggingface/lerobot@v0.4.4:src/lerobot/policies/diffusion/modeling_diffusion.py:109",
     "normalization": "huggingface/lerobot@v0.4.4:src/lerobot/processor/normalize_processor.py:306",
     "sampling": "huggingface/lerobot@v0.4.4:src/lerobot/policies/diffusion/modeling_diffusion.py:204",
-    "history": "huggingface/lerobot@v0.4.4:src/lerobot/policies/diffusion/modeling_diffusion.py:99",
+    "history_length": "huggingface/lerobot@v0.4.4:src/lerobot/policies/diffusion/modeling_diffusion.py:99",
+    "history_order": "huggingface/lerobot@v0.4.4:src/lerobot/policies/diffusion/modeling_diffusion.py:99",
+    "history_padding": "huggingface/lerobot@v0.4.4:src/lerobot/policies/utils.py:42",
+    "history_stride": "huggingface/lerobot@v0.4.4:src/lerobot/policies/utils.py:46",
 }
 
 CAMERAS = {"observation.images.head": "cam_head", "observation.images.wrist": "cam_wrist"}

@@ -34,14 +34,14 @@ def test_a_state_that_is_not_carried_on() -> None:
     """First answers are right, and later ones are not: what that means depends on the policy."""
     given = _off(np.s_[:, 1])
     assert _seen(given, Kind(keeps_state=True)) == ["recurrent"]
-    assert _seen(given, Kind(history=3)) == ["history"]
+    assert _seen(given, Kind(history=3)) == ["history_length"]
     assert _seen(given) == ["action_reference"]
     assert _seen(_off(np.s_[1, 1]), Kind(keeps_state=True)) == []
 
 
 def test_what_is_remembered_outlives_a_reset() -> None:
     assert _seen(_off(np.s_[1:], np.s_[0, 1]), Kind(keeps_state=True)) == ["recurrent"]
-    assert _seen(_off(np.s_[1:, 0]), Kind(history=3)) == ["history"]
+    assert _seen(_off(np.s_[1:, 0]), Kind(history=3)) == ["history_length"]
     assert _seen(_off(np.s_[1:, 0])) == []
 
 

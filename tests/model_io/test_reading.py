@@ -83,6 +83,10 @@ def test_which_imports_take_the_adapter(line: str, taken: bool) -> None:
     [
         ("CONVENTIONS = dict(gripper='assumed')", "no literal map"),
         ("CONVENTIONS = {'colour': 'a.py:1'}", "'colour' is no convention; there are image_channels"),
+        (
+            "CONVENTIONS = {'history': 'a.py:1'}",
+            "no convention any more, but history_length, history_order, history_padding, history_stride are",
+        ),
         ("CONVENTIONS = {'gripper': 1}", "source of 'gripper' is no literal text"),
         ("CONVENTIONS = {'gripper': 'a.py:1', 'gripper': 'b.py:1'}", "twice"),
         ("CONVENTIONS = {name: 'a.py:1'}", "no literal text"),

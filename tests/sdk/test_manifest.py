@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from xpl import manifest
 from xpl.arms.episode import Care
+from xpl.history import History
 from xpl.manifest import EnvManifest, Manifest
 from xpl_cli.standard import spec
 
@@ -55,7 +56,8 @@ def declared(schema: dict[str, Any]) -> dict[str, Any]:
         (manifest.CameraNeeds, declared(_POLICY["cameras"]["additionalProperties"])),
         (manifest.Gripper, declared(_POLICY["gripper"])),
         (manifest.ModelIO, declared(spec.schema("model_io"))),
-        (manifest.History, spec.schema("model_io")["$defs"]["history"]["properties"]),
+        (History, spec.schema("model_io")["$defs"]["history"]["properties"]),
+        (History, {**spec.schema("model_io")["$defs"]["own_history"]["properties"], "of": {}}),
         (EnvManifest, _ENV),
         (manifest.Task, declared(_ENV["tasks"]["additionalProperties"])),
         (manifest.SeedRange, declared(_ENV["evaluation_seeds"])),
@@ -90,6 +92,10 @@ def test_a_model_io_block_may_reach_farther_back_than_the_manifest_says() -> Non
     found = Manifest.parse({"temporal": {"kind": "history", "history": 2}, "model_io": model_io})
     assert found.model_io is not None
     assert (found.reach, found.model_io.remembered) == (4, ("images",))
+    own = {**model_io, "images": [{"history": {"length": 1}}], "state": [{"history": {"length": 3, "stride": 2}}]}
+    found = Manifest.parse({"model_io": {**own, "history": {"length": 2}}})
+    assert found.model_io is not None
+    assert (found.reach, found.model_io.remembered) == (5, ("state",))
     assert Manifest.parse({"model_io": {**model_io, "history": {"length": {"unknown": "?"}}}}).reach == 1
     assert (Manifest().reach, Manifest.parse({"temporal": {"history": 2}}).reach) == (1, 2)
 

@@ -16,6 +16,8 @@ from xpl.convert.images import ImageInput
 from xpl.convert.parts import Rotation
 from xpl.convert.vectors import Vector
 from xpl.errors import ConversionError
+from xpl.history import History
+from xpl.manifest import ModelIO
 from xpl.observation import ObservationError, get_image, get_instruction
 
 if TYPE_CHECKING:
@@ -56,10 +58,8 @@ class Interface:
     Attributes:
         images, states: its inputs.
         action: its answer.
-        history: observations that an input with history shows.
-        span: observations that have to be kept for that.
-        mask: input that tells which of them are real; None for none.
-        pads_with_zeros: zeros stand for those before the first; else the first is repeated.
+        span: observations that have to be kept for the history that reaches back farthest.
+        masks: by the name of an input that tells which observations of a history are real: that history.
     """
 
     def __init__(
@@ -84,19 +84,18 @@ class Interface:
                 "leave one out or make them equal"
             )
         self._instruction = model_io.get(spec.Obs.INSTRUCTION)
-        history = model_io.get("history") or {}
-        self.history: int = history.get("length", 1)
-        self._stride: int = history.get("stride", 1)
-        self.span = (self.history - 1) * self._stride + 1
-        self.mask: str | None = history.get("mask")
-        self.pads_with_zeros = history.get("pad", "repeat") == "zeros"
-        with_history = history.get("of", ["images", "state"])
-        self._untimed = {
-            *(item.name for item in self.images if "images" not in with_history),
-            *(name for name in self.states if "state" not in with_history),
+        declared = ModelIO.parse(model_io)
+        longest = declared.longest
+        self.span: int = 1 if longest is None else longest.reach
+        self._histories = {
+            **dict(zip((item.name for item in self.images), declared.histories("images"))),
+            **dict(zip(self.states, declared.histories("state"))),
         }
+        self._common = declared.history or History()
+        masks = [(one.mask, one) for one in declared.declared_histories if one.mask is not None]
+        self.masks = dict(masks)
         names = [*(item.name for item in self.images), *(entry["input"] for entry in model_io.get("state", ()))]
-        names += [*self._text(), *([] if self.mask is None else [self.mask])]
+        names += [*self._text(), *(name for name, _ in masks)]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ConversionError(f"model_io: an input is named twice: {', '.join(twice)}; each has a name of its own")
@@ -129,8 +128,8 @@ class Interface:
                 it made of one observation stands for a list of one.
 
         Returns:
-            By input: (B, ...) arrays, (B, T, ...) where it has history; a list of B texts for the instruction. What an
-            adapter's own `encode` adds to the block's inputs has the history, too.
+            By input: (B, ...) arrays, (B, T, ...) where it has a history; a list of B texts for the instruction. What
+            an adapter's own `encode` adds to the block's inputs has the common history.
         """
         result: dict[str, Any] = {}
         shown = [[one] if isinstance(one, Mapping) else one for one in encodings]
@@ -138,22 +137,18 @@ class Interface:
             newest = [frames[-1][name] for frames in shown]
             if isinstance(newest[0], str):
                 result[name] = newest
-            elif self.is_timed(name):
-                result[name] = np.stack([np.stack(self._timeline([f[name] for f in frames])) for frames in shown])
+            elif (history := self.history_of(name)) is not None:
+                result[name] = np.stack([_timeline(history, [f[name] for f in frames]) for frames in shown])
             else:
                 result[name] = np.stack(newest)
-        if self.mask is not None:
-            result[self.mask] = np.stack([self._real(len(frames)) for frames in shown])
+        for name, history in self.masks.items():
+            result[name] = np.stack([_real(history, len(frames)) for frames in shown])
         return result
 
-    @property
-    def ages(self) -> list[int]:
-        """How many control steps ago each observation of a history was, the oldest first; the newest has 0."""
-        return [(self.history - 1 - index) * self._stride for index in range(self.history)]
-
-    def is_timed(self, name: str) -> bool:
-        """Tell whether an input has an axis of history; texts never have one."""
-        return self.history > 1 and name not in self._untimed and name not in self._text()
+    def history_of(self, name: str) -> History | None:
+        """Return the history of an input, or None where it shows the newest observation alone, as texts do."""
+        history = self._histories.get(name, self._common)
+        return history if history.length > 1 and name not in self._text() else None
 
     def decode(self, raw: object, obs: Observation, memory: Memory | None = None) -> list[dict[str, np.ndarray]]:
         """Return the action steps of one environment's answer (H, D); `obs` is the newest observation."""
@@ -191,14 +186,6 @@ class Interface:
             result[spec.Obs.INSTRUCTION] = instruction.decode(text, self._instruction)
         return result
 
-    def _timeline(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Return `history` values, oldest first."""
-        missing = np.zeros_like(values[0]) if self.pads_with_zeros else values[0]
-        return [values[-1 - age] if age < len(values) else missing for age in self.ages]
-
-    def _real(self, count: int) -> np.ndarray:
-        return np.array([age < count for age in self.ages], np.float32)
-
     def _read(self, item: Any, state: State, name: str, memory: Memory | None) -> np.ndarray:
         values: np.ndarray = item.read(state)
         if not isinstance(item, Rotation) or not item.follows:
@@ -227,3 +214,14 @@ class Interface:
                 "the observation has no instruction, and the model needs one (model_io.instruction.empty: refuse)"
             )
         return {how["input"]: instruction.encode(text, how)}
+
+
+def _timeline(history: History, values: Sequence[np.ndarray]) -> np.ndarray:
+    """Return (T, ...) values in the order of a history, of those of all observations, oldest first."""
+    missing = np.zeros_like(values[0]) if history.pads_with_zeros else values[0]
+    return np.stack([values[-1 - age] if age < len(values) else missing for age in history.ages])
+
+
+def _real(history: History, count: int) -> np.ndarray:
+    """Return (T,) 1 for each observation of a history that is among the newest `count`, else 0."""
+    return np.array([age < count for age in history.ages], np.float32)

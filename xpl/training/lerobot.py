@@ -145,15 +145,14 @@ class Data:
     def __init__(self, found: Windows, device: Any, noise: float) -> None:
         import torch
 
-        self.device, self.noise, self.timed = device, noise, found.timed
+        self.device, self.noise = device, noise
         self.inputs = {name: torch.as_tensor(value, device=device) for name, value in found.inputs.items()}
         self.pixels = {
             name: [torch.as_tensor(part, device=device) for part in (look.scale, look.low, look.mean, look.std)]
             for name, look in found.pixels.items()
         }
-        self.seen, self.targets, self.padded = (
-            torch.as_tensor(value, device=device) for value in (found.seen, found.targets, found.padded)
-        )
+        self.seen = {name: torch.as_tensor(value, device=device) for name, value in found.seen.items()}
+        self.targets, self.padded = (torch.as_tensor(value, device=device) for value in (found.targets, found.padded))
 
     def batch(self, rows: Any) -> dict[str, Any]:
         """Return what LeRobot's `forward` takes, of the rows (B,), a tensor."""
@@ -161,7 +160,7 @@ class Data:
 
         result = {ACTION: self.targets[rows], "action_is_pad": self.padded[rows]}
         for name, values in self.inputs.items():
-            picked = values[self.seen[rows]] if name in self.timed else values[rows]
+            picked = values[self.seen[name][rows]] if name in self.seen else values[rows]
             if name in self.pixels:
                 scale, low, mean, std = self.pixels[name]
                 picked = (picked.float() * scale + low - mean) / std

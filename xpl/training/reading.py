@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
+from xpl.history import History
 from xpl.manifest import Manifest
 from xpl.policy import Policy
 from xpl.training.adapters import TrainingError, manifest_of, without_model
@@ -89,38 +90,54 @@ def read_all(asked: Shown, horizon: int | None, first: int, pixels: Mapping[str,
     interface = _interface(policy)
     height = interface.action.first + (interface.action.steps or 1) if horizon is None else horizon
     own = type(policy).encode is not Policy.encode
-    ages = list(range(policy.history - 1, -1, -1)) if own else interface.ages
     rows: list[Mapping[str, Any]] = []
-    targets, padded, seen, starts = [], [], [], [0]
+    targets, padded, counts = [], [], []
     for episode in demonstrations:
         with episode:
             _check_robot(episode, policy)
             shown, actions = _played(asked, episode)
-        count, begin = len(shown), starts[-1]
+        count = len(shown)
         if not count:
             raise TrainingError(f"{episode.path} has no control steps")
         states = [obs[spec.Obs.STATE] for obs, _ in shown]
         wanted = np.arange(count)[:, None] + np.arange(height) + first
         targets.append(_answers(interface, actions, states, np.clip(wanted, 0, count - 1)))
         padded.append((wanted < 0) | (wanted >= count))
-        back = np.arange(count)[:, None] - np.array(ages)
-        missing = -1 - begin if interface.pads_with_zeros and not own else 0
-        seen.append(np.where(back < 0, missing, back) + begin)
         rows += [encoded for _, encoded in shown]
-        starts.append(begin + count)
+        counts.append(count)
     if not rows:
         raise TrainingError(f"{demonstrations.path} holds no episode")
     inputs = {name: _column(name, [row[name] for row in rows]) for name in rows[0]}
+    starts = np.cumsum([0, *counts], dtype=np.int64)
+    alike = History(length=policy.history) if own else None  # what predict gets of an adapter that encodes itself
+    histories = {name: alike or interface.history_of(name) for name in inputs}
     return Windows(
         inputs=inputs,
         pixels=dict(pixels or {}),
         targets=np.concatenate(targets).astype(np.float32),
         padded=np.concatenate(padded),
-        seen=np.concatenate(seen).astype(np.int64),
-        timed=frozenset(name for name in inputs if len(ages) > 1 and (own or interface.is_timed(name))),
-        mask=interface.mask,
-        starts=np.array(starts, np.int64),
+        seen={name: _seen(one, starts) for name, one in histories.items() if one is not None and one.length > 1},
+        real={name: _real(alike or one, starts) for name, one in interface.masks.items()},
+        starts=starts,
     )
+
+
+def _seen(history: History, starts: np.ndarray) -> np.ndarray:
+    """Return (N, T) int64: for each control step the rows of its observations; -1 where zeros stand."""
+    wanted, first = _wanted(history, starts)
+    return np.where(wanted < first, -1 if history.pads_with_zeros else first, wanted)
+
+
+def _real(history: History, starts: np.ndarray) -> np.ndarray:
+    """Return (N, T) float32: 1 for each observation that is of the episode, else 0."""
+    wanted, first = _wanted(history, starts)
+    return (wanted >= first).astype(np.float32)
+
+
+def _wanted(history: History, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows (N, T) that a history asks for, and the first row (N, 1) of the episode that each is of."""
+    first = np.repeat(starts[:-1], np.diff(starts))[:, None]
+    return np.arange(starts[-1])[:, None] - np.array(history.ages), first
 
 
 def _interface(policy: Policy) -> Interface:

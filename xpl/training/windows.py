@@ -43,9 +43,8 @@ class Windows:
         pixels: how the bytes of an image input become its numbers; inputs whose numbers are bytes are not in it.
         targets: (N, H, D) float32: the model's normalised answers, oldest step first.
         padded: (N, H) bool: True where an episode was not yet, or no longer; its first or last action stands there.
-        seen: (N, T) int64: rows of the observations in each step's history, oldest first; -1 where zeros stand.
-        timed: inputs that have an axis of history.
-        mask: input that tells which observations of a history are real; None for none.
+        seen: by input with a history (N, T) int64: the rows that each step shows, in its order; -1 where zeros stand.
+        real: by input that tells which observations of a history are real (N, T) float32: 1 real, 0 made up.
         starts: (E + 1,) int64: the first row of each of E episodes, and N.
     """
 
@@ -53,9 +52,8 @@ class Windows:
     pixels: Mapping[str, Pixels]
     targets: np.ndarray
     padded: np.ndarray
-    seen: np.ndarray
-    timed: frozenset[str]
-    mask: str | None
+    seen: Mapping[str, np.ndarray]
+    real: Mapping[str, np.ndarray]
     starts: np.ndarray
 
     def __len__(self) -> int:
@@ -78,14 +76,12 @@ class Windows:
                 result[name] = [values[row] for row in chosen]
             else:
                 result[name] = self._picked(name, values, chosen)
-        if self.mask is not None:
-            result[self.mask] = (self.seen[chosen] >= 0).astype(np.float32)
-        return result
+        return {**result, **{name: values[chosen] for name, values in self.real.items()}}
 
     def _picked(self, name: str, values: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        if name not in self.timed:
+        if name not in self.seen:
             return self._numbers(name, values[rows])
-        seen = self.seen[rows]
+        seen = self.seen[name][rows]
         found = self._numbers(name, values[seen])
         found[seen < 0] = 0
         return found

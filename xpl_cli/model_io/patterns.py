@@ -104,12 +104,12 @@ def _memory(threads: Sequence[Thread], spread: Differences, tolerance: float, ki
     later = [one.is_right for one in answers if one.earlier]
     begins = [one.is_right for one in answers if not one.earlier]
     again = [one.is_right for one in answers if not one.earlier and one.episode]
-    convention = "recurrent" if kind.keeps_state else "history" if kind.history > 1 else "action_reference"
+    convention = "recurrent" if kind.keeps_state else "history_length" if kind.history > 1 else "action_reference"
     remembers = kind.keeps_state or kind.history > 1
     if begins and later and all(begins) and (not any(later) or (remembers and sum(later) <= _FEW * len(later))):
         told = {
             "recurrent": "the state is not carried on, or not as often as the model does it",
-            "history": "earlier observations are not the model's",
+            "history_length": "earlier observations are not the model's",
             "action_reference": "something is remembered that the model does not remember, or the other way round",
         }[convention]
         yield Pattern(

@@ -110,6 +110,7 @@ class Reading:
         answers: whether it defines what makes the function that answers.
         place: of `CONVENTIONS`; None if there is none.
         problems: what is wrong with `CONVENTIONS`, with places.
+        renamed: conventions that stand in `CONVENTIONS` under a former name.
     """
 
     conventions: Mapping[str, Source] = field(default_factory=dict)
@@ -118,6 +119,7 @@ class Reading:
     answers: bool = False
     place: Place | None = None
     problems: tuple[tuple[str, Place], ...] = ()
+    renamed: tuple[str, ...] = ()
 
     @property
     def assumed(self) -> tuple[str, ...]:
@@ -138,6 +140,11 @@ def vocabulary() -> Mapping[str, str]:
     """Return the conventions that there are, with their meanings."""
     words = spec.schema("model_io")["$defs"]["convention"]["oneOf"]
     return {word["const"]: word["description"] for word in words}
+
+
+def successors(name: str) -> tuple[str, ...]:
+    """Return the conventions that took the place of one that is no more."""
+    return tuple(spec.schema("model_io")["$defs"]["convention"]["x-renamed"].get(name, ()))
 
 
 def read_file(package: Path) -> Reading:
@@ -167,7 +174,7 @@ def read(text: str) -> Reading:
 def read_tree(tree: ast.Module) -> Reading:
     """Read a reference.py that was parsed."""
     told = _told(tree)
-    conventions, problems = _conventions(told)
+    conventions, problems, renamed = _conventions(told)
     return Reading(
         conventions=conventions,
         imports=tuple(sorted(_imports(tree), key=lambda item: (item.place.line, item.place.column))),
@@ -175,6 +182,7 @@ def read_tree(tree: ast.Module) -> Reading:
         answers=any(names.ANSWERS in _defined(node) for node in tree.body),
         place=None if told is None else Place.of(told),
         problems=problems,
+        renamed=renamed,
     )
 
 
@@ -197,20 +205,26 @@ def _defined(node: ast.stmt) -> list[str]:
     return [target.id for target in targets if isinstance(target, ast.Name)]
 
 
-def _conventions(told: ast.expr | None) -> tuple[dict[str, Source], tuple[tuple[str, Place], ...]]:
-    """Return the conventions of a literal map, and what is wrong with it."""
+def _conventions(
+    told: ast.expr | None,
+) -> tuple[dict[str, Source], tuple[tuple[str, Place], ...], tuple[str, ...]]:
+    """Return the conventions of a literal map, what is wrong with it, and those that have a former name there."""
     if told is None:
-        return {}, ()
+        return {}, (), ()
     if not isinstance(told, ast.Dict):
-        return {}, ((f"{names.CONVENTIONS} is no literal map, so that nobody can read it", Place.of(told)),)
+        return {}, ((f"{names.CONVENTIONS} is no literal map, so that nobody can read it", Place.of(told)),), ()
     found: dict[str, Source] = {}
     problems = []
+    renamed: list[str] = []
     for key, value in zip(told.keys, told.values, strict=True):
         if not isinstance(key, ast.Constant) or not isinstance(key.value, str):
             problems.append((f"a key of {names.CONVENTIONS} is no literal text", Place.of(key or value)))
             continue
         source = value.value if isinstance(value, ast.Constant) else None
-        if key.value not in vocabulary():
+        if now := successors(key.value):
+            problems.append((f"{key.value!r} is no convention any more, but {', '.join(now)} are", Place.of(key)))
+            renamed += now
+        elif key.value not in vocabulary():
             known = ", ".join(vocabulary())
             problems.append((f"{key.value!r} is no convention; there are {known}", Place.of(key)))
         elif key.value in found:
@@ -219,7 +233,7 @@ def _conventions(told: ast.expr | None) -> tuple[dict[str, Source], tuple[tuple[
             problems.append((f"the source of {key.value!r} is no literal text", Place.of(value)))
         else:
             found[key.value] = Source(source, Place.of(value))
-    return found, tuple(problems)
+    return found, tuple(problems), tuple(renamed)
 
 
 def _imports(tree: ast.Module) -> Iterator[Import]:

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from xpl.manifest import Manifest, ModelIO
 
 _IMAGES = ("camera", "image_channels", "image_orientation", "image_range", "image_size")
+HISTORY = ("history_length", "history_order", "history_padding", "history_stride")
+"""What there is to agree on of a history."""
 _OF_PARTS: Mapping[str, tuple[str, ...]] = {
     "joints": ("joint_order", "angle_unit"),
     "hand": ("joint_order", "angle_unit"),
@@ -82,8 +84,8 @@ def _of_block(model_io: ModelIO) -> Iterator[str]:
         yield from _OF_PARTS.get(kind, ())
     if any(vector.get("normalize") is not None or "pad" in vector for vector in vectors):
         yield "normalization"
-    if model_io.history is not None and model_io.history.length != 1:
-        yield "history"
+    if any(history.length != 1 for history in model_io.declared_histories):
+        yield from HISTORY
     if model_io.instruction is not None:
         yield _TEXT
     if model_io.draws:
@@ -103,7 +105,7 @@ def _of_manifest(manifest: Manifest) -> Iterator[str]:
         yield "gripper"
     yield "normalization"
     if manifest.temporal.history > 1:
-        yield "history"
+        yield from HISTORY
     if manifest.temporal.kind == "memory":
         yield "recurrent"
     if not manifest.deterministic:

@@ -77,7 +77,7 @@ def _with_a_history(
     """Find that what is older counts for more than the newest observation, or for nothing."""
     manifest = probe.package.manifest
     model_io, span = manifest.model_io or ModelIO(), manifest.reach
-    stride = 1 if model_io.history is None else model_io.history.stride
+    stride = 1 if model_io.longest is None else model_io.longest.stride
     everything = inputs.present(newest)
     renewed = second(*between, _changed(newest, everything))
     before = list(between)

@@ -56,7 +56,7 @@ def reference_sources(source: Source) -> Iterator[Finding | Proof]:
 def _findings(source: Source, reading: Reading, applies: Sequence[str]) -> Iterator[Finding]:
     for problem, place in reading.problems:
         yield _finding(source, problem, place, "another map")
-    lacking = [name for name in applies if name not in reading.conventions]
+    lacking = [name for name in applies if name not in (*reading.conventions, *reading.renamed)]
     if lacking:
         message = f"{names.CODE} does not say where it has {', '.join(lacking)} from"
         yield _finding(source, message, reading.place, "nothing for these")

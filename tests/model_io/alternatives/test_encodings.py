@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 
-from xpl.embodiment import get_embodiment
 from xpl_cli.model_io.alternatives.encodings import Encoding, convention_of, encodings
+
+from xpl.embodiment import get_embodiment
 from xpl_cli.standard import spec
 
 VOCABULARY = {option["const"] for option in spec.schema("model_io")["$defs"]["convention"]["oneOf"]}

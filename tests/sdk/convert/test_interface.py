@@ -49,10 +49,10 @@ def test_histories_are_oldest_first(history: dict[str, Any], shown: int, numbers
     interface = _interface(state=[JOINTS], history={**history, "mask": "real"})
     frames = [interface.encode(_at(number)) for number in range(shown)][-interface.span :]
     batch = interface.batch([frames, frames[-1:]])
-    assert batch["q"].shape == (2, interface.history, 7)
+    assert batch["q"].shape == (2, len(numbers), 7)
     assert batch["q"][0, :, 0].tolist() == numbers
     assert batch["real"][0].tolist() == real
-    assert batch["real"][1].tolist() == [0] * (interface.history - 1) + [1]
+    assert batch["real"][1].tolist() == [0] * (len(numbers) - 1) + [1]
 
 
 def test_zeros_stand_for_what_was_not_seen() -> None:

@@ -262,6 +262,7 @@ CASES = {
                     dtype="float32",
                     mean=[0.4, 0.5, 0.6],
                     std=[0.2, 0.3, 0.4],
+                    history={"length": 3, "stride": 2, "order": "newest_first", "pad": "zeros", "mask": "a_real"},
                 ),
                 _image("b", "cam_head", steps=[{"resize": {"to": [30, 40], "filter": "nearest"}}]),
                 _image(
@@ -300,7 +301,7 @@ CASES = {
                     },
                 }
             ],
-            "history": {"length": 2, "pad": "repeat", "of": ["state"]},
+            "history": {"length": 2, "order": "oldest_first", "pad": "repeat", "of": ["state"], "mask": "real"},
             "action": {
                 "reference": "cumulative",
                 "parts": [

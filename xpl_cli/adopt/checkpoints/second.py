@@ -132,7 +132,10 @@ def _conventions(trained: Trained, block: Mapping[str, Tree], checkpoint: str) -
     yield "action_reference", _source(action["reference"], checkpoint)
     yield "chunk", _source(trained.chunk, checkpoint)
     if trained.history is not None:
-        yield "history", repr(f"{CODE}/policies/utils.py:42")
+        yield "history_length", _source(trained.history["length"], checkpoint)
+        yield "history_order", repr(f"{CODE}/policies/utils.py:46")
+        yield "history_padding", repr(f"{CODE}/policies/utils.py:42")
+        yield "history_stride", repr(f"{CODE}/policies/utils.py:46")
     if trained.instruction is not None:
         yield sdk.Obs.INSTRUCTION, repr(f"{CODE}/policies/utils.py:135")
     yield "normalization", repr(f"{CODE}/processor/normalize_processor.py:306")

@@ -224,7 +224,7 @@ def _filled(seen: Seen, what: Subject, inputs: Mapping[str, Any], said: _Said) -
     for entry in model_io.get("state", ()):
         name = entry["input"]
         if name in inputs:
-            vector, values = interface.states[name], _newest(model_io, interface, inputs[name])
+            vector, values = interface.states[name], _newest(interface, name, inputs[name])
             shown = numbers.of_state(entry, vector, values, state, what.robot)
             vectors.append(Vector(name, _vector_words(entry), shown))
             read.append(robot.Read(name, entry, vector, vector.denormalized(values.astype(np.float64))))
@@ -265,10 +265,9 @@ def _inputs(interface: Interface, scene: Scene) -> dict[str, Any]:
         raise UserError(f"{scene.origin}: {error}", code=ExitCode.NOT_RUN) from None
 
 
-def _newest(model_io: Entry, interface: Interface, value: Any) -> np.ndarray:
-    array = np.asarray(value)
-    with_history = (model_io.get("history") or {}).get("of", ["images", "state"])
-    return array[-1] if interface.history > 1 and "state" in with_history else array
+def _newest(interface: Interface, name: str, value: Any) -> np.ndarray:
+    array, history = np.asarray(value), interface.history_of(name)
+    return array if history is None else array[history.newest]
 
 
 def _made_up(what: Subject, state: State) -> Steps:

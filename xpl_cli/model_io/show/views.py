@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from xpl.convert.images import ImageInput
+from xpl.manifest import ModelIO
 from xpl.observation import get_image
 from xpl_cli.model_io.show import looks
 
@@ -89,16 +90,15 @@ def views(model_io: Entry, inputs: Mapping[str, np.ndarray], observations: Seque
         inputs: what it gets, without a batch axis: (T, ...) where the block says that it has a history.
         observations: of the episode, oldest first.
     """
-    history = model_io.get("history") or {}
-    length = history.get("length", 1) if "images" in history.get("of", ["images", "state"]) else 1
+    histories = ModelIO.parse(model_io).histories("images")
     found = []
-    for entry in model_io.get("images", ()):
+    for entry, history in zip(model_io.get("images", ()), histories, strict=True):
         if entry["input"] not in inputs:
             continue
         given = np.asarray(inputs[entry["input"]])
-        frames = given if length > 1 else given[None]
-        for place, values in reversed(list(enumerate(frames))):
-            when = (len(frames) - 1 - place) * history.get("stride", 1)
+        frames = given if history.length > 1 else given[None]
+        ages = replace(history, length=len(frames)).ages  # an adapter's own encode may show another number
+        for when, values in sorted(zip(ages, frames, strict=True), key=lambda one: one[0]):
             then = observations[max(0, len(observations) - 1 - when)]
             found += list(_of(entry, values, then, when))
     return found

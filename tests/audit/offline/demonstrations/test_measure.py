@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from xpl_cli.audit.offline.demonstrations.rates import rates
 
 from xpl import get_embodiment
 from xpl.manifest import Manifest
@@ -18,7 +19,6 @@ from xpl_cli.audit.offline.demonstrations.episodes import Asking, LackingError, 
 from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
 from xpl_cli.audit.offline.demonstrations.measure import GRIPPER, JOINTS, POSITION, ROTATION, Errors, Ruler
 from xpl_cli.audit.offline.demonstrations.picture import drawn
-from xpl_cli.audit.offline.demonstrations.rates import rates
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.rules.profiles import Profile

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from xpl_cli.model_io.alternatives.block import alternatives
 
 from tests.audit.offline.oracle import table
 from tests.audit.offline.oracle.local import Judged
@@ -20,7 +21,6 @@ from tests.support.places import ROOT
 from xpl import get_embodiment
 from xpl_cli.audit.engine import subjects
 from xpl_cli.audit.rules.registry import find
-from xpl_cli.model_io.alternatives.block import alternatives
 
 PYTHONS = (os.environ.get("XPL_TORCH_PYTHON"), str(ROOT / "policy" / "Tiny_VLA" / ".venv" / "bin" / "python"))
 NUMBERS = ("mean", "std", "min", "max", "q01", "q99")

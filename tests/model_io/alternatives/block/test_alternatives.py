@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import jsonschema
 import pytest
 import yaml
+from xpl_cli.model_io.alternatives.block import Alternative, alternatives
 
 from tests.support import pages
 from tests.support.adapters.model_io import CASES, Case
@@ -17,7 +18,6 @@ from tests.support.places import ROOT
 from xpl.action import ActionError
 from xpl.convert import ConversionError, compile_interface
 from xpl.embodiment import get_embodiment
-from xpl_cli.model_io.alternatives.block import Alternative, alternatives
 from xpl_cli.model_io.difference import differences, spreads
 from xpl_cli.model_io.explain import Tried, explain
 from xpl_cli.standard import spec
@@ -90,7 +90,7 @@ def test_the_likeliest_come_first_and_the_block_itself_is_left_alone() -> None:
             "frame",
             lambda b: b["state"][0]["parts"][0]["position"].update(unit="m"),
         ),
-        ("one arm, poses in the base, history", "history", lambda b: b["history"].update(stride=1)),
+        ("one arm, poses in the base, history", "history_stride", lambda b: b["history"].update(stride=1)),
         (
             "one arm, cumulative poses",
             "image_filter",

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from xpl_cli.model_io.alternatives.signals import Signal, arms, deltas, poses, signals
 
 from tests.support.adapters.model_io import fields
 from xpl.embodiment import get_embodiment
 from xpl.wire import packed
-from xpl_cli.model_io.alternatives.signals import Signal, arms, deltas, poses, signals
 from xpl_cli.model_io.difference import differences, spreads
 from xpl_cli.model_io.script import Scene
 from xpl_cli.standard import spec

@@ -26,6 +26,7 @@ from xpl_cli.audit.offline.search.contest import Family, held
 from xpl_cli.audit.offline.search.loaded import Answered
 from xpl_cli.audit.offline.search.ways import Ways
 from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.packages import conventions
 
 if TYPE_CHECKING:
     from xpl_cli.audit.offline.demonstrations.certainty import Margin
@@ -43,7 +44,7 @@ _FAR: Final = 1.1
 """Nor are those that leave more than this share of the error of holding the pose: of such a policy nothing is told."""
 _UNREAD: Final = 6
 """Questions in which an input has to change nothing to be called unread."""
-_ALL_ADAPTERS: Final = frozenset(("history", "chunk", sdk.Obs.INSTRUCTION))
+_ALL_ADAPTERS: Final = frozenset((*conventions.HISTORY, "chunk", sdk.Obs.INSTRUCTION))
 """Conventions whose changes around the adapter are tried although it converts by its block."""
 
 
@@ -195,7 +196,9 @@ class Search:
         if self._ways.case.instructions:
             shown.append((sdk.Obs.INSTRUCTION, Mistake(0, "", sdk.Obs.INSTRUCTION, shown=blank)))
         if self._history > 1:
-            shown.append(("history", Mistake(0, "", "history", shown=lambda seen: [dict(seen[-1])], windowed=True)))
+            shown.append(
+                ("history", Mistake(0, "", "history_length", shown=lambda seen: [dict(seen[-1])], windowed=True))
+            )
         later = [
             number
             for number in self._demonstrated.rounds[0]
@@ -222,7 +225,9 @@ class Search:
         for name in unread:
             if name in handed:
                 yield name, "camera"
-            elif name == "history" or (name in self._ways.model_io.data and len(said) > 1):
+            elif name == "history":
+                yield name, "history_length"
+            elif name in self._ways.model_io.data and len(said) > 1:
                 yield name, name
 
     def _held(self, family: Family, *, in_block: bool) -> list[Change]:
@@ -256,7 +261,7 @@ class Search:
     @property
     def _history(self) -> int:
         """Observations that the model_io block hands over; 1 where it does not say."""
-        history = self._ways.model_io.history
+        history = self._ways.model_io.longest
         return 1 if history is None else history.length
 
     @cached_property

@@ -59,7 +59,7 @@ class Ways:
         self.manifest = package.manifest
         self.model_io = self.manifest.model_io or ModelIO()
         self.config: Config = package.config({**probe.options.overrides, **settings})
-        history = self.model_io.history
+        history = self.model_io.longest
         self.case = Case(
             embodiment=course.session.robot,
             action_type=course.session.action_type,

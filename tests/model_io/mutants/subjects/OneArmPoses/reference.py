@@ -16,7 +16,10 @@ CONVENTIONS = {
     "frame": "authors/pipeline.py:40",
     "gripper": "authors/pipeline.py:51",
     "action_reference": "authors/pipeline.py:59",
-    "history": "authors/pipeline.py:11",
+    "history_length": "authors/pipeline.py:11",
+    "history_order": "assumed",
+    "history_padding": "assumed",
+    "history_stride": "assumed",
     "normalization": "authors/pipeline.py:51",
     "chunk": "authors/pipeline.py:23",
 }
