@@ -112,6 +112,40 @@ def _lines(done: Recorded) -> list[str]:
 
 
 @app.command()
+@ends(clean="written", usage="there is one already, or policy.yml names no robot")
+def reference(policy: str = POLICY, as_json: bool = JSON) -> None:
+    """Write a reference.py to fill in: conventions that apply, fields of observations, numbers of an action.
+
+    What the model does is left to its authors' code.
+    """
+    import shlex
+
+    from xpl.embodiment import UnknownEmbodimentError
+    from xpl_cli.basics import atomic, console
+    from xpl_cli.basics.errors import UserError
+    from xpl_cli.model_io import names
+    from xpl_cli.packages import package as packages
+    from xpl_cli.scaffold import reference as scaffold
+
+    adapter = packages.load(policy)
+    path = adapter.path / names.CODE
+    if path.exists():
+        raise UserError(f"{path} is there already", hint="move it away to have another one written")
+    try:
+        atomic.write_file(path, scaffold.text(adapter.manifest).encode())
+    except UnknownEmbodimentError as error:
+        raise UserError(f"{adapter.path / sdk.File.POLICY_YML}: {error}") from None
+    except OSError as error:
+        raise UserError(f"{path} cannot be written: {error.strerror or error}") from None
+    following = [shlex.join(["xpl", "model-io", "record", policy])]
+    if as_json:
+        console.answer("xpl.model-io-reference/1", {"policy": adapter.name, "path": str(path)}, following)
+        return
+    console.data(str(path))
+    console.note(f"next: fill in what is marked, then {following[0]}")
+
+
+@app.command()
 @ends(clean="written", not_found="no such adapter, environment or file", not_run="nothing can be shown, or it failed")
 def show(
     policy: str = POLICY,
