@@ -57,6 +57,7 @@ USUAL: dict[str, list[str] | None] = {
     "data convert": ["folder", "converted"],
     "data declare": ["policy/Foo", "folder"],
     "model-io record": ["policy/Foo"],
+    "model-io reference": ["policy/Foo"],
     "model-io show": ["policy/Foo"],
     "model-io kinematics": ["policy/Foo"],
     "model-io sources": ["policy/Foo"],

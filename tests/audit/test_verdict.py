@@ -275,5 +275,7 @@ def test_a_reference_that_was_not_recorded_has_its_command(adapter: Path) -> Non
     (adapter / "reference.py").write_text("CONVENTIONS = {}\n")
     reason = "reference.py was not recorded: xpl model-io record policy/Foo"
     assert _audited(adapter) == f"GREEN contract; conversions unproven ({reason})"
+    assert engine.audit(adapter, POLICY, Options()).circumstances.is_unrecorded
     (adapter / "golden_pairs.json").write_text("{}\n")
+    assert not engine.audit(adapter, POLICY, Options()).circumstances.is_unrecorded
     assert _audited(adapter) == "GREEN contract; conversions unproven (XPL260 proved nothing)"

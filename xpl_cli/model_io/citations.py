@@ -1,4 +1,4 @@
-"""Citations of the authors' code in `CONVENTIONS`: the lines that they name, looked up in the source that is here.
+"""Citations of the authors' code: the lines that they name, looked up in the source that is here.
 
 found = lookup(Citation.parse("huggingface/lerobot@v0.4.4:src/lerobot/policies/utils.py:130 np.float32"), folders)
 found.text, found.problem       # the lines; None, or that the symbol stands elsewhere
@@ -7,19 +7,16 @@ found.text, found.problem       # the lines; None, or that the symbol stands els
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from xpl_cli.basics import files
-from xpl_cli.model_io import reading
-from xpl_cli.packages.conventions import applying, declared
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from xpl.manifest import Manifest
     from xpl_cli.packages.conventions import Value
 
 _CITED = re.compile(
@@ -73,12 +70,14 @@ class Quoted:
         text: the cited lines, each without what indents it and cut to 160 characters.
         around: these, with three lines before and after.
         problem: what is wrong: no such line, nothing on it, the symbol elsewhere; None if nothing is.
+        start: number of the first line of `around`.
     """
 
     file: Path
     text: tuple[str, ...]
     around: str
     problem: str | None
+    start: int = 1
 
 
 def folders(package: Path, python: str | None = None) -> tuple[Path, ...]:
@@ -111,8 +110,10 @@ def lookup(citation: Citation, places: Sequence[Path]) -> Quoted | None:
         return None
     lines = _lines(file)
     cited = lines[citation.first - 1 : citation.last]
-    around = "\n".join(lines[max(0, citation.first - 1 - _AROUND) : citation.last + _AROUND])
-    return Quoted(file, tuple(line.strip()[:_LONGEST] for line in cited), around, _problem(citation, lines, cited))
+    start = max(0, citation.first - 1 - _AROUND)
+    around = "\n".join(lines[start : citation.last + _AROUND])
+    text = tuple(line.strip()[:_LONGEST] for line in cited)
+    return Quoted(file, text, around, _problem(citation, lines, cited), start + 1)
 
 
 def contradiction(quoted: Quoted, values: Sequence[Value]) -> str | None:
@@ -137,75 +138,6 @@ def _words(definition: str) -> dict[str, frozenset[str]]:
     """Return by value of a definition of the schema the words by which code says it."""
     options = spec.schema("model_io")["$defs"][definition]["oneOf"]
     return {one["const"]: frozenset(one["x-words"]) for one in options if "x-words" in one}
-
-
-@dataclass(frozen=True)
-class Cited:
-    """A convention with what its source says.
-
-    Attributes:
-        convention: of the vocabulary.
-        values: that the block gives it, of those that code names by one word.
-        source: as reference.py has it; "" for a convention that applies and is not named.
-        is_assumed: whether nobody was found to say it.
-        file: where the cited lines were found; None if they were not.
-        text: these lines.
-        problem: what is wrong with them; None if nothing is known to be.
-    """
-
-    convention: str
-    values: tuple[str, ...]
-    source: str
-    is_assumed: bool
-    file: Path | None = None
-    text: tuple[str, ...] = ()
-    problem: str | None = None
-
-    def document(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
-        return {**vars(self), "file": None if self.file is None else str(self.file)}
-
-    def lines(self) -> Iterator[str]:
-        """Yield it for people."""
-        value = f" = {', '.join(self.values)}" if self.values else ""
-        yield f"{self.convention}{value}: {self.source or 'not named'}"
-        yield from (f"    {line}" for line in self.text)
-        if self.problem:
-            yield f"    ! {self.problem}"
-        elif not self.is_assumed and self.file is None:
-            yield "    (the file is not here)"
-
-
-def quoted(package: Path, manifest: Manifest, python: str | None) -> list[Cited]:
-    """Return all conventions that reference.py names, or should, with the lines that it cites.
-
-    Args:
-        package: folder of the adapter.
-        manifest: its policy.yml.
-        python: its interpreter, beside which libraries are installed; None if there is none.
-
-    Raises:
-        UserError: reference.py is missing, or no Python.
-    """
-    known = reading.read_file(package)
-    values = {} if manifest.model_io is None else declared(manifest.model_io)
-    places = folders(package, python)
-    return [_cited(name, known, values.get(name, ()), places) for name in known.agreed(applying(manifest))]
-
-
-def _cited(name: str, known: reading.Reading, values: Sequence[Value], places: Sequence[Path]) -> Cited:
-    told = known.conventions.get(name)
-    words = tuple(dict.fromkeys(value.word for value in values))
-    if told is None or told.is_assumed:
-        return Cited(name, words, "" if told is None else told.text, is_assumed=True)
-    citation = Citation.parse(told.text)
-    if citation is None:
-        return Cited(name, words, told.text, is_assumed=False, problem="it names no line of a file")
-    found = lookup(citation, places)
-    if found is None:
-        return Cited(name, words, told.text, is_assumed=False)
-    problem = found.problem or contradiction(found, values)
-    return Cited(name, words, told.text, is_assumed=False, file=found.file, text=found.text, problem=problem)
 
 
 def _found(path: str, places: Sequence[Path]) -> Path | None:

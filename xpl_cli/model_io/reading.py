@@ -126,6 +126,16 @@ class Reading:
         """Names of the conventions that are assumed."""
         return tuple(name for name, source in self.conventions.items() if source.is_assumed)
 
+    @property
+    def empty(self) -> tuple[str, ...]:
+        """Names of those of the assumed ones whose source nobody has filled in."""
+        return tuple(name for name in self.assumed if not self.conventions[name].text.strip())
+
+    @property
+    def guessed(self) -> tuple[str, ...]:
+        """Names of those of the assumed ones that say so."""
+        return tuple(name for name in self.assumed if name not in self.empty)
+
     def agreed(self, applying: Iterable[str]) -> tuple[str, ...]:
         """Return the conventions that there are to agree on: those that are named, and those that apply."""
         return tuple(dict.fromkeys((*self.conventions, *applying)))

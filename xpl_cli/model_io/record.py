@@ -13,6 +13,7 @@ from xpl.convert import ConversionError
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
+from xpl_cli.basics.strangers import command
 from xpl_cli.isolation import errand
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.model_io import names, pairs, provenance, reading, renewal, script
@@ -87,7 +88,7 @@ def record(package: Package, options: Options) -> Recorded:
         raise UserError(
             f"{package.path} has no {names.CODE}: it answers as the authors' own code does, and nobody can write it "
             "from the adapter",
-            hint="docs/model-io.md, Compare with the authors' pipeline",
+            hint=f"`{command(('xpl', 'model-io', 'reference', str(package.path)))}` writes one to fill in",
             code=ExitCode.NOT_FOUND,
         )
     read = reading.read_file(package.path)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl import robots
 from xpl_cli.scaffold import kinds
-from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.scaffold.answers import Answers
@@ -33,11 +32,3 @@ def parts(answers: Answers) -> list[dict[str, Any]]:
         is_gripper = robot["end_effector"]["kind"] == _GRIPPER
         found.append({"gripper": {"arm": arm, "closed": 0, "open": 1}} if is_gripper else {"hand": {"arm": arm}})
     return found
-
-
-def keys(answers: Answers) -> list[str]:
-    """Return the keys of an action step, in the order of `xpl.action.pack`."""
-    conventions = spec.data("conventions")
-    count = len(robots.entries()[answers.embodiment]["arms"])
-    names = conventions["action"]["types"][answers.action_type]
-    return [f"{prefix}{name}" for prefix in conventions["arms"]["prefixes"][count] for name in names]

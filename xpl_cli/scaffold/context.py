@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 from xpl import _spec as sdk
 from xpl import robots
 from xpl.manifest import Manifest
-from xpl_cli.packages.conventions import applying
-from xpl_cli.scaffold import block, kinds
+from xpl_cli.scaffold import block, kinds, reference
 from xpl_cli.scaffold.template import as_yaml
 from xpl_cli.standard import spec
 
@@ -53,8 +52,7 @@ def context(answers: Answers) -> dict[str, Any]:
         "inputs": inputs,
         "has_gripper": _has_gripper(answers),
         "model_io": model_io and {name: list(map(_flow, entries)) for name, entries in model_io.items()},
-        "conventions": _conventions(answers, inputs, model_io) if answers.reference else {},
-        "action_keys": ", ".join(map(json.dumps, block.keys(answers))),
+        "second": reference.said(_manifest(answers, inputs, model_io)) if answers.reference else {},
         "gripper_commands": _gripper_commands(),
         "environment": environment,
         "environment_as_json": {key: json.dumps(value, ensure_ascii=False) for key, value in environment.items()},
@@ -68,19 +66,20 @@ def _model_io(answers: Answers) -> dict[str, list[Any]]:
     return {"images": block.images(answers), "parts": block.parts(answers)}
 
 
-def _conventions(answers: Answers, inputs: Mapping[str, Any], model_io: Entry | None) -> dict[str, str]:
-    """Return the conventions that reference.py has to name, with what each is about."""
+def _manifest(answers: Answers, inputs: Mapping[str, Any], model_io: Entry | None) -> Manifest:
+    """Return what of the manifest reference.py has to agree with."""
     manifest: dict[str, Any] = {
+        "name": answers.name,
         "inputs": inputs,
+        "embodiments": [answers.embodiment],
         "action_types": [answers.action_type],
         "gripper": {"command": _gripper_commands()[0]} if _has_gripper(answers) else None,
-        "temporal": {"history": answers.history},
+        "temporal": {"history": answers.history, "chunk": answers.chunk},
     }
     if model_io is not None:
         vector, history = {"parts": model_io["parts"]}, {"length": answers.history}
         manifest["model_io"] = {"images": model_io["images"], "state": [vector], "history": history, "action": vector}
-    words = spec.schema("model_io")["$defs"]["convention"]["oneOf"]
-    return {word["const"]: word["description"] for word in words if word["const"] in applying(Manifest.parse(manifest))}
+    return Manifest.parse(manifest)
 
 
 def _has_gripper(answers: Answers) -> bool:

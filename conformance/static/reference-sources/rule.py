@@ -23,7 +23,8 @@ def reference_sources(source: Source) -> Iterator[Finding | Proof]:
     model_io block, or by its inputs and actions where it has none) is in it, and names file and line of the authors'
     code. A file of the package exists; there, and in what is installed in an environment inside the package, the line
     is looked up: it is not empty, it has the symbol that the citation names, and it does not say another value than
-    the block (`xyzw` for `quaternion_wxyz`). Conventions that are assumed are counted in one finding; the verdict
+    the block (`xyzw` for `quaternion_wxyz`). Conventions that are assumed are counted in one finding, and those whose
+    source is empty, as `xpl model-io reference` writes it, in another one; the verdict
     counts those that are not named with them.
 
     ## Why it matters
@@ -65,11 +66,11 @@ def _findings(source: Source, reading: Reading, applies: Sequence[str]) -> Itera
     for name, told in reading.conventions.items():
         if not told.is_assumed:
             yield from _unfounded(source, name, told, values.get(name, ()))
-    if reading.assumed:
-        count = len(reading.assumed)
-        what = "a convention is" if count == 1 else f"{count} conventions are"
-        first = reading.conventions[reading.assumed[0]]
-        yield _finding(source, f"{what} assumed: {', '.join(reading.assumed)}", first.place, f"{count} times assumed")
+    for what, counted in (("to be filled in", reading.empty), ("assumed", reading.guessed)):
+        if counted:
+            are = "a convention is" if len(counted) == 1 else f"{len(counted)} conventions are"
+            first = reading.conventions[counted[0]]
+            yield _finding(source, f"{are} {what}: {', '.join(counted)}", first.place, f"{len(counted)} times {what}")
 
 
 def _unfounded(source: Source, name: str, told: Told, values: Sequence[Value]) -> Iterator[Finding]:

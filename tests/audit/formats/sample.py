@@ -48,6 +48,7 @@ RULES = {
         ("XPL130", "private-places", "static", "XPL-PKG-1"),
         ("XPL203", "batch-order", "offline", "XPL-BAT-1"),
         ("XPL204", "batch-unknown", "offline", "XPL-BAT-3"),
+        ("XPL260", "golden-parity", "offline", "XPL-NAT-3"),
     )
 }
 

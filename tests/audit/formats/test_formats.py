@@ -26,7 +26,7 @@ from xpl_cli.audit.formats.painted import Terminal
 from xpl_cli.audit.formats.steps import next_commands
 from xpl_cli.audit.formats.text import on_terminal
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, TargetReport, exit_code
+from xpl_cli.audit.rules.model import Circumstances, Edit, Finding, Fix, GateReport, Outcome, TargetReport, exit_code
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.formats import REPORTS
@@ -265,6 +265,28 @@ def test_commands_repeat_what_the_audit_was_asked(context: Context) -> None:
     green = [TargetReport("policy/Foo", "Foo", "policy", [passed])]
     assert next_commands(green, context) == ["xpl audit policy/Foo"]
     assert next_commands(green, wide) == []
+
+
+@pytest.mark.parametrize(
+    ("not_run", "is_unrecorded", "wanted"),
+    [
+        (["XPL260"], True, ["xpl model-io record", "xpl audit"]),
+        (["XPL203", "XPL260"], True, ["xpl serve", "xpl model-io record", "xpl audit"]),
+        (["XPL260"], False, ["xpl serve", "xpl audit"]),
+        ([], True, ["xpl model-io record", "xpl audit"]),
+    ],
+)
+def test_missing_golden_pairs_are_recorded_next(
+    context: Context, not_run: list[str], is_unrecorded: bool, wanted: list[str]
+) -> None:
+    """Serving is next only where something else could not run; demonstrations are an option of the audit alone."""
+    wide = Context(context.here, running=("--python", "py"), beside=("--demos", "demos"))
+    results = [sample.result("XPL110", Outcome.PASS), *(sample.result(code, Outcome.NOT_RUN) for code in not_run)]
+    gates = [GateReport(Gate.STATIC, results[:1]), *([GateReport(Gate.OFFLINE, results)] if not_run else [])]
+    around = Circumstances(is_unrecorded=is_unrecorded)
+    commands = next_commands([TargetReport("policy/Foo", "Foo", "policy", gates, circumstances=around)], wide)
+    assert [line.partition(" policy/Foo")[0] for line in commands] == wanted
+    assert [line.endswith("--python py --demos demos") for line in commands] == [False] * (len(wanted) - 1) + [True]
 
 
 def test_a_terminal_gets_colours_and_lines_that_fit(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from tests.support.outside.browser import browser
 from tests.support.peer import xpl
 from xpl import images
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.model_io.show import page, scene, seen, watched, written
+from xpl_cli.model_io.show import page, scene, seen, watched
 from xpl_cli.model_io.show.cards import card
 from xpl_cli.model_io.show.subject import subject
 from xpl_cli.packages import package
@@ -87,12 +87,13 @@ def test_the_page_the_picture_and_the_numbers_are_written(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_a_browser_shows_the_page_without_asking_anybody(tmp_path: Path) -> None:
-    _, _, found = looked(tmp_path / "P", sights.block())
-    path = written.write(found, tmp_path / "shown")[0]
+    _conventions(tmp_path / "P")
+    path = tmp_path / "shown/index.html"
     with browser() as tab:
         for width, is_dark in ((1280, False), (400, True)):
             tab.open(f"file://{path}", width, dark=is_dark)
             assert tab("[...document.images].every(one => one.complete && one.naturalWidth > 0)")
+            assert tab("document.querySelector('#image_channels mark').getBoundingClientRect().width") > 100
             assert tab("document.querySelector('svg .link').getBoundingClientRect().height") > 10
             assert tab("document.documentElement.scrollWidth") <= width
         assert [one for one in tab.requests if not one.startswith("file:")] == []
@@ -106,6 +107,45 @@ def test_words_of_strangers_are_words(tmp_path: Path) -> None:
     text = page.page(looked(tmp_path / "P", model_io)[-1])
     assert evil not in text
     assert "&lt;script&gt;" in text
+
+
+REFERENCE = """CONVENTIONS = {
+    "image_channels": "authors.py:5 frames",
+    "gripper": "assumed: no config says it",
+    "angle_unit": "authors.py:9",
+}
+"""
+AUTHORS = "import cv2\n\n\ndef frames(path):\n    return cv2.imread(path)  # BGR frames <b>\n\n\n\nin_radians = True\n"
+
+
+def _conventions(folder: Path) -> str:
+    """Return the part of the page about conventions, of an adapter with a reference."""
+    model_io = sights.block(images=[sights.image("top", "cam_head", layout={"unknown": "no transform names it"})])
+    model_io["action"]["reference"] = {"assumed": model_io["action"]["reference"], "why": "the paper <i>says</i> so"}
+    sights.made(folder, model_io)
+    (folder / "reference.py").write_text(REFERENCE)
+    (folder / "authors.py").write_text(AUTHORS)
+    done = xpl("model-io", "show", str(folder), "--out", "shown", cwd=folder.parent)
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    return (folder.parent / "shown/index.html").read_text(encoding="utf-8").partition('<section id="conventions">')[2]
+
+
+def test_the_page_quotes_the_cited_lines_beside_the_values_of_the_block(tmp_path: Path) -> None:
+    """Escaped, the cited line marked, with whether it is known, and what contradicts it."""
+    text = _conventions(tmp_path / "P")
+    told = {part.partition('"')[0]: part for part in text.split('<article class="convention" id="')[1:]}
+    assert "<code>channels: rgb</code>" in told["image_channels"]
+    assert "<mark>    return cv2.imread(path)  # BGR frames &lt;b&gt;</mark>" in told["image_channels"]
+    assert "<span>def frames(path):</span>" in told["image_channels"]
+    assert "the block says rgb, and the code says bgr" in told["image_channels"]
+    assert "the block says deg, and the code says radians" in told["angle_unit"]
+    assert '<span class="standing known">' in told["angle_unit"]
+    assert '<span class="standing assumed">' in told["gripper"]
+    assert "assumed: no config says it" in told["gripper"]
+    assert "layout: ?" in told["image_range"]
+    assert '<span class="standing unknown">' in told["image_range"]
+    assert "the paper &lt;i&gt;says&lt;/i&gt; so" in told["action_reference"]
+    assert "none is named" in told["chunk"]
 
 
 def _run(folder: Path) -> seen.Seen:

@@ -48,6 +48,7 @@ def of_package(source: Source, kind: str, shown: str) -> Circumstances:
         unknown=tuple(unknown(source)),
         assumed=tuple(one.where for one in source.manifest.assumed),
         without_pairs=without_pairs(source, shown),
+        is_unrecorded=is_unrecorded(source),
     )
 
 
@@ -88,9 +89,14 @@ def without_pairs(source: Source, shown: str) -> str | None:
         return None if _is_recorded(source) else f"no golden pairs of the variant {source.variant}"
     if source.has(names.PAIRS):
         return None
-    if source.has(names.CODE):
+    if is_unrecorded(source):
         return f"{names.CODE} was not recorded: {command(('xpl', 'model-io', 'record', shown))}"
     return f"no {names.CODE}"
+
+
+def is_unrecorded(source: Source) -> bool:
+    """Tell whether a package has a reference.py that nobody recorded. Of a variant golden-parity asks for no pairs."""
+    return source.variant is None and source.has(names.CODE) and not source.has(names.PAIRS)
 
 
 def _is_recorded(source: Source) -> bool:

@@ -33,6 +33,7 @@ class Context:
         command: words of the command that made the report, as it is offered again.
         choice: options that chose rules, as given to `xpl audit`; commands that are offered repeat them.
         running: options that say how adapters are run, as given to `xpl audit`, `xpl serve` and `xpl eval` alike.
+        beside: options that say what adapters are held against, which other commands do not take.
     """
 
     here: Path = field(default_factory=Path.cwd)
@@ -41,6 +42,7 @@ class Context:
     command: tuple[str, ...] = ("xpl", "audit")
     choice: tuple[str, ...] = ()
     running: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules.gates import DEMONSTRATIONS, Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport
-from xpl_cli.audit.rules.verdict import Word, judged
+from xpl_cli.audit.rules.verdict import PARITY, Word, judged
 from xpl_cli.basics.strangers import command
 from xpl_cli.packages import package
 
@@ -32,20 +32,37 @@ def next_commands(reports: Sequence[TargetReport], context: Context) -> list[str
     if incomplete := [report for report in reports if judged(report).word is Word.INCOMPLETE]:
         unread = [report for report in incomplete if any(_is_unread(gate) for gate in report.gates)]
         served = [report for report in incomplete if report not in unread and report.kind != DEMONSTRATIONS]
-        commands = [_shown_alone(report, context) for report in served if not _is_withheld(report)]
-        return [*_explained(unread, Outcome.NOT_RUN), *commands, audit_again(incomplete, context)]
-    return [*_explained(reports, Outcome.WARN), *_onward(reports, context)]
+        commands = [
+            _shown_alone(report, context) for report in served if not _is_withheld(report) and _lacks_more(report)
+        ]
+        explained = _explained(unread, Outcome.NOT_RUN)
+        return [*explained, *commands, *_recorded(served, context), audit_again(incomplete, context)]
+    return [*_explained(reports, Outcome.WARN), *_recorded(reports, context), *_onward(reports, context)]
 
 
 def audit_again(reports: Sequence[TargetReport], context: Context) -> str:
     """Return the command that audits these packages as they were audited."""
     paths = dict.fromkeys(report.path for report in reports)
-    return command([*context.command, *_paths(paths), *_gates(reports), *context.choice, *context.running])
+    return command(
+        [*context.command, *_paths(paths), *_gates(reports), *context.choice, *context.running, *context.beside]
+    )
 
 
 def _is_withheld(report: TargetReport) -> bool:
     """Tell whether an environment was not played because that may move a robot: a person decides that, and no list."""
     return report.kind == package.ENV and any(gate.reason is not None for gate in report.gates)
+
+
+def _recorded(reports: Iterable[TargetReport], context: Context) -> list[str]:
+    """Return the commands that write the golden pairs that packages lack."""
+    lacking = [report for report in reports if report.circumstances.is_unrecorded]
+    return [command(["xpl", "model-io", "record", *_paths([report.path]), *context.running]) for report in lacking]
+
+
+def _lacks_more(report: TargetReport) -> bool:
+    """Tell whether something could not run for another reason than that golden pairs are missing."""
+    of_pairs = {PARITY.rule} if report.circumstances.is_unrecorded else set()
+    return {item.code for item in report.results if item.outcome is Outcome.NOT_RUN} != of_pairs
 
 
 def _shown_alone(report: TargetReport, context: Context) -> str:
@@ -84,7 +101,7 @@ def _onward(reports: Sequence[TargetReport], context: Context) -> list[str]:
     if len(reports) == 1 and not context.choice and not commands:
         (report,) = reports
         if not all(any(gate.name is wanted for gate in report.gates) for wanted in Gate):
-            return [command(["xpl", "audit", *_paths([report.path]), *context.running])]
+            return [command(["xpl", "audit", *_paths([report.path]), *context.running, *context.beside])]
     return commands
 
 

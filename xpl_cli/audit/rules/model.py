@@ -245,6 +245,7 @@ class Circumstances:
         unknown: model_io values that the manifest says are unknown.
         assumed: values that the manifest says are assumed.
         without_pairs: why there is nothing that conversions could be compared with; None if there is something.
+        is_unrecorded: whether that is because reference.py was never recorded.
     """
 
     narrowed: str = ""
@@ -253,6 +254,7 @@ class Circumstances:
     unknown: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     without_pairs: str | None = None
+    is_unrecorded: bool = False
 
 
 @dataclass

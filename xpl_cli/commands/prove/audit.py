@@ -213,8 +213,8 @@ def audit(
             *_repeated("--set", settings),
             *_repeated("--python", [python] if python else []),
             *_repeated("--policy-env", [policy_env] if policy_env else []),
-            *_repeated("--demos", [str(demos)] if demos else []),
         ),
+        beside=_repeated("--demos", [str(demos)] if demos else []),
     )
     delivery.deliver(reports, context)
     raise typer.Exit(int(exit_code(reports, Outcome(fail_on))))

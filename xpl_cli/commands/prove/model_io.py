@@ -112,6 +112,40 @@ def _lines(done: Recorded) -> list[str]:
 
 
 @app.command()
+@ends(clean="written", usage="there is one already, or policy.yml names no robot")
+def reference(policy: str = POLICY, as_json: bool = JSON) -> None:
+    """Write a reference.py to fill in: conventions that apply, fields of observations, numbers of an action.
+
+    What the model does is left to its authors' code.
+    """
+    import shlex
+
+    from xpl.embodiment import UnknownEmbodimentError
+    from xpl_cli.basics import atomic, console
+    from xpl_cli.basics.errors import UserError
+    from xpl_cli.model_io import names
+    from xpl_cli.packages import package as packages
+    from xpl_cli.scaffold import reference as scaffold
+
+    adapter = packages.load(policy)
+    path = adapter.path / names.CODE
+    if path.exists():
+        raise UserError(f"{path} is there already", hint="move it away to have another one written")
+    try:
+        atomic.write_file(path, scaffold.text(adapter.manifest).encode())
+    except UnknownEmbodimentError as error:
+        raise UserError(f"{adapter.path / sdk.File.POLICY_YML}: {error}") from None
+    except OSError as error:
+        raise UserError(f"{path} cannot be written: {error.strerror or error}") from None
+    following = [shlex.join(["xpl", "model-io", "record", policy])]
+    if as_json:
+        console.answer("xpl.model-io-reference/1", {"policy": adapter.name, "path": str(path)}, following)
+        return
+    console.data(str(path))
+    console.note(f"next: fill in what is marked, then {following[0]}")
+
+
+@app.command()
 @ends(clean="written", not_found="no such adapter, environment or file", not_run="nothing can be shown, or it failed")
 def show(
     policy: str = POLICY,
@@ -129,10 +163,16 @@ def show(
 ) -> None:
     """Write what the model sees and says on one page and in one picture, beside what the cameras give.
 
+    The page also has each convention: the block's values, and the lines of the authors' code that reference.py cites.
+
     By default test cards and a scripted state go through the model_io block, and the model does not run.
     """
+    from dataclasses import replace
+
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
+    from xpl_cli.model_io import names, reading
+    from xpl_cli.model_io.cited import cited
     from xpl_cli.model_io.show import scene, seen, watched, written
     from xpl_cli.model_io.show.subject import subject as of
     from xpl_cli.packages import package as packages
@@ -140,7 +180,8 @@ def show(
     if environment is None and task is not None:
         raise UserError("--task is of an environment: say --environment too")
     overrides = packages.parse_overrides(settings)
-    subject = of(packages.load(policy, overrides), overrides)
+    adapter = packages.load(policy, overrides)
+    subject = of(adapter, overrides)
     pair = None if watch or image or environment is not None else seen.of_pairs(subject)
     answered = None
     if environment is not None:
@@ -152,7 +193,10 @@ def show(
         view = scene.scripted(subject.package.manifest, subject.robot, subject.cameras, subject.reach)
     view = scene.photographed(view, _photos(image))
     place = watched.Place(python, policy_env, patience)
+    known = reading.read_file(adapter.path) if (adapter.path / names.CODE).is_file() else reading.Reading()
+    conventions = cited(adapter, known, python, policy_env)
     found = seen.run(subject, view, place) if watch else seen.look(subject, view, answered)
+    found = replace(found, conventions=conventions)
     files = written.write(found, out)
     if as_json:
         console.answer("xpl.model-io-show/1", {"files": files, **found.document()}, [])
@@ -214,24 +258,18 @@ def sources(
 ) -> None:
     """Quote beside each convention the line of the authors' code that reference.py cites for it."""
     from xpl_cli.basics import console
-    from xpl_cli.basics.errors import ExitCode, UserError
-    from xpl_cli.lifecycle import interpreter
-    from xpl_cli.model_io import citations
+    from xpl_cli.basics.errors import ExitCode
+    from xpl_cli.model_io import reading
+    from xpl_cli.model_io.cited import cited
     from xpl_cli.packages import package as packages
 
     adapter = packages.load(policy)
-    try:
-        resolved = interpreter.resolve(adapter.path, adapter.manifest.environment, python=python, env=policy_env)
-    except UserError:
-        if python is not None or policy_env is not None:
-            raise
-        resolved = None  # not installed: what lies in the package is quoted all the same
-    found = citations.quoted(adapter.path, adapter.manifest, resolved)
+    found = cited(adapter, reading.read_file(adapter.path), python, policy_env)
     if as_json:
         document = {"policy": adapter.name, "conventions": [one.document() for one in found]}
         console.answer("xpl.model-io-sources/1", document, [])
     else:
         for one in found:
-            for line in one.lines():
+            for line in one.told():
                 console.data(line)
     raise typer.Exit(ExitCode.FINDINGS if any(one.problem for one in found) else ExitCode.CLEAN)

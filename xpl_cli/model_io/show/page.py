@@ -43,6 +43,8 @@ def page(seen: Seen) -> str:
         action={"heads": phrases.ACTION_HEADS, "rows": [phrases.row(one) for one in seen.action]}
         if seen.action
         else None,
+        conventions=seen.conventions,
+        counts=phrases.counts(seen.conventions),
         figures=[figure.svg() for figure in seen.figures],
         robot=ROBOT,
     )

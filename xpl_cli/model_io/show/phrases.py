@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
+
+from xpl_cli.basics.words import amount
+from xpl_cli.model_io.statements import Standing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from xpl.contract import Entry
+    from xpl_cli.model_io.cited import Cited
     from xpl_cli.model_io.show.numbers import Number
     from xpl_cli.model_io.show.views import View
 
@@ -50,3 +55,12 @@ def about(view: View) -> str:
 def when(view: View) -> str:
     """Return the moment of a picture."""
     return "" if view.when == 0 else f"{view.when} observation{'s' if view.when > 1 else ''} ago"
+
+
+def counts(conventions: Sequence[Cited]) -> str:
+    """Return how many conventions are known, assumed and unknown, and how many sources do not hold."""
+    found = Counter(one.standing for one in conventions)
+    told = [f"{found[standing]} {standing}" for standing in Standing if found[standing]]
+    wrong = sum(one.problem is not None for one in conventions)
+    told += [f"{amount(wrong, 'source')} to look at"] if wrong else []
+    return f"{amount(len(conventions), 'convention')}: {', '.join(told)}"

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from xpl.contract import Entry, State
     from xpl.convert import Interface
+    from xpl_cli.model_io.cited import Cited
     from xpl_cli.model_io.show.drawing import Figure
     from xpl_cli.model_io.show.numbers import Number
     from xpl_cli.model_io.show.subject import Subject
@@ -67,6 +68,7 @@ class Seen:
         figures: the robot.
         notes: what people should know: what is open, what code does, what differs.
         witness: what the robot's kinematics says of `model_io.samples`, a sentence for each part.
+        conventions: what the block says of each, and the lines that reference.py cites for it.
     """
 
     policy: str
@@ -84,6 +86,7 @@ class Seen:
     figures: Sequence[Figure] = ()
     notes: Sequence[str] = ()
     witness: Sequence[str] = ()
+    conventions: Sequence[Cited] = ()
 
     def document(self) -> dict[str, Any]:
         """Return all numbers as JSON."""

@@ -1,0 +1,155 @@
+"""Each convention beside the block's values and the lines of the authors' code that reference.py cites for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli.basics.errors import UserError
+from xpl_cli.lifecycle import interpreter
+from xpl_cli.model_io import reading
+from xpl_cli.model_io.citations import Citation, contradiction, folders, lookup
+from xpl_cli.model_io.statements import Standing, Statement, statements
+from xpl_cli.packages.conventions import applying, declared
+
+if TYPE_CHECKING:
+    from xpl_cli.model_io.citations import Quoted
+    from xpl_cli.model_io.reading import Reading, Source
+    from xpl_cli.packages.conventions import Value
+    from xpl_cli.packages.package import Package
+
+_MOST_LINES: Final = 60
+_WIDEST: Final = 200
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the authors' code.
+
+    Attributes:
+        number: in its file, from 1.
+        text: as it stands there, cut to 200 characters.
+        is_cited: whether the citation names it, or it only stands around.
+    """
+
+    number: int
+    text: str
+    is_cited: bool
+
+
+@dataclass(frozen=True)
+class Cited:
+    """A convention with what its source says.
+
+    Attributes:
+        convention: of the vocabulary.
+        values: that the block gives it, of those that code names by one word.
+        source: as reference.py has it; "" for a convention that applies and is not named.
+        is_assumed: whether nobody was found to say it.
+        declared: all that the block says of it.
+        file: where the cited lines were found; None if they were not.
+        lines: these lines, and those around them.
+        problem: what is wrong with them; None if nothing is known to be.
+    """
+
+    convention: str
+    values: tuple[str, ...]
+    source: str
+    is_assumed: bool
+    declared: tuple[Statement, ...] = ()
+    file: Path | None = None
+    lines: tuple[Line, ...] = ()
+    problem: str | None = None
+
+    @property
+    def meaning(self) -> str:
+        """What the convention is about."""
+        return reading.vocabulary()[self.convention]
+
+    @property
+    def standing(self) -> Standing:
+        """Unknown where the block leaves a value open, assumed where it or the source assumes, else known."""
+        found = [Standing.ASSUMED if self.is_assumed else Standing.KNOWN, *(one.standing for one in self.declared)]
+        return max(found, key=list(Standing).index)
+
+    @property
+    def text(self) -> list[str]:
+        """The cited lines, without what indents them."""
+        return [line.text.strip() for line in self.lines if line.is_cited]
+
+    def document(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        return {
+            **vars(self),
+            "standing": self.standing,
+            "declared": [one.document() for one in self.declared],
+            "file": None if self.file is None else str(self.file),
+            "lines": [asdict(line) for line in self.lines],
+            "text": self.text,
+        }
+
+    def told(self) -> Iterator[str]:
+        """Yield it for people."""
+        value = f" = {', '.join(self.values)}" if self.values else ""
+        yield f"{self.convention}{value}: {self.source or 'not named'}"
+        yield from (f"    {line}" for line in self.text)
+        if self.problem:
+            yield f"    ! {self.problem}"
+        elif not self.is_assumed and self.file is None:
+            yield "    (the file is not here)"
+
+
+def cited(package: Package, known: Reading, python: str | None = None, env: str | None = None) -> list[Cited]:
+    """Return all conventions that reference.py names, or should, with the lines that it cites.
+
+    Args:
+        package: the adapter.
+        known: its reference.py; an empty one names no source.
+        python: its interpreter, beside which libraries are installed; by default its own, where there is one.
+        env: conda environment of that.
+
+    Raises:
+        UserError: if an interpreter that was named is missing.
+    """
+    manifest = package.manifest
+    values = {} if manifest.model_io is None else declared(manifest.model_io)
+    told = statements(manifest)
+    places = folders(package.path, _python(package, python, env))
+    found = []
+    for name in known.agreed(applying(manifest)):
+        words = tuple(dict.fromkeys(value.word for value in values.get(name, ())))
+        one = Cited(name, words, "", is_assumed=True, declared=told.get(name, ()))
+        if name in known.conventions:
+            one = _looked_up(one, known.conventions[name], values.get(name, ()), places)
+        found.append(one)
+    return found
+
+
+def _looked_up(one: Cited, source: Source, values: Sequence[Value], places: Sequence[Path]) -> Cited:
+    """Return a convention that reference.py names, with the lines that it cites."""
+    one = replace(one, source=source.text, is_assumed=source.is_assumed)
+    citation = None if one.is_assumed else Citation.parse(source.text)
+    if citation is None:
+        return one if one.is_assumed else replace(one, problem="it names no line of a file")
+    found = lookup(citation, places)
+    if found is None:
+        return one
+    problem = found.problem or contradiction(found, values)
+    return replace(one, file=found.file, lines=tuple(_lines(found, citation)), problem=problem)
+
+
+def _lines(found: Quoted, citation: Citation) -> Iterator[Line]:
+    for number, text in list(enumerate(found.around.split("\n"), found.start))[:_MOST_LINES]:
+        yield Line(number, text[:_WIDEST].rstrip(), citation.first <= number <= citation.last)
+
+
+def _python(package: Package, python: str | None, env: str | None) -> str | None:
+    """Return the interpreter of a package; None where it is not installed: what lies in the package is quoted."""
+    try:
+        return interpreter.resolve(package.path, package.manifest.environment, python=python, env=env)
+    except UserError:
+        if python is not None or env is not None:
+            raise
+        return None

@@ -1,0 +1,167 @@
+"""What a model_io block says of each convention, where it says it, and whether that is known, assumed or unknown.
+
+statements(manifest)["gripper"]      # (Statement("state[0].parts[1].gripper", "closed: 0, open: 0.04", KNOWN),)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl.convert.gaps import gaps
+from xpl.nested import written
+
+if TYPE_CHECKING:
+    from xpl.manifest import Manifest
+
+Path = tuple[str | int, ...]
+
+
+class Standing(StrEnum):
+    """How well something is known; the later one counts where several apply."""
+
+    KNOWN = "known"
+    ASSUMED = "assumed"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Values of one place in policy.yml.
+
+    Attributes:
+        where: the place, and further ones that say the same.
+        value: what stands there, on one line.
+        standing: of the value.
+        why: the reason that the block gives, where it assumes a value or leaves it open.
+    """
+
+    where: tuple[str, ...]
+    value: str
+    standing: Standing
+    why: str = ""
+
+    def document(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        return {**vars(self), "where": list(self.where)}
+
+
+_LONGEST: Final = 200
+"""Characters of a value, such as statistics, that are told."""
+_WHOLE: Final = ("history", "instruction", "sampling", "recurrent")
+"""Keys of the block, and conventions, of the same name."""
+_VECTORS: Final = ("state", "action")
+_OF_IMAGES: Final = {
+    "cameras": "camera",
+    "stack": "camera",
+    "channels": "image_channels",
+    **dict.fromkeys(("layout", "dtype", "range", "mean", "std"), "image_range"),
+    "steps": "image_size",  # left open as a whole
+}
+_OF_STEPS: Final = {
+    **dict.fromkeys(("resize", "letterbox", "crop", "to", "fill", "anchor", "fraction"), "image_size"),
+    **dict.fromkeys(("filter", "antialias", "as"), "image_filter"),
+    **dict.fromkeys(("rotate", "mirror"), "image_orientation"),
+}
+_OF_VECTORS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("parts", "names", "offset"), "joint_order"),
+    **dict.fromkeys(("closed", "open", "threshold"), "gripper"),
+    **dict.fromkeys(("form", "euler"), "rotation"),
+    **dict.fromkeys(("reference", "applied"), "action_reference"),
+    **dict.fromkeys(("first", "steps"), "chunk"),
+    "point": "point",
+    "frame": "frame",
+}
+_BY_KIND: Final[Mapping[tuple[str, str], str]] = {
+    ("joints", "unit"): "angle_unit",
+    ("hand", "unit"): "angle_unit",
+    ("position", "unit"): "frame",
+    ("joints", "sign"): "joint_order",
+    ("rotation", "sign"): "rotation",
+}
+"""Keys of a part that mean something else in each kind of it."""
+
+
+def statements(manifest: Manifest) -> dict[str, tuple[Statement, ...]]:
+    """Return by convention what a manifest says of it; places that say the same are one statement."""
+    block = {} if manifest.model_io is None else manifest.model_io.data
+    found: dict[str, list[Statement]] = {}
+    places: dict[tuple[str, Path], dict[str, Any]] = {}
+    for path, value in _leaves(block, ()):
+        convention = _convention(path)
+        if convention is not None:
+            places.setdefault((convention, path[:-1]), {})[str(path[-1])] = value
+    if manifest.temporal.chunk is not None:
+        places["chunk", ("temporal",)] = {"chunk": manifest.temporal.chunk}
+    standings = _standings(manifest)
+    for (convention, path), values in places.items():
+        hits = [standings[held] for held in standings if _touches(held, path, values)]
+        standing = max((one for one, _ in hits), key=list(Standing).index, default=Standing.KNOWN)
+        told = ", ".join(f"{key}: {_flow(value)}" for key, value in values.items())
+        why = "; ".join(dict.fromkeys(why for _, why in hits))
+        _add(found.setdefault(convention, []), Statement((written(path) or "model_io",), told, standing, why))
+    return {convention: tuple(told) for convention, told in found.items()}
+
+
+def _add(found: list[Statement], new: Statement) -> None:
+    """Add a statement, or its place to that of a place that says the same."""
+    for number, old in enumerate(found):
+        if replace(old, where=new.where) == new:
+            found[number] = replace(old, where=(*old.where, *new.where))
+            return
+    found.append(new)
+
+
+def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
+    """Yield every value of a block with its path; of parts also their order."""
+    if isinstance(value, Mapping) and set(value) != {"unknown"}:
+        for key, item in value.items():
+            yield from _leaves(item, (*path, key))
+    elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+        if path[-1:] == ("parts",):
+            yield path, [f"{kind} {how.get('arm', '')}".strip() for part in value for kind, how in part.items()]
+        for index, item in enumerate(value):
+            yield from _leaves(item, (*path, index))
+    else:
+        yield path, value
+
+
+def _convention(path: Path) -> str | None:
+    """Return the convention that the value at a path of the block is of; None if it is of none."""
+    words = [word for word in path if isinstance(word, str)]
+    key, above = words[-1], words[:-1]
+    if words[0] in _WHOLE:
+        return words[0]
+    if words[0] == "images":
+        return (_OF_STEPS if "steps" in above else _OF_IMAGES).get(key)
+    if "normalize" in words or key == "pad":
+        return "normalization"
+    if words[0] in _VECTORS:
+        return _BY_KIND.get((above[-1], key), _OF_VECTORS.get(key))
+    return None
+
+
+def _standings(manifest: Manifest) -> dict[Path, tuple[Standing, str]]:
+    """Return by path below the block, or below policy.yml, what is not known there, and why."""
+    found = {one.path: (Standing.ASSUMED, one.why) for one in manifest.assumed}
+    block = {} if manifest.model_io is None else manifest.model_io.data
+    found = {path[1:] if path[:1] == ("model_io",) else path: told for path, told in found.items()}
+    return found | {gap.path: (Standing.UNKNOWN, gap.reason) for gap in gaps(block)}
+
+
+def _touches(held: Path, path: Path, values: Mapping[str, Any]) -> bool:
+    """Tell whether what is not known at a path is one of the values of a place, or around them."""
+    return any(held == (*path, key)[: len(held)] for key in values)
+
+
+def _flow(value: object) -> str:
+    """Return a value as YAML writes it on one line; one that is open as a question mark."""
+    import yaml
+
+    if isinstance(value, Mapping):
+        return "?"
+    text: str = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10**6)
+    text = text.removesuffix("\n").removesuffix("\n...")
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
