@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any, Callable
@@ -76,6 +76,9 @@ class Convention:
         images: by key of an image input, what it does to bytes (..., H, W, 3), after the steps.
         texts: by key of the instruction, what it does to the text, before the template.
         parts: by word, the parts of a vector.
+        keys: the block's keys that say it, by where they stand: images, steps, history, normalize, vectors, a kind of
+            part, or block for those of the block itself; `*` for all that stand there.
+        applies: tells whether it is to be agreed on for a block; by default where one of its keys stands.
         schema: what it adds to the schema of the block: by definition, the properties.
         told_by: what tells it in a data set: a function of `xpl_cli.data.probe.sample.Sample` that yields answers.
     """
@@ -90,6 +93,8 @@ class Convention:
     images: Mapping[str, Stage] = field(default_factory=dict)
     texts: Mapping[str, Stage] = field(default_factory=dict)
     parts: Mapping[str, type[Part]] = field(default_factory=dict)
+    keys: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    applies: Callable[[Entry], bool] | None = None
     schema: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     told_by: Callable[[Any], Iterable[Any]] | None = None
 
@@ -140,6 +145,62 @@ def found(kind: str, word: str) -> Any:
 def more(kind: str) -> Mapping[str, Any]:
     """Return the words that installed packages add under `kind`."""
     return {word: value for one in others() for word, value in getattr(one, kind).items()}
+
+
+def applying(block: Entry) -> list[str]:
+    """Return the conventions that are to be agreed on for a block, sorted."""
+    there = set(_places(block, ()))
+    return sorted(one.name for one in conventions() if (one.applies(block) if one.applies else _stands(one, there)))
+
+
+def of_key(path: Sequence[str | int]) -> str | None:
+    """Return the convention that the value at a path of the block is of; None if it is of none."""
+    group, key = _place([word for word in path if isinstance(word, str)])
+    by_place = _by_place()
+    return by_place.get((group, key)) or by_place.get((group, "*"))
+
+
+def _place(words: Sequence[str]) -> tuple[str, str]:
+    """Return where a key stands, and the key, of the words that lead to it."""
+    *above, key = words
+    for group in ("history", "normalize"):
+        if group in above:
+            return group, key
+    if words[0] == "images":
+        return ("steps" if "steps" in above else "images"), key
+    if words[0] in ("state", "action"):
+        return (above[-1] if "parts" in above else "vectors"), key
+    return "block", words[0]
+
+
+@cache
+def _by_place() -> Mapping[tuple[str, str], str]:
+    return {(group, key): one.name for one in conventions() for group, keys in one.keys.items() for key in keys}
+
+
+def _places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    """Yield where the keys of a block stand."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield _place((*path, key))
+            yield from _places(item, (*path, key))
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            yield from _places(item, path)
+
+
+def _stands(one: Convention, there: set[tuple[str, str]]) -> bool:
+    return any((group, key) in there for group, keys in one.keys.items() for key in keys)
+
+
+def kinds(block: Entry) -> set[str]:
+    """Return the kinds of the parts that a block has."""
+    vectors = [*_list(block.get("state")), block.get("action") or {}]
+    return {kind for vector in vectors for part in _list(vector.get("parts")) for kind in part}
+
+
+def _list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
 
 
 def in_block(case: Case) -> Iterator[Mistake]:

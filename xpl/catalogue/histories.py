@@ -23,6 +23,11 @@ def sites(block: Block) -> list[Site]:
     return found
 
 
+def are_there(block: Block) -> bool:
+    """Tell whether an input of a block shows more than the newest observation."""
+    return any(isinstance(one.entry.get("length"), int) and one.entry["length"] != 1 for one in sites(block))
+
+
 def shown(rank: int, words: str, convention: str, order: Order, case: Case) -> list[Mistake]:
     """Return the mistakes of an adapter that should see the observations as an order has them.
 

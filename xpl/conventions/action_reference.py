@@ -266,4 +266,12 @@ def _commands(mode: str, *, to_command: bool) -> _Change:
     return change
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around)
+CONVENTION = Convention(
+    _NAME,
+    in_block=_in_block,
+    around=_around,
+    keys={
+        place: ["reference", "applied"] for place in ("vectors", "joints", "hand", "gripper", "position", "rotation")
+    },
+    applies=lambda _block: True,
+)

@@ -8,6 +8,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.catalogue import Case, Convention, Mistake, fields
+from xpl.catalogue.convention import kinds
 from xpl.catalogue.edits import alike, everywhere, parts, word
 
 if TYPE_CHECKING:
@@ -44,4 +45,10 @@ def _changes(embodiment: Embodiment) -> Iterator[fields.Change]:
         yield fields.linear(0, "unit of hands: rad, not deg", _NAME, hands, 1 / UNITS["deg"])
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around)
+CONVENTION = Convention(
+    _NAME,
+    in_block=_in_block,
+    around=_around,
+    keys={"joints": ["unit"], "hand": ["unit"]},
+    applies=lambda block: bool({"joints", "hand"} & kinds(block)),
+)

@@ -90,4 +90,11 @@ def _beside(value: Any, _how: object) -> Any:
     return walk.pictures(value, change)
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around, in_inputs=_in_inputs, kinds={"beside": _beside})
+CONVENTION = Convention(
+    _NAME,
+    in_block=_in_block,
+    around=_around,
+    in_inputs=_in_inputs,
+    kinds={"beside": _beside},
+    keys={"images": ["cameras", "stack"]},
+)

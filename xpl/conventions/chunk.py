@@ -125,4 +125,6 @@ def _between(key: str, one: np.ndarray, other: np.ndarray, share: float) -> np.n
     return mixed
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around)
+CONVENTION = Convention(
+    _NAME, in_block=_in_block, around=_around, keys={"vectors": ["first", "steps"]}, applies=lambda _block: True
+)

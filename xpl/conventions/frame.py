@@ -12,6 +12,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl import poses, rotation
 from xpl.catalogue import Case, Convention, Mistake, fields
+from xpl.catalogue.convention import kinds
 from xpl.catalogue.edits import alike, everywhere, parts, word
 from xpl.catalogue.fields import Change, Fields, Function, Numbers, Turn, on
 from xpl.errors import ConversionError
@@ -193,4 +194,10 @@ def _axes(outer: Numbers, change: Numbers) -> Numbers:
     return np.concatenate((place, turned), axis=-1)
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around)
+CONVENTION = Convention(
+    _NAME,
+    in_block=_in_block,
+    around=_around,
+    keys={"position": ["frame", "unit"], "rotation": ["frame"]},
+    applies=lambda block: bool({"position", "rotation"} & kinds(block)),
+)

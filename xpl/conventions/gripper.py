@@ -11,6 +11,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.catalogue import Case, Convention, Mistake, fields, walk
+from xpl.catalogue.convention import kinds
 from xpl.catalogue.edits import Block, Change, everywhere, parts, without, word
 from xpl.catalogue.part import Numbers, Part, State, arm_of, of
 from xpl.errors import ConversionError
@@ -281,5 +282,7 @@ CONVENTION = Convention(
     around=_around,
     in_inputs=_in_inputs,
     kinds={"linear": _linear},
+    keys={"gripper": ["closed", "open", "threshold"]},
+    applies=lambda block: "gripper" in kinds(block),
     parts={"gripper": Gripper},
 )

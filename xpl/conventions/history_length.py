@@ -49,4 +49,10 @@ def _of_question(later: int) -> Commanded:
     return commanded
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around)
+CONVENTION = Convention(
+    _NAME,
+    in_block=_in_block,
+    around=_around,
+    keys={"history": ["length", "of"], "images": ["history"], "vectors": ["history"], "block": ["history"]},
+    applies=histories.are_there,
+)

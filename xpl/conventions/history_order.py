@@ -69,4 +69,12 @@ def _reversed(value: Any, how: Mapping[str, Any]) -> Any:
     return result
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around, in_inputs=_in_inputs, kinds={"reversed": _reversed})
+CONVENTION = Convention(
+    _NAME,
+    in_block=_in_block,
+    around=_around,
+    in_inputs=_in_inputs,
+    kinds={"reversed": _reversed},
+    keys={"history": ["order"]},
+    applies=histories.are_there,
+)

@@ -24,4 +24,10 @@ def _around(case: Case) -> Iterator[Mistake]:
     yield from histories.shown(2, words, _NAME, lambda seen: [seen[0], *[seen[0]] * between, seen[-1]], case)
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around)
+CONVENTION = Convention(
+    _NAME,
+    in_block=_in_block,
+    around=_around,
+    keys={"history": ["pad", "mask"]},
+    applies=histories.are_there,
+)

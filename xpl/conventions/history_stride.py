@@ -39,4 +39,6 @@ def _doubled(seen: Sequence[Obs]) -> list[Obs]:
     return [seen[0], *(obs for obs in seen[1:] for _ in range(2))]
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around)
+CONVENTION = Convention(
+    _NAME, in_block=_in_block, around=_around, keys={"history": ["stride"]}, applies=histories.are_there
+)

@@ -45,4 +45,5 @@ CONVENTION = Convention(
     in_inputs=_in_inputs,
     kinds={"colours": _exchanged},
     images={"channels": Stage(ordered, ordered)},
+    keys={"images": ["channels"]},
 )

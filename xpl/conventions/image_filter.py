@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl.catalogue import Case, Convention, Mistake, pictures
-from xpl.catalogue.edits import everywhere
+from xpl.catalogue.edits import Block, everywhere
 from xpl.catalogue.pictures import Steps, StepsChange, inside, stepped
 
 if TYPE_CHECKING:
@@ -54,4 +54,10 @@ def _filtered(kind: str, antialias: bool | None) -> StepsChange:  # noqa: FBT001
     return change
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block)
+def _resizes(block: Block) -> bool:
+    images = block.get("images") or ()
+    steps = [step for image in images for step in (image["steps"] if isinstance(image.get("steps"), list) else ())]
+    return any(set(_RESAMPLED) & set(step) for step in steps)
+
+
+CONVENTION = Convention(_NAME, in_block=_in_block, keys={"steps": ["filter", "antialias", "as"]}, applies=_resizes)

@@ -73,6 +73,8 @@ CONVENTION = Convention(
     around=_around,
     in_inputs=_in_inputs,
     kinds={"turned": _turned},
+    keys={"steps": ["rotate", "mirror"]},
+    applies=lambda block: bool(block.get("images")),
     steps={
         "rotate": Step(
             _rotated,

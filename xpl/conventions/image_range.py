@@ -206,4 +206,5 @@ CONVENTION = Convention(
     around=_around,
     in_inputs=_in_inputs,
     kinds={"scaled": _scaled, "layout": _laid_out},
+    keys={"images": ["layout", "dtype", "range", "mean", "std"]},
 )

@@ -211,6 +211,8 @@ CONVENTION = Convention(
     in_block=_in_block,
     around=_around,
     in_inputs=_in_inputs,
+    keys={"images": ["steps"], "steps": ["resize", "letterbox", "crop", "to", "fill", "anchor", "fraction"]},
+    applies=lambda block: bool(block.get("images")),
     steps={
         "resize": Step(
             lambda values, how: _resampled(values, how, *how["to"]),

@@ -208,4 +208,12 @@ def written(value: object, how: Entry, obs: Observation) -> Any:
     return result
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around, in_inputs=_in_inputs, texts=_STAGES)
+CONVENTION = Convention(
+    _NAME,
+    in_block=_in_block,
+    around=_around,
+    in_inputs=_in_inputs,
+    texts=_STAGES,
+    keys={"block": [_NAME]},
+    applies=lambda block: block.get(_NAME) is not None,
+)

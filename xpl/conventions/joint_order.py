@@ -14,6 +14,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.catalogue import Case, Convention, Mistake, fields, pictures, walk
+from xpl.catalogue.convention import kinds
 from xpl.catalogue.edits import GONE, Block, Change, Site, alike, at, edited, everywhere, parts, without
 from xpl.catalogue.part import Numbers, Part, State, arm_of, of
 from xpl.conventions.angle_unit import UNITS
@@ -212,7 +213,7 @@ def _flipped(turned: Sequence[float]) -> Change:
 
 def _sides(block: Block) -> Iterator[Mistake]:
     """Yield blocks in which what is of one arm is the other's: parts of all kinds, or of one."""
-    for kinds, told, rank in (
+    for which, told, rank in (
         (("joints", "hand", "gripper", "position", "rotation"), "arms", 0),
         (("gripper", "hand"), "grippers", 0),
         (("joints",), "joints", 1),
@@ -220,7 +221,7 @@ def _sides(block: Block) -> Iterator[Mistake]:
         (("position",), "positions", 2),
         (("rotation",), "rotations", 2),
     ):
-        sites = [site for site in parts(block, *kinds) if site.name]
+        sites = [site for site in parts(block, *which) if site.name]
         for group in ("", "state", "action"):
             chosen = [site for site in sites if group in ("", site.group)]
             if len({site.name for site in chosen}) == 2:
@@ -412,5 +413,7 @@ CONVENTION = Convention(
     around=_around,
     in_inputs=_in_inputs,
     kinds={"ordered": _ordered},
+    keys={"vectors": ["parts"], "joints": ["names", "offset", "sign"], "hand": ["names", "offset", "sign"]},
+    applies=lambda block: bool({"joints", "hand"} & kinds(block)),
     parts={"joints": Joints, "hand": Hand},
 )

@@ -354,4 +354,15 @@ def _in_inputs(_case: Case) -> Iterator[Mistake]:
         yield Mistake(1, "normalize: other numbers of a part", _NAME, encoded={"kind": "segmented", "number": number})
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, in_inputs=_in_inputs)
+def _is_there(block: Block) -> bool:
+    vectors = [*(block.get("state") or ()), block.get("action") or {}]
+    return any(vector.get("normalize") is not None or "pad" in vector for vector in vectors)
+
+
+CONVENTION = Convention(
+    _NAME,
+    in_block=_in_block,
+    in_inputs=_in_inputs,
+    keys={"normalize": ["*"], "vectors": ["pad"]},
+    applies=_is_there,
+)

@@ -10,6 +10,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl import poses, rotation
 from xpl.catalogue import Case, Convention, Mistake, fields
+from xpl.catalogue.convention import kinds
 from xpl.catalogue.edits import alike, everywhere, parts, word
 from xpl.catalogue.fields import Numbers, on
 from xpl.errors import ConversionError
@@ -96,4 +97,10 @@ def _unturned(hand: Numbers) -> Numbers:
     return np.concatenate((-hand[: spec.POSITION_DIM], rotation.identity()))
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around)
+CONVENTION = Convention(
+    _NAME,
+    in_block=_in_block,
+    around=_around,
+    keys={"position": ["point"], "rotation": ["point"]},
+    applies=lambda block: bool({"position", "rotation"} & kinds(block)),
+)

@@ -4,4 +4,4 @@ from __future__ import annotations
 
 from xpl.catalogue import Convention
 
-CONVENTION = Convention("recurrent")
+CONVENTION = Convention("recurrent", keys={"block": ["recurrent"]}, applies=lambda block: bool(block.get("recurrent")))

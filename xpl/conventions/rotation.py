@@ -249,4 +249,6 @@ def _in_inputs(_case: Case) -> Iterator[Mistake]:
         yield Mistake(rank, words, _NAME, encoded={"kind": "rotation", "turn": turn})
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, around=_around, in_inputs=_in_inputs)
+CONVENTION = Convention(
+    _NAME, in_block=_in_block, around=_around, in_inputs=_in_inputs, keys={"rotation": ["form", "euler", "sign"]}
+)

@@ -23,4 +23,9 @@ def _in_inputs(_case: Case) -> Iterator[Mistake]:
         yield Mistake(rank, words, _NAME, encoded={"kind": "drawn", "as": kind})
 
 
-CONVENTION = Convention(_NAME, in_inputs=_in_inputs)
+CONVENTION = Convention(
+    _NAME,
+    in_inputs=_in_inputs,
+    keys={"block": [_NAME]},
+    applies=lambda block: block.get(_NAME, "none") != "none",
+)

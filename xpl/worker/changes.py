@@ -33,10 +33,10 @@ def _loaded(order: Order) -> tuple[bytes, Play]:
         model = load(order)
     except FAILURES as error:
         return failed(error), lambda _order: iter(())
-    return result(None), _Asked(model, order["block"]).answers
+    return result(None), Asked(model, order["block"]).answers
 
 
-class _Asked:
+class Asked:
     """A loaded model and what it was shown."""
 
     def __init__(self, model: Any, block: Mapping[str, Any]) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl.catalogue.convention import of_key
 from xpl.convert.gaps import gaps
 from xpl.nested import written
 
@@ -50,38 +51,6 @@ class Statement:
 
 _LONGEST: Final = 200
 """Characters of a value, such as statistics, that are told."""
-_WHOLE: Final = ("history", "instruction", "sampling", "recurrent")
-"""Keys of the block, and conventions, of the same name."""
-_VECTORS: Final = ("state", "action")
-_OF_IMAGES: Final = {
-    "cameras": "camera",
-    "stack": "camera",
-    "channels": "image_channels",
-    **dict.fromkeys(("layout", "dtype", "range", "mean", "std"), "image_range"),
-    "steps": "image_size",  # left open as a whole
-}
-_OF_STEPS: Final = {
-    **dict.fromkeys(("resize", "letterbox", "crop", "to", "fill", "anchor", "fraction"), "image_size"),
-    **dict.fromkeys(("filter", "antialias", "as"), "image_filter"),
-    **dict.fromkeys(("rotate", "mirror"), "image_orientation"),
-}
-_OF_VECTORS: Final[Mapping[str, str]] = {
-    **dict.fromkeys(("parts", "names", "offset"), "joint_order"),
-    **dict.fromkeys(("closed", "open", "threshold"), "gripper"),
-    **dict.fromkeys(("form", "euler"), "rotation"),
-    **dict.fromkeys(("reference", "applied"), "action_reference"),
-    **dict.fromkeys(("first", "steps"), "chunk"),
-    "point": "point",
-    "frame": "frame",
-}
-_BY_KIND: Final[Mapping[tuple[str, str], str]] = {
-    ("joints", "unit"): "angle_unit",
-    ("hand", "unit"): "angle_unit",
-    ("position", "unit"): "frame",
-    ("joints", "sign"): "joint_order",
-    ("rotation", "sign"): "rotation",
-}
-"""Keys of a part that mean something else in each kind of it."""
 
 
 def statements(manifest: Manifest) -> dict[str, tuple[Statement, ...]]:
@@ -90,7 +59,7 @@ def statements(manifest: Manifest) -> dict[str, tuple[Statement, ...]]:
     found: dict[str, list[Statement]] = {}
     places: dict[tuple[str, Path], dict[str, Any]] = {}
     for path, value in _leaves(block, ()):
-        convention = _convention(path)
+        convention = of_key(path)
         if convention is not None:
             places.setdefault((convention, path[:-1]), {})[str(path[-1])] = value
     if manifest.temporal.chunk is not None:
@@ -126,21 +95,6 @@ def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
             yield from _leaves(item, (*path, index))
     else:
         yield path, value
-
-
-def _convention(path: Path) -> str | None:
-    """Return the convention that the value at a path of the block is of; None if it is of none."""
-    words = [word for word in path if isinstance(word, str)]
-    key, above = words[-1], words[:-1]
-    if words[0] in _WHOLE:
-        return words[0]
-    if words[0] == "images":
-        return (_OF_STEPS if "steps" in above else _OF_IMAGES).get(key)
-    if "normalize" in words or key == "pad":
-        return "normalization"
-    if words[0] in _VECTORS:
-        return _BY_KIND.get((above[-1], key), _OF_VECTORS.get(key))
-    return None
 
 
 def _standings(manifest: Manifest) -> dict[Path, tuple[Standing, str]]:

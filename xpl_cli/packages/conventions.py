@@ -68,30 +68,11 @@ def applying(manifest: Manifest) -> list[str]:
     Args:
         manifest: policy.yml. Its model_io block says what there is to agree on; without one, its inputs and actions do.
     """
-    model_io = manifest.model_io
-    found = _of_manifest(manifest) if model_io is None else _of_block(model_io)
-    return sorted({"action_reference", "chunk", *found})
+    if manifest.model_io is None:
+        return sorted({"action_reference", "chunk", *_of_manifest(manifest)})
+    from xpl.catalogue import convention as catalogue  # which needs numpy
 
-
-def _of_block(model_io: ModelIO) -> Iterator[str]:
-    if model_io.images:
-        yield from _IMAGES
-    steps = [step for image in model_io.images for step in _list(image.get("steps"))]
-    if any({"resize", "letterbox"} & set(step) for step in steps):
-        yield "image_filter"
-    vectors = [*model_io.state, model_io.action]
-    for kind in (kind for vector in vectors for part in _list(vector.get("parts")) for kind in part):
-        yield from _OF_PARTS.get(kind, ())
-    if any(vector.get("normalize") is not None or "pad" in vector for vector in vectors):
-        yield "normalization"
-    if any(history.length != 1 for history in model_io.declared_histories):
-        yield from HISTORY
-    if model_io.instruction is not None:
-        yield _TEXT
-    if model_io.draws:
-        yield "sampling"
-    if model_io.recurrent:
-        yield "recurrent"
+    return catalogue.applying(manifest.model_io.data)
 
 
 def _of_manifest(manifest: Manifest) -> Iterator[str]:

@@ -6,8 +6,8 @@ import contextlib
 from typing import Any
 
 import numpy as np
-from xpl_cli.model_io.alternatives.signals import Signal
 
+from xpl.catalogue import Mistake
 from xpl_cli.audit.offline.search.around import Around
 from xpl_cli.audit.offline.search.course import Course
 from xpl_cli.model_io.pairs import Session
@@ -16,7 +16,7 @@ from xpl_cli.model_io.script import played, whole
 CALLS = whole(1)
 ANSWERS: Any = tuple(tuple({} for _ in call.ask) for call in CALLS if call.ask)
 SESSION = Session("piper_single", "joint", 0, {"cam_head": (24, 32)}, 1, CALLS, ANSWERS)
-UNCHANGED = Signal(0, "", "camera", shown=lambda seen: [{**obs, "told": len(seen)} for obs in seen])
+UNCHANGED = Mistake(0, "", "camera", shown=lambda seen: [{**obs, "told": len(seen)} for obs in seen])
 
 
 def test_episodes_that_are_passed_are_begun() -> None:

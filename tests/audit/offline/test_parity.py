@@ -18,6 +18,7 @@ from xpl import Policy
 from xpl.manifest import ModelIO
 from xpl.wire import packed
 from xpl.worker import variants
+from xpl.worker.changes import Asked
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.offline.parity import distribution
 from xpl_cli.audit.offline.parity.fact import Compared, Parity
@@ -376,8 +377,16 @@ def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> Non
     absolute = {**block, "action": {**block["action"], "reference": "absolute"}}
     broken = {**block, "action": {**block["action"], "pad": 3}}
     course = Course(Session("franka_single", "joint", 0, {}, 1, script.brief()))
-    order = {"calls": course.told(script.brief()), "seconds": 100.0}
-    told = [packed.decode(one) for one in variants.variants(model, [block, absolute, broken, block], order)]
+    asked, known = Asked(model, block), set[str]()
+
+    def answers(asked: Asked, blocks: list[Any], seconds: float = 100.0) -> list[Any]:
+        order = {"blocks": blocks, "seconds": seconds, **course.told(script.brief(), known)}
+        loaded, *found = [packed.decode(one) for one in asked.answers(order)]
+        assert loaded["result"] is None
+        return found
+
+    told = answers(asked, [block, absolute, broken])
+    told += answers(asked, [block])  # the model stays loaded, and what it was shown
     assert model.calls == 3
     assert "ConversionError" in told[2]["error"]
     delta, other, again = (told[place]["result"] for place in (0, 1, 3))
@@ -385,9 +394,11 @@ def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> Non
     assert np.array_equal(delta[0][0]["arm_joint_state"], again[0][0]["arm_joint_state"])
     assert not np.allclose(delta[0][0]["arm_joint_state"], other[0][0]["arm_joint_state"])
     alone = Counting({**config, "manifest": {**manifest, "model_io": absolute}})
-    (same,) = [packed.decode(one) for one in variants.variants(alone, [absolute], order)]
+    known.clear()
+    (same,) = answers(Asked(alone, absolute), [absolute])
     assert np.array_equal(same["result"][2][0]["arm_joint_state"], other[2][0]["arm_joint_state"])
     assert variants.unfit(model) is None
     assert "encode" in str(variants.unfit(Encoding(config)))
     assert "no model_io block" in str(variants.unfit(Counting({**config, "manifest": {}})))
-    assert list(variants.variants(model, [block], {**order, "seconds": -1.0})) == []
+    known.clear()
+    assert answers(Asked(alone, absolute), [block], -1.0) == []

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from tests.support.recordings.arms import ROBOTS, moments, rows
 from xpl import get_embodiment
 from xpl.conventions import rotation as rotations
+from xpl.conventions.rotation import ORDERS
 from xpl_cli.model_io.kinematics import witness
-from xpl_cli.model_io.kinematics.readings import ORDERS
 from xpl_cli.model_io.kinematics.samples import Columns
 from xpl_cli.model_io.kinematics.witness import AGREES, DIFFERS, OPEN, UNEXPLAINED, Verdict
 

@@ -3,7 +3,8 @@
 A mutant is a subject of this folder, or one of its rewritten variants, with some text replaced, as a file of mistakes
 says. The files differ by who planted: `known.yml` by somebody who knew how the parity rule explains, `strangers.yml` by
 somebody who did not, and the search was then bettered by what it had missed; `fresh.yml` by somebody else who did not,
-when that was done. The rates are told apart: only those of `fresh.yml` are out of sample.
+when that was done; `planted.yml`, four of whose thirty are two mistakes at once, by yet another one when it was written
+anew. The rates are told apart: only those of `fresh.yml` and `planted.yml` at first sight are out of sample.
 """
 
 from __future__ import annotations
@@ -11,8 +12,12 @@ from __future__ import annotations
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import yaml
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 HERE = Path(__file__).parent
 SUBJECTS = HERE / "subjects"
@@ -63,6 +68,7 @@ class Mutant:
         conventions: the conventions of which any names the cause right.
         edits: file, text of the correct adapter, and what replaces it.
         source: file of mistakes that it is from, without its ending.
+        two: whether it is two mistakes, so that all of `conventions` have to be named.
     """
 
     adapter: Adapter
@@ -70,6 +76,11 @@ class Mutant:
     conventions: tuple[str, ...]
     edits: tuple[tuple[str, str, str], ...]
     source: str
+    two: bool = False
+
+    def is_named(self, named: Sequence[str]) -> bool:
+        """Tell whether conventions that a finding names are right: any of those, or both of two mistakes."""
+        return set(self.conventions) <= set(named) if self.two else bool(set(self.conventions) & set(named))
 
     def __str__(self) -> str:
         """Return how tests call it."""
@@ -99,7 +110,7 @@ def read(source: str) -> tuple[Mutant, ...]:
             edits = tuple((edit.get("file", _MODEL), edit["replace"], edit["by"]) for edit in mistake["edits"])
             told = mistake["convention"]
             conventions = tuple(told) if isinstance(told, list) else (told,)
-            found.append(Mutant(Adapter(adapter), name, conventions, edits, source))
+            found.append(Mutant(Adapter(adapter), name, conventions, edits, source, bool(mistake.get("two"))))
     return tuple(found)
 
 

@@ -37,6 +37,7 @@ class Trial:
         outcome: of the parity rule.
         message: of its first finding, or why there is none.
         convention: the cause that it names, None if none.
+        conventions: all that it names: of two mistakes two.
         words: that cause in the finding's words.
     """
 
@@ -44,6 +45,7 @@ class Trial:
     message: str
     convention: str | None = None
     words: str | None = None
+    conventions: tuple[str, ...] = ()
 
     @property
     def is_caught(self) -> bool:
@@ -92,7 +94,8 @@ def tried(mutant: Mutant, recorded: Recorded) -> Trial:
         return Trial(str(result.outcome), result.reason or "")
     causes = [dict(one.evidence or {}).get("cause") for one in result.findings]
     cause = next((one for one in causes if one), None) or {}
-    return Trial(str(result.outcome), result.findings[0].message, cause.get("convention"), cause.get("words"))
+    named = tuple(cause.get("conventions", ()))
+    return Trial(str(result.outcome), result.findings[0].message, cause.get("convention"), cause.get("words"), named)
 
 
 def main() -> None:
@@ -111,7 +114,7 @@ def main() -> None:
                 continue
             started = time.monotonic()
             trial = tried(mutant, recorded)
-            is_right = trial.convention in mutant.conventions
+            is_right = mutant.is_named(trial.conventions)
             tally[mutant.source].update(["planted", *["caught"] * trial.is_caught, *["named"] * is_right])
             table.append({"adapter": mutant.adapter.name, "name": mutant.name, "planted": mutant.conventions})
             table[-1].update(asdict(trial), right=is_right)

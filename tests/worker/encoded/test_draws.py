@@ -37,7 +37,7 @@ class Drawing(Policy):
 
 def _answers(draw: Callable[[Policy, int, list[int]], Any], how: str) -> dict[str, Any]:
     adapter = type("Adapter", (Drawing,), {"draw": staticmethod(draw), "__module__": __name__})
-    (answer,) = play.changes(adapter(CONFIG), [{"kind": "drawn", "as": how}], {"calls": CALLS, "seconds": 100.0})
+    (answer,) = play.changes(adapter(CONFIG), [{"kind": "drawn", "as": how}], CALLS, 100.0)
     told: dict[str, Any] = packed.decode(answer)
     assert "error" not in told, told
     return dict(told["result"])

@@ -10,11 +10,13 @@ import pytest
 
 from tests.support.adapters.model_io import observation
 from xpl import rotation
+from xpl.catalogue import convention as catalogue
 from xpl.catalogue.walk import UnfitError, changed, leaves
+from xpl.conventions import instruction
 from xpl.convert.images import ImageInput
 from xpl.policy import Policy
 from xpl.wire import packed
-from xpl.worker.encoded import pictures, play, texts, turns, vectors
+from xpl.worker.encoded import pictures, play, turns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,6 +46,10 @@ class Tensor:
 Pair = namedtuple("Pair", "one other")  # noqa: PYI024 - of any types
 
 
+def _changed(kind: str, value: Any, how: Any) -> Any:
+    return catalogue.found("kinds", kind)(value, how)
+
+
 def test_all_that_encode_may_return_is_walked_through() -> None:
     value = {
         "a": np.ones(4, np.float32),
@@ -67,23 +73,23 @@ def test_black_and_white_become_others() -> None:
     to = [[-1, -2, -3], [1, 2, 3]]
     image = RNG.uniform(0, 1, (24, 32, 3)).astype(np.float32)
     for axes in ((0, 1, 2), (2, 0, 1)):
-        result = pictures.scaled({"i": image.transpose(axes)}, {"of": of, "to": to})["i"]
+        result = _changed("scaled", {"i": image.transpose(axes)}, {"of": of, "to": to})["i"]
         assert np.allclose(result, ((2 * image - 1) * [1, 2, 3]).transpose(axes), atol=1e-5)
     with pytest.raises(UnfitError, match="pictures from"):
-        pictures.scaled(image * 255, {"of": of, "to": to})
-    assert pictures.scaled({"v": np.ones(9)}, {"of": of, "to": to})["v"].tolist() == [1.0] * 9
+        _changed("scaled", image * 255, {"of": of, "to": to})
+    assert _changed("scaled", {"v": np.ones(9)}, {"of": of, "to": to})["v"].tolist() == [1.0] * 9
 
 
 def test_axes_and_colours_are_exchanged() -> None:
     views = RNG.uniform(0, 1, (2, 24, 32, 3))
-    assert (pictures.colours(views, {}) == views[..., ::-1]).all()
-    assert pictures.layout(views, {"to": "chw"}).shape == (2, 3, 24, 32)
-    assert pictures.layout(views, {"to": "hwc"}) is views
-    assert pictures.layout(views, {"to": "turned"}).shape == (2, 32, 24, 3)
+    assert (_changed("colours", views, {}) == views[..., ::-1]).all()
+    assert _changed("layout", views, {"to": "chw"}).shape == (2, 3, 24, 32)
+    assert _changed("layout", views, {"to": "hwc"}) is views
+    assert _changed("turned", views, {}).shape == (2, 32, 24, 3)
     beside = RNG.uniform(0, 1, (20, 40, 3))
-    below = pictures.beside(beside, {})
+    below = _changed("beside", beside, {})
     assert (below == np.concatenate((beside[:, :20], beside[:, 20:]), 0)).all()
-    assert (pictures.beside(below, {}) == beside).all()
+    assert (_changed("beside", below, {}) == beside).all()
 
 
 def _seen(obs: Mapping[str, Any], *steps: dict[str, Any], turned: bool = False) -> np.ndarray:
@@ -134,19 +140,19 @@ def test_an_adapter_without_pictures_or_with_ways_of_its_own_is_left() -> None:
 )
 def test_the_instruction_within_a_prompt(written: Any, how: dict[str, Any], wanted: str) -> None:
     obs = observation("franka_single", instruction="  Fold IT. ")
-    assert texts.text({"p": written("  Fold IT. "), "n": np.ones(3)}, how, obs)["p"] == wanted
+    assert instruction.written({"p": written("  Fold IT. "), "n": np.ones(3)}, how, obs)["p"] == wanted
     with pytest.raises(UnfitError, match="no text"):
-        texts.text({"n": np.ones(3)}, how, obs)
+        instruction.written({"n": np.ones(3)}, how, obs)
 
 
 def test_orders_of_vectors() -> None:
     value = {"q": np.arange(4.0), "h": np.arange(8.0).reshape(2, 4), "i": np.zeros((24, 32, 3)), "r": np.arange(3.0)}
-    result = vectors.ordered(value, {"order": [3, 0, 1, 2]})
+    result = _changed("ordered", value, {"order": [3, 0, 1, 2]})
     assert result["q"].tolist() == [3, 0, 1, 2]
     assert result["h"].tolist() == [[3, 0, 1, 2], [7, 4, 5, 6]]
     assert result["r"].tolist() == [0, 1, 2]
     with pytest.raises(UnfitError, match="no vector"):
-        vectors.ordered({"r": np.arange(3.0)}, {"order": [3, 0, 1, 2]})
+        _changed("ordered", {"r": np.arange(3.0)}, {"order": [3, 0, 1, 2]})
 
 
 def _rotations(count: int = 5) -> np.ndarray:
@@ -200,11 +206,11 @@ def test_quaternions_are_written_otherwise(turn: str, wanted: Any) -> None:
 
 def test_some_numbers_are_scaled() -> None:
     how = {"width": 5, "places": [1, 4], "scale": 100.0, "offset": -1.0}
-    result = vectors.linear({"a": np.ones((2, 5)), "b": np.ones(6)}, how)
+    result = _changed("linear", {"a": np.ones((2, 5)), "b": np.ones(6)}, how)
     assert result["a"].tolist() == [[1.0, 99.0, 1.0, 1.0, 99.0]] * 2
     assert result["b"].tolist() == [1.0] * 6
     with pytest.raises(UnfitError, match="no vector"):
-        vectors.linear(np.ones(4), how)
+        _changed("linear", np.ones(4), how)
 
 
 class Small(Policy):
@@ -233,10 +239,9 @@ def test_changes_are_played_one_after_another() -> None:
         {"kind": "ordered", "way": "both", "order": [1, 0, *range(2, 8)]},
         {"kind": "nonsense"},
     ]
-    order = {"calls": calls, "seconds": 100.0}
-    told = [packed.decode(answer) for answer in play.changes(model, wanted, order)]
+    told = [packed.decode(answer) for answer in play.changes(model, wanted, calls, 100.0)]
     assert "it changes nothing" in told[0]["error"]
-    assert "KeyError" in told[-1]["error"]
+    assert "nobody here knows the change nonsense" in told[-1]["error"]
     plain = np.tanh(np.concatenate((shown[1]["state"]["arm_joint_state"], shown[1]["state"]["ee_joint_state"]))) * 0.4
     assert told[1]["result"]["answers"][1][0]["arm_joint_state"] == pytest.approx(plain[:7] + 0.1, abs=1e-6)
     ordered = told[-2]["result"]["answers"][1][0]["arm_joint_state"]
@@ -256,4 +261,4 @@ def test_changes_are_played_one_after_another() -> None:
 def test_time_that_is_over_ends_it() -> None:
     model = Small({"env_cfg_type": "franka_single", "action_type": "joint"})
     calls = [{"show": [[0, observation("franka_single")]]}, {"ask": [0]}]
-    assert list(play.changes(model, [{"kind": "colours"}], {"calls": calls, "seconds": -1.0})) == []
+    assert list(play.changes(model, [{"kind": "colours"}], calls, -1.0)) == []

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from xpl_cli.audit.offline.demonstrations.rates import rates
 
 from xpl import get_embodiment
+from xpl.conventions.chunk import rates
 from xpl.manifest import Manifest
 from xpl.trajectory import open_folder
 from xpl_cli.audit.offline.demonstrations import declared, scripted

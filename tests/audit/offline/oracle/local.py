@@ -17,11 +17,11 @@ from xpl.client import PolicyServerError
 from xpl.episodes import EpisodeCounter
 from xpl.observation import ObservationError
 from xpl.wire import packed
-from xpl.worker import variants
+from xpl.worker.changes import Asked
 from xpl.worker.loading import load_model_class
 from xpl_cli.audit.engine.checks import Checks
 from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
-from xpl_cli.audit.offline.search.loaded import Changed
+from xpl_cli.audit.offline.search.loaded import LoadedAdapter
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
@@ -80,14 +80,13 @@ class Local:
         told = self.__getattr__("update_obs")(obs)
         return told if isinstance(told, PolicyServerError) else self.__getattr__("get_action")()
 
-    def blocks(self, course: Any, tried: Any, wanted: Any, seconds: float) -> Any:
+    def blocks(self, again: Any, tried: Any, wanted: Any, seconds: float) -> Any:
         """Return the answers under each block, as the errand does; the model is as it was afterwards."""
-        if variants.unfit(self.model) is not None:
+        course, asked = again._course, Asked(self.model, again._block)
+        order = {"blocks": tried, "seconds": seconds, **course.told(course.calls(wanted), set())}
+        why, *answers = [packed.decode(one).get("result") for one in asked.answers(order)]
+        if why is not None:
             return None
-        own, predict = self.model.interface, self.model.predict
-        order = {"calls": course.told(course.calls(wanted)), "seconds": seconds}
-        answers = [packed.decode(one).get("result") for one in variants.variants(self.model, tried, order)]
-        self.model.interface, self.model.predict = own, predict
         return [None if one is None else dict(zip(sorted(wanted), one, strict=True)) for one in answers]
 
 
@@ -127,7 +126,7 @@ class Judged:
         facts = {"path": self.package, "demonstrations": self.fact, "options": self.probe.options}
 
         def blocks(again: Any, tried: Any, wanted: Any, seconds: float) -> Any:
-            return self.probe.blocks(again._course, tried, wanted, seconds)
+            return self.probe.blocks(again, tried, wanted, seconds)
 
-        with mock.patch.object(Changed, "blocks", blocks):
+        with mock.patch.object(LoadedAdapter, "blocks", blocks):
             return Checks(Facts(facts, {}))._checked(find(slug))  # type: ignore[arg-type]

@@ -38,8 +38,6 @@ _SAME: Final = Mistake(
     0, "each environment asked by itself", "recurrent", shown=lambda seen: [dict(obs) for obs in seen]
 )
 """Changes nothing of what is shown."""
-_LITTLE_S: Final = 15.0
-"""What two mistakes of which one is of what is shown may take."""
 _FIRSTS: Final = 4
 """Mistakes that are undone so that others are tried besides."""
 
@@ -111,10 +109,10 @@ class Shown:
         self, mistakes: Sequence[Mistake], tried: Held, around: Around, ruler: GoldenRuler, ways: Ways
     ) -> Explanation | None:
         """Return what explains the difference by two mistakes: of what is shown, and another one."""
-        until = time.monotonic() + _LITTLE_S
+        ways.halve()
         for place in ruler.eased(tried.first, _FIRSTS):
             first = mistakes[place]
-            given = around.answers(first, ruler.everything) if ways.left > 0 and time.monotonic() < until else None
+            given = around.answers(first, ruler.everything) if ways.left > 0 else None
             if given is None:
                 continue
             others = [_after(first, one) for one in mistakes if not (one.windowed or first.windowed)]

@@ -33,7 +33,8 @@ _MANY: Final = 0.45
 _FEW: Final = 0.9
 """Shares of the time that is left for changes of encoded inputs: of all, and of those that lower the difference."""
 
-_LITTLE_S: Final = 15.0
+_LITTLE_S: Final = 10.0
+"""What the search for two mistakes may take at least."""
 
 Enough = Callable[[Answered], bool]
 """Tells whether answers leave nothing to explain, so that what is less likely need not be tried."""

@@ -1,4 +1,4 @@
-"""Single changes of a model_io block's words: valid, each once, likeliest first, and every planted one found again."""
+"""Mistakes as other words of a model_io block: valid, each once, likeliest first, and every planted one found again."""
 
 from __future__ import annotations
 
@@ -9,30 +9,33 @@ from typing import TYPE_CHECKING, Any
 import jsonschema
 import pytest
 import yaml
-from xpl_cli.model_io.alternatives.block import Alternative, alternatives
 
 from tests.support import pages
 from tests.support.adapters.model_io import CASES, Case
 from tests.support.adapters.planted import Rig
 from tests.support.places import ROOT
+from xpl import catalogue
 from xpl.action import ActionError
 from xpl.convert import ConversionError, compile_interface
 from xpl.embodiment import get_embodiment
 from xpl_cli.model_io.difference import differences, spreads
 from xpl_cli.model_io.explain import Tried, explain
+from xpl_cli.model_io.mistakes import in_block
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from xpl.catalogue import Mistake
+
 SCHEMA = spec.schema("model_io")
 VOCABULARY = {option["const"] for option in SCHEMA["$defs"]["convention"]["oneOf"]}
 NAMES = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 
 
-def _all(case: Case, model_io: Mapping[str, Any] | None = None) -> list[Alternative]:
-    return list(alternatives(model_io or case.model_io, case.embodiment, case.action_type))
+def _all(case: Case, model_io: Mapping[str, Any] | None = None) -> list[tuple[Mistake, dict[str, Any]]]:
+    return list(in_block(catalogue.Case(case.embodiment, case.action_type, model_io or case.model_io)))
 
 
 @pytest.mark.slow
@@ -40,14 +43,14 @@ def _all(case: Case, model_io: Mapping[str, Any] | None = None) -> list[Alternat
 def test_each_is_another_block_that_is_valid(case: Case) -> None:
     validator = jsonschema.Draft202012Validator(SCHEMA)
     found = _all(case)
-    texts = [json.dumps(one.block, sort_keys=True) for one in found]
+    texts = [json.dumps(block, sort_keys=True) for _, block in found]
     assert len(set(texts)) == len(texts)
     assert json.dumps(case.model_io, sort_keys=True) not in texts
-    assert {one.convention for one in found} <= VOCABULARY
+    assert {one.convention for one, _ in found} <= VOCABULARY
     widths = case.compiled().action.vector.padded
-    for one in found[::7]:
-        validator.validate(one.block)
-        changed = compile_interface(one.block, case.embodiment, case.action_type)
+    for _, block in found[::7]:
+        validator.validate(block)
+        changed = compile_interface(block, case.embodiment, case.action_type)
         assert changed.action.vector.padded == widths
 
 
@@ -55,7 +58,7 @@ def test_the_likeliest_come_first_and_the_block_itself_is_left_alone() -> None:
     """A search that is cut short by time has tried the same every time."""
     case = CASES["two arms, joint deltas"]
     before = json.dumps(case.model_io)
-    words = [one.words for one in _all(case)]
+    words = [one.words for one, _ in _all(case)]
     assert json.dumps(case.model_io) == before
     for common, rare in (
         ("channels: bgr", "fill: 114 (wrists)"),
@@ -110,10 +113,10 @@ def test_what_was_changed_is_named(name: str, convention: str, change: Any) -> N
     spread = spreads(model_io)
     before = differences(model_io, given, spread)
     tried = []
-    for one in _all(case, wrong):
+    for one, block in _all(case, wrong):
         if one.convention == convention:
             with contextlib.suppress(ActionError):  # an opening far from 0..1
-                tried.append(Tried(one.words, one.convention, differences(model_io, rig.answers(one.block), spread)))
+                tried.append(Tried(one.words, one.convention, differences(model_io, rig.answers(block), spread)))
     found = explain(before, tried, 1e-4)
     assert found.cause is not None
     assert found.cause.convention == convention
@@ -129,8 +132,8 @@ def test_the_block_of_the_documentation_has_alternatives(tmp_path: Path) -> None
     other = {"q01": [-2.0] * 16, "q99": [3.0] * 16}
     table = {"norm_stats": {"state": numbers, "actions": numbers}, "other": {"state": other}}
     (tmp_path / "norm_stats.json").write_text(json.dumps(table), encoding="utf-8")
-    found = list(alternatives(model_io, get_embodiment("franka"), "joint", [tmp_path], 50))
-    words = {one.words for one in found}
+    found = list(in_block(catalogue.Case(get_embodiment("franka"), "joint", model_io, [tmp_path]), 50))
+    words = {one.words for one, _ in found}
     assert "normalize: rule: mean_std" in words
     assert "normalize: the action's numbers for the state" in words
     assert "normalize: key: other/state (state)" in words
@@ -140,4 +143,4 @@ def test_the_block_of_the_documentation_has_alternatives(tmp_path: Path) -> None
 def test_a_block_that_does_not_fit_is_an_error() -> None:
     case = CASES["two arms, joint deltas"]
     with pytest.raises(ConversionError, match="no arm 'left'"):
-        list(alternatives(case.model_io, get_embodiment("franka_single"), "joint"))
+        list(in_block(catalogue.Case(get_embodiment("franka_single"), "joint", case.model_io)))

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from xpl_cli.model_io.alternatives.signals import Signal, arms, deltas, poses, signals
 
-from tests.support.adapters.model_io import fields
+from tests.support.adapters.model_io import fields as state_of
+from xpl.catalogue import Case, deltas, fields
+from xpl.catalogue.convention import around
 from xpl.embodiment import get_embodiment
 from xpl.wire import packed
 from xpl_cli.model_io.difference import differences, spreads
@@ -22,7 +23,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from xpl_cli.model_io.alternatives.signals.fields import Change
+    from xpl.catalogue import Mistake
 
 VOCABULARY = {option["const"] for option in spec.schema("model_io")["$defs"]["convention"]["oneOf"]}
 CAMERAS = ("cam_head", "cam_left_wrist", "cam_right_wrist")
@@ -30,16 +31,20 @@ FEW = settings(max_examples=25, derandomize=True, deadline=None)
 ROBOTS = ("franka", "piper_single", "tianji_marvin_wuji")
 
 
-def _changes(robot: str) -> list[Change]:
-    body = get_embodiment(robot)
-    return [change for made in (arms.joints, arms.grippers, arms.sides, poses.poses) for change in made(body)]
+def _changes(robot: str) -> list[fields.Change]:
+    """Return the changes of fields that mistakes are made of, in the order in which they are."""
+    seen: list[fields.Change] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fields, "mistakes", lambda change, *_: seen.append(change) or ())
+        list(around(Case(get_embodiment(robot), "joint", cameras=CAMERAS)))
+    return [one for one in seen if "wrist cameras" not in one.words]
 
 
 @cache
-def _signals(robot: str = "franka", action_type: str = "joint", **more: Any) -> tuple[Signal, ...]:
+def _signals(robot: str = "franka", action_type: str = "joint", **more: Any) -> tuple[Mistake, ...]:
     """Return all signals around an adapter; they keep nothing, and finding them is what takes the time here."""
     told: dict[str, Any] = {"cameras": CAMERAS, "history": 3, "instructions": ("Do it.", "Leave it."), **more}
-    return tuple(signals(get_embodiment(robot), action_type, **told))
+    return tuple(around(Case(get_embodiment(robot), action_type, **told)))
 
 
 def _episode(robot: str = "franka", count: int = 4) -> list[dict[str, Any]]:
@@ -50,7 +55,7 @@ def _episode(robot: str = "franka", count: int = 4) -> list[dict[str, Any]]:
 def _answers(robot: str, action_type: str, count: int = 3, seed: int = 0) -> list[list[dict[str, np.ndarray]]]:
     rng = np.random.default_rng(seed)
     wanted = get_embodiment(robot).dims(action_type)
-    made = [[fields(robot, rng, joints=True) for _ in range(5)] for _ in range(count)]
+    made = [[state_of(robot, rng, joints=True) for _ in range(5)] for _ in range(count)]
     return [[{key: step[key] for key in wanted} for step in chunk] for chunk in made]
 
 
@@ -67,7 +72,7 @@ def test_changes_go_there_and_back(robot: str, seed: int, data: st.DataObject) -
         if "action" in one.ways and "euler" not in one.words and "the angle" not in one.words
     ]
     change = data.draw(st.sampled_from(found))
-    state = fields(robot, np.random.default_rng(seed), joints=True)
+    state = state_of(robot, np.random.default_rng(seed), joints=True)
     for one, other in ((change.there, change.back), (change.back, change.there)):
         for key, value in other(one(state)).items():
             close = (
@@ -125,7 +130,7 @@ def _digest(value: Any) -> str:
 
 def test_the_likeliest_come_first_and_those_without_a_play_before_others() -> None:
     found = _signals()
-    ranks = [(one.rank, one.shown is not None) for one in found]
+    ranks = [(one.rank, one.shown is not None, one.windowed) for one in found]
     assert ranks == sorted(ranks)
     words = [one.words for one in found]
     assert words.index("gripper: closed and open exchanged") < words.index("gripper: closed 0, open 255")
@@ -139,8 +144,6 @@ def test_only_what_is_read_is_shown_otherwise() -> None:
 
 
 # -- mistakes of hand, undone ------------------------------------------------------------------------------------------
-
-Mistake = "Callable[[dict[str, Any], Any], list[Any]]"
 
 
 def _undone(

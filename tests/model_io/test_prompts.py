@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from xpl_cli.model_io.alternatives.prompts import templates
+
+from xpl_cli.model_io.prompts import templates
 
 if TYPE_CHECKING:
     from pathlib import Path
