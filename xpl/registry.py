@@ -5,9 +5,9 @@ A package adds to a group in its pyproject.toml, and no file of `xpl` is touched
     [project.entry-points."xpl.wires"]
     tiny = "my_package.wire:WIRE"
 
-Wires are objects and formats are modules, which are imported when they are used. Rules, environments and robots are
-content: their entry points name a folder within a package, in which they are found by path, and which is never
-imported.
+Wires are objects, formats and conventions modules, which are imported when they are used. Rules, environments and
+robots are content: their entry points name a folder within a package, in which they are found by path, and which is
+never imported.
 """
 
 from __future__ import annotations
@@ -23,14 +23,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-RULES, WIRES, ENVS, ROBOTS, FORMATS, CONVENTIONS = (
-    "xpl.rules",
-    "xpl.wires",
-    "xpl.envs",
-    "xpl.robots",
-    "xpl.formats",
-    "xpl.conventions",
-)
+RULES, WIRES, ENVS, ROBOTS, FORMATS = "xpl.rules", "xpl.wires", "xpl.envs", "xpl.robots", "xpl.formats"
+CONVENTIONS = "xpl.conventions"
 OURS = "xpl"
 """The distribution of what is built in."""
 
@@ -160,5 +154,5 @@ def _found() -> Iterator[Entry]:
             continue
         known.add(name)
         for point in distribution.entry_points:
-            if point.group in (RULES, WIRES, ENVS, ROBOTS, FORMATS):
+            if point.group in (RULES, WIRES, ENVS, ROBOTS, FORMATS, CONVENTIONS):
                 yield Entry(point.group, point.name, point.value, f"{name} {distribution.version}")

@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl import registry
+from xpl.catalogue import convention
 from xpl.robots import registry as robots
 from xpl_cli.audit.rules import registry as rules
+from xpl_cli.model_io import mistakes
+from xpl_cli.standard import spec, validate
 
 if TYPE_CHECKING:
     import pytest
@@ -46,3 +49,9 @@ def forget() -> None:
     registry._installed.cache_clear()
     robots._bring.cache_clear()
     rules.entries.cache_clear()
+    convention.others.cache_clear()
+    convention._by_place.cache_clear()
+    spec.schema.cache_clear()
+    validate._validator.cache_clear()
+    validate.registry.cache_clear()
+    mistakes._validator.cache_clear()

@@ -71,17 +71,18 @@ class Pixels:
     def encode(self, values: np.ndarray) -> np.ndarray:
         """Return the model's numbers of images (..., 3), 0 to 255."""
         if self.is_bytes:
-            return values if values.dtype == np.uint8 else np.clip(np.floor(values + 0.5), 0, _BYTES).astype(np.uint8)
+            return as_bytes(values)
         result: np.ndarray = (values * self.scale + self.low - self.mean) / self.std
         return result.astype(np.float32, copy=False)
 
     def decode(self, values: np.ndarray) -> np.ndarray:
-        """Return images (..., 3) uint8 of the model's numbers."""
-        if self.is_bytes:
-            return values
-        found = (values * self.std + self.mean - self.low) * (_BYTES / self._span)
-        result: np.ndarray = np.clip(np.floor(found + 0.5), 0, _BYTES).astype(np.uint8)
-        return result
+        """Return images (..., 3), 0 to 255 and not rounded, of the model's numbers."""
+        return values if self.is_bytes else (values * self.std + self.mean - self.low) * (_BYTES / self._span)
+
+
+def as_bytes(values: np.ndarray) -> np.ndarray:
+    """Return images (..., 3), 0 to 255, rounded to bytes."""
+    return values if values.dtype == np.uint8 else np.clip(np.floor(values + 0.5), 0, _BYTES).astype(np.uint8)
 
 
 # -- mistakes ----------------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import numpy as np
 
 from xpl.catalogue import convention as catalogue
 from xpl.catalogue.pictures import shape_after
-from xpl.conventions.image_range import Pixels
+from xpl.conventions.image_range import Pixels, as_bytes
 from xpl.errors import ConversionError
 from xpl.observation import get_image
 
@@ -142,7 +142,7 @@ class ImageInput:
         values = self._pixels.decode(np.moveaxis(view, -3, -1) if self._is_chw else view)
         for how, stage in reversed(self._stages):
             values = stage.decode(values, how)
-        return np.ascontiguousarray(values)
+        return np.ascontiguousarray(as_bytes(values))
 
     def _unview(self, view: np.ndarray, height: int, width: int) -> np.ndarray:
         values = self._picture(view)

@@ -18,6 +18,11 @@ NOTE = "<!-- Written by `xpl spec compile`. Do not edit. -->\n"
 """How every page that is written begins."""
 
 _UNKNOWN = "not known"
+_CATALOGUE = (
+    "Each is a module of `xpl/conventions/`: its code there and back, and its usual mistakes, which an audit tries "
+    "when an adapter differs from `reference.py` ([model_io](../model-io.md)) or from demonstrations. `xpl explain "
+    "NAME` says the same in a terminal. Another one is [added as one file](../extending.md#a-convention)."
+)
 
 
 def pages() -> dict[str, str]:
@@ -25,6 +30,7 @@ def pages() -> dict[str, str]:
     written = {
         "README": _index(),
         "embodiments": _embodiments(),
+        "catalogue": _catalogue(),
         "requirements": _requirements(),
         **{name: _part(name) for name in PARTS if name != "requirements"},
         **{name: _schema(name) for name in spec.schema_names()},
@@ -38,6 +44,7 @@ def _index() -> str:
     groups = {
         "Manifests": manifests,
         "Rules of behaviour": ("requirements", *(name for name in PARTS if name != "requirements"), "embodiments"),
+        "Conventions of adapters": ("catalogue",),
         "Documents and messages": others,
     }
     lines = [f"# Reference of the standard, {spec.VERSION}"]
@@ -112,6 +119,19 @@ def _requirements() -> str:
 _ROBOTS = """\
 Robots that come with `xpl` (`spec/robots`). A project describes its own in the same form, in `embodiments/NAME.yml`
 ([robots](../robots.md)). `xpl spec show` lists all of them, with where each is from."""
+
+
+def _catalogue() -> str:
+    """Write what an adapter and its model have to share."""
+    from xpl_cli.model_io import described
+
+    lines = ["# Conventions that an adapter and its model share", "", _CATALOGUE]
+    for name in described.names():
+        lines += [
+            "",
+            *(f"#{line}" if line.startswith("# ") else line for line in described.page(described.described(name))),
+        ]
+    return "\n".join(lines)
 
 
 def _embodiments() -> str:

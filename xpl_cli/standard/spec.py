@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from xpl import json_text
+from xpl import json_text, registry
 from xpl_cli.basics.content import room
 from xpl_cli.basics.yaml import text as yaml_text
 
@@ -60,6 +60,13 @@ def data(name: str) -> dict[str, Any]:
 def schema(name: str) -> dict[str, Any]:
     """Return the JSON Schema `<name>.schema.json`."""
     parsed: dict[str, Any] = json_text.parse((folder() / f"{name}.schema.json").read_bytes())
+    if name == "model_io" and registry.entries(registry.CONVENTIONS):
+        from xpl.catalogue.convention import others  # which needs numpy
+
+        for one in others():
+            parsed["$defs"]["convention"]["oneOf"].append({"const": one.name, "description": one.about})
+            for definition, properties in one.schema.items():
+                parsed["$defs"][definition]["properties"].update(properties)
     return parsed
 
 

@@ -58,6 +58,14 @@ def choices(schema: Schema) -> list[Choice]:
     return list(found.values())
 
 
+def words(entry: Schema, definitions: Schema) -> tuple[Word, ...]:
+    """Return the words that an entry of a schema, or the definition that it refers to, has a definition of."""
+    if "$ref" in entry:
+        return words(definitions.get(entry["$ref"].rpartition("/")[2], {}), definitions)
+    found = tuple(word for option in entry.get("anyOf", ()) for word in words(option, definitions))
+    return found or tuple(_word(one) for one in entry.get("oneOf", ()) if "const" in one and "description" in one)
+
+
 def _choices(entry: Schema, place: str) -> Iterator[Choice]:
     options = [option for option in entry.get("oneOf", ()) if "const" in option]
     if options and all("description" in option for option in options):

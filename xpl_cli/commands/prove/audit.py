@@ -277,13 +277,20 @@ def _repeated(option: str, values: list[str]) -> tuple[str, ...]:
 
 
 def explain(
-    names: list[str] = typer.Argument(..., metavar="RULE...", help="Codes or slugs of rules, such as XPL101 XPL203."),
+    names: list[str] = typer.Argument(
+        ..., metavar="RULE...", help="Codes or slugs of rules, such as XPL101 XPL203; or a convention, such as gripper."
+    ),
     as_json: bool = JSON,
 ) -> None:
-    """Explain rules: what each checks, why, and what to do instead. Of retired ones it says what proves the same."""
+    """Explain rules: what each checks, why, and what to do instead. Of retired ones it says what proves the same.
+
+    A convention of the model_io block is explained by itself: its values, what libraries call them, usual mistakes.
+    """
     from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.basics import console
 
+    if _explained_convention(names, as_json=as_json):
+        return
     found = list({rule.code: rule for rule in map(_ruled, names)}.values())
     proven = {rule.code: requirement for rule in found if (requirement := _requirement(rule)) is not None}
     if as_json:
@@ -306,6 +313,25 @@ def explain(
         if requirement is not None:
             proves = f"*{rule.gate} gate, proves {requirement.id} ({requirement.level}):* {requirement.text}"
         console.rich(Markdown(f"# {rule.code} {rule.slug}\n\n{proves}\n\n{rule.documentation}"))
+
+
+def _explained_convention(names: list[str], *, as_json: bool) -> bool:
+    """Explain a convention, if the only name is one: slugs of rules are written with hyphens, conventions are not."""
+    if len(names) != 1 or not names[0].islower() or "-" in names[0]:
+        return False
+    from xpl_cli.basics import console
+    from xpl_cli.model_io import described
+
+    if names[0] not in described.names():
+        return False
+    found = described.described(names[0])
+    if as_json:
+        console.answer("xpl.convention/1", found.document(), ["xpl model-io sources POLICY"])
+        return True
+    from rich.markdown import Markdown
+
+    console.rich(Markdown("\n".join(described.page(found))))
+    return True
 
 
 def _ruled(name: str) -> Rule | type[Check] | Retired:

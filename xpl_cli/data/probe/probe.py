@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from xpl.catalogue import convention as catalogue
 from xpl.embodiment import embodiment_names
 from xpl_cli.data.probe import cameras, commands, grippers, parts, states
 from xpl_cli.data.probe.answer import Answer, unknown
@@ -103,6 +104,7 @@ def probe(
             why = f"{part.width} numbers that move like no arm and no gripper that is known"
             found.answers.append(unknown("kind", part.subject, why, "names of the numbers"))
     found.answers.append(_idle(found))
+    found.answers += [answer for one in catalogue.others() if one.told_by is not None for answer in one.told_by(sample)]
     if images:
         found.answers += cameras.answers(sample.episodes, _moving(found), _heights(found), told)
     return found

@@ -1,0 +1,129 @@
+"""A convention as people read it: what it is, its values, what libraries call them, and its usual mistakes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl import get_embodiment
+from xpl.catalogue import Case
+from xpl.catalogue import convention as catalogue
+from xpl.convert import gaps
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.standard import spec
+from xpl_cli.standard.words import Word, words
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from xpl.catalogue import Convention
+
+_ROBOT = "arx_x5_single"
+"""Whose mistakes stand for those of all robots."""
+_MOST = 12
+
+
+@dataclass(frozen=True)
+class Described:
+    """One convention.
+
+    Attributes:
+        name: as reference.py and findings call it.
+        about: what is to be agreed on.
+        keys: the keys of the block that say it, by where they stand.
+        values: by key, its values, where there is a list of them.
+        mistakes: the usual ones, the likeliest first, by what the model means where the adapter does otherwise.
+    """
+
+    name: str
+    about: str
+    keys: Mapping[str, Sequence[str]]
+    values: Mapping[str, Sequence[Word]]
+    mistakes: Sequence[str]
+
+    def document(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        values = {key: [vars(word) for word in found] for key, found in self.values.items()}
+        return {**vars(self), "keys": {place: list(keys) for place, keys in self.keys.items()}, "values": values}
+
+
+def described(name: str) -> Described:
+    """Return a convention by its name.
+
+    Raises:
+        UserError: there is none; exit code 3.
+    """
+    known = {one.name: one for one in catalogue.conventions()}
+    if name not in known:
+        raise UserError(f"no convention is called {name}; there are {', '.join(known)}", code=ExitCode.NOT_FOUND)
+    one = known[name]
+    about = next(word["description"] for word in _vocabulary() if word["const"] == name)
+    return Described(name, about, one.keys, dict(_values(one)), _mistakes(one))
+
+
+def names() -> list[str]:
+    """Return the names of all conventions."""
+    return [one.name for one in catalogue.conventions()]
+
+
+def _vocabulary() -> list[dict[str, str]]:
+    found: list[dict[str, str]] = spec.schema("model_io")["$defs"]["convention"]["oneOf"]
+    return found
+
+
+def _values(one: Convention) -> Iterator[tuple[str, Sequence[Word]]]:
+    """Yield the keys that have a list of values, with it."""
+    defs = spec.schema("model_io")["$defs"]
+    places = {"images": "image", "vectors": "action", "history": "own_history"}
+    for place, keys in one.keys.items():
+        entry = defs.get(places.get(place, place), {})
+        inner = [how for step in defs["step"]["properties"].values() for how in [step.get("properties", {})]]
+        for key in entry.get("properties", {}) if "*" in keys else keys:
+            schemas = [entry.get("properties", {}), *(inner if place == "steps" else ())]
+            schema: dict[str, Any] = next((found[key] for found in schemas if key in found), {})
+            found = words(schema, defs)
+            if found:
+                yield key, found
+
+
+def _mistakes(one: Convention) -> list[str]:
+    """Return the mistakes of an adapter whose block is the standard's own, and of one that converts in code."""
+    robot = get_embodiment(_ROBOT)
+    found = []
+    for action_type in sdk.ACTION_TYPES:
+        vector = {"parts": gaps._parts(robot, action_type)}  # noqa: SLF001 - the standard's own
+        image = {"input": "image", "channels": "rgb", "layout": "hwc", "dtype": "float32"}
+        block = {
+            "images": [{**image, "cameras": [camera]} for camera in robot.cameras[:2]],
+            "state": [{"input": "state", **vector}],
+            "action": {**vector, "reference": "absolute"},
+            "instruction": {"input": "prompt"},
+            "history": {"length": 2},
+        }
+        shown = robot.cameras[:2]
+        case = Case(robot, action_type, block, cameras=shown, history=2, instructions=["Do it."])
+        found += [*one.in_block(case), *one.around(case), *one.in_inputs(case)]
+    return list(dict.fromkeys(mistake.words for mistake in sorted(found, key=lambda mistake: mistake.rank)))[:_MOST]
+
+
+def page(one: Described) -> Iterator[str]:
+    """Yield the lines of a convention's description, as Markdown."""
+    yield f"# {one.name}"
+    yield ""
+    yield f"{one.about[:1].upper()}{one.about[1:]}."
+    places = [
+        f"`{key}` ({place})" if key != "*" else f"all of `{place}`" for place, keys in one.keys.items() for key in keys
+    ]
+    yield ""
+    yield f"In the block: {', '.join(places)}."
+    for key, found in one.values.items():
+        yield ""
+        yield f"Values of `{key}`:"
+        yield ""
+        yield from (f"- `{word.name}`: {word.told}" for word in found)
+    if one.mistakes:
+        yield ""
+        yield "Usual mistakes, by what the model means where the adapter does otherwise:"
+        yield ""
+        yield from (f"- {words}" for words in one.mistakes)
