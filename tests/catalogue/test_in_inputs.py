@@ -57,7 +57,7 @@ def test_each_is_there_once_and_can_be_sent() -> None:
 
 def test_what_is_not_read_is_not_changed() -> None:
     kinds = {_how(one)["kind"] for one in _all(cameras=(), instructions=(), history=1)}
-    assert kinds == {"drawn", "linear", "normalized", "ordered", "rotation", "segmented"}
+    assert kinds == {"drawn", "linear", "normalized", "once", "ordered", "rotation", "segmented"}
 
 
 def test_the_geometry_tells_a_filter_from_a_size() -> None:

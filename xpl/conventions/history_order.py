@@ -39,8 +39,9 @@ def _ends(seen: Sequence[Obs]) -> list[Obs]:
 def _in_inputs(case: Case) -> Iterator[Mistake]:
     if case.history > 1:
         for rank, told, of in ((0, "", "all"), (1, " of the pictures", "pictures"), (1, " of the vectors", "vectors")):
-            how = {"kind": "reversed", "length": case.history, "of": of}
-            yield Mistake(rank, f"history{told}: the other order in time", _NAME, encoded=how)
+            for way in ("in", "batch"):  # histories are made by the adapter's `encode`, or of what that made
+                how = {"kind": "reversed", "length": case.history, "of": of, "way": way}
+                yield Mistake(rank, f"history{told}: the other order in time", _NAME, encoded=how)
 
 
 def _reversed(value: Any, how: Mapping[str, Any]) -> Any:
@@ -58,7 +59,7 @@ def _reversed(value: Any, how: Mapping[str, Any]) -> Any:
         is_picture = walk.channel_axis(leaf) is not None
         axis = leaf.ndim - (4 if is_picture else 2)
         wanted = how["of"] in {"all", "pictures" if is_picture else "vectors"}
-        if axis < 0 or leaf.shape[axis] != how["length"] or not wanted:
+        if axis < (how.get("way") == "batch") or leaf.shape[axis] != how["length"] or not wanted:
             return None
         seen = True
         return np.ascontiguousarray(np.flip(leaf, axis))

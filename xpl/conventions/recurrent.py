@@ -2,6 +2,20 @@
 
 from __future__ import annotations
 
-from xpl.catalogue import Convention
+from collections.abc import Iterator
 
-CONVENTION = Convention("recurrent", keys={"block": ["recurrent"]}, applies=lambda block: bool(block.get("recurrent")))
+from xpl.catalogue import Case, Convention, Mistake
+
+_NAME = "recurrent"
+
+
+def _in_inputs(_case: Case) -> Iterator[Mistake]:
+    yield Mistake(0, "state: advanced once by each observation, not twice", _NAME, encoded={"kind": "once"})
+
+
+CONVENTION = Convention(
+    _NAME,
+    in_inputs=_in_inputs,
+    keys={"block": [_NAME]},
+    applies=lambda block: bool(block.get(_NAME)),
+)

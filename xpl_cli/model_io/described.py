@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl import get_embodiment
 from xpl.catalogue import Case
 from xpl.catalogue import convention as catalogue
 from xpl.convert import gaps
+from xpl.embodiment import embodiment_names, get_embodiment
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.standard import spec
 from xpl_cli.standard.words import Word, words
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from xpl.catalogue import Convention
 
-_ROBOT = "arx_x5_single"
-"""Whose mistakes stand for those of all robots."""
 _MOST = 12
 
 
@@ -89,7 +87,8 @@ def _values(one: Convention) -> Iterator[tuple[str, Sequence[Word]]]:
 
 def _mistakes(one: Convention) -> list[str]:
     """Return the mistakes of an adapter whose block is the standard's own, and of one that converts in code."""
-    robot = get_embodiment(_ROBOT)
+    known = map(get_embodiment, embodiment_names())  # one stands for all
+    robot = next(one for one in known if len(one.arms) == 1 and one.arms[0].joint_names is not None)
     found = []
     for action_type in sdk.ACTION_TYPES:
         vector = {"parts": gaps._parts(robot, action_type)}  # noqa: SLF001 - the standard's own

@@ -35,13 +35,12 @@ def in_block(case: Case, chunk: int | None = None) -> Iterator[tuple[Mistake, di
     Raises:
         ConversionError: if the block itself does not fit.
     """
-    yield from fitting(case, catalogue.in_block(case), chunk)
+    found = list(catalogue.in_block(case))
+    yield from ((found[place], made) for place, made in placed(case, found, chunk))
 
 
-def fitting(
-    case: Case, mistakes: Iterable[Mistake], chunk: int | None = None
-) -> Iterator[tuple[Mistake, dict[str, Any]]]:
-    """Yield those of some mistakes that fit, each block once, and none that is as the block is.
+def placed(case: Case, mistakes: Iterable[Mistake], chunk: int | None = None) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield the places of those of some mistakes that fit, each block once, and none that is as the block is.
 
     Raises:
         ConversionError: if the block itself does not fit.
@@ -52,8 +51,11 @@ def fitting(
         return _widths(compile_interface(of, case.embodiment, case.action_type, case.folders, chunk))
 
     wanted, seen = widths(block), {_same(block)}
-    for mistake in mistakes:
-        made = edited(block, mistake.edits or {})
+    for place, mistake in enumerate(mistakes):
+        try:
+            made = edited(block, mistake.edits or {})
+        except (KeyError, IndexError, TypeError):  # of two mistakes one takes out what the other changes
+            continue
         text = _same(made)
         if text in seen:
             continue
@@ -63,7 +65,7 @@ def fitting(
         except ConversionError:
             continue
         if fits and _validator().is_valid(made):
-            yield mistake, made
+            yield place, made
 
 
 def _same(block: Mapping[str, Any]) -> str:

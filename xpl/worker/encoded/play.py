@@ -20,6 +20,7 @@ from xpl.wire.arrays import as_array
 from xpl.worker.encoded import pictures, turns, vectors
 from xpl.worker.encoded.draws import Drawn
 from xpl.worker.encoded.rebuilt import Rebuilt
+from xpl.worker.encoded.repeats import Once
 from xpl.worker.encoded.segments import Segments
 from xpl.worker.errand import FAILURES, failed, result
 from xpl.worker.variants import renewed
@@ -45,7 +46,8 @@ def changes(
     Args:
         model: the adapter's; its `encode` is wrapped.
         wanted: changes: maps with a `kind`, and what that needs; `way`: in, out or both, where a change may be of what
-            the model answers, too. `several` does those that it lists under `of` one after the other.
+            the model answers, too; batch, where it is of the inputs of a batch. `several` does those that it lists
+            under `of` one after the other.
         calls: what is shown and asked.
         seconds: how long it may take.
     """
@@ -59,14 +61,16 @@ def changes(
         try:
             model.reset()
             model.update_obs(samples[0])  # so that there is an environment that encodes
-            if how["kind"] == "drawn":
-                yield _drawn(model, how, calls)
+            if how["kind"] in _WHOLE:
+                yield _WHOLE[how["kind"]](model, how, calls)
                 continue
             told: dict[str, Any] = {}
             encode: Any = own
             predict, held = predicts, known
             for one in how["of"] if how["kind"] == "several" else [how]:
-                if one.get("way") != "out":
+                if one.get("way") == "batch":
+                    predict = _batched(predict, one)
+                elif one.get("way") != "out":
                     encode, more = _wrapped(model, encode, one, samples, held)
                     told, held = _told(told, more), {"kept": _remembering(encode)}
                 if one.get("way") in ("out", "both"):
@@ -107,6 +111,30 @@ def _drawn(model: Policy, how: Entry, calls: Sequence[Mapping[str, Any]]) -> byt
     model.predict = drawn.predict  # type: ignore[method-assign]
     answers = list(renewed(model, calls))
     return result({"answers": answers, **drawn.told})
+
+
+def _once(model: Policy, _how: Entry, calls: Sequence[Mapping[str, Any]]) -> bytes:
+    """Return the answers where no state is advanced twice by one observation, packed.
+
+    Raises:
+        UnfitError: if none is.
+    """
+    once = Once()
+    with once.around(model):
+        answers = list(renewed(model, calls))
+    if not once.left_out:
+        raise UnfitError("nothing is called twice")
+    return result({"answers": answers})
+
+
+_WHOLE = {"drawn": _drawn, "once": _once}
+"""Changes of all that a model does, by kind."""
+
+
+def _batched(predicts: Callable[..., Any], how: Entry) -> Callable[..., Any]:
+    """Return the model with the inputs of a batch changed."""
+    change = catalogue.found("kinds", how["kind"])
+    return lambda inputs, envs: predicts(change(inputs, how), envs)
 
 
 def _answering(predicts: Callable[..., Any], how: Entry) -> Callable[..., Any]:

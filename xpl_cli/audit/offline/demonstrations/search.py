@@ -11,7 +11,7 @@ import time
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl.catalogue import Mistake
@@ -24,7 +24,7 @@ from xpl_cli.audit.offline.demonstrations.episodes import Asking
 from xpl_cli.audit.offline.search.around import Around
 from xpl_cli.audit.offline.search.contest import Family, held
 from xpl_cli.audit.offline.search.loaded import Answered
-from xpl_cli.audit.offline.search.ways import Ways
+from xpl_cli.audit.offline.search.ways import Read, Ways
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.packages import conventions
 
@@ -117,7 +117,7 @@ class Search:
         self._session = ruler.session
         self._course = Asking(self._session)
         until = time.monotonic() + min(seconds, probe.options.clock.left)
-        self._ways = Ways(probe, self._course, {}, until, **self._inputs)
+        self._ways = Ways(probe, self._course, {}, until, self._read)
         self._demonstrated = Demonstrated(ruler, given, self._refused)
         self._complete = True
 
@@ -265,17 +265,14 @@ class Search:
         return 1 if history is None else history.length
 
     @cached_property
-    def _inputs(self) -> dict[str, Any]:
+    def _read(self) -> Read:
         """What the adapter reads of the demonstrations, everything if it does not say that."""
         read = list(self._probe.package.manifest.read)
         there = self._session.recordings[0].trajectory.cameras
         reads = [name.partition(".")[2] for name in read if name.startswith(f"{sdk.Obs.STATE}.")]
         texts = {text for one in self._session.recordings for text in one.trajectory.instructions}
-        return {
-            "cameras": [name for name in there if not read or f"{sdk.Obs.VISION}.{name}" in read],
-            "reads": reads or None,
-            "instructions": sorted(texts) if not read or sdk.Obs.INSTRUCTION in read else [],
-        }
+        cameras = [name for name in there if not read or f"{sdk.Obs.VISION}.{name}" in read]
+        return Read(cameras, reads or None, sorted(texts) if not read or sdk.Obs.INSTRUCTION in read else [])
 
 
 def _can_be_told(mistake: Mistake) -> bool:

@@ -24,8 +24,6 @@ _MOST: Final = (24, 8)
 """Those that go on, of those tried on one question and on a few: so many that leave least, or mend most."""
 _PROMISING: Final = 0.5
 """Share of the difference that may be left to go on."""
-_EASED: Final = 0.9
-"""Share of the mean difference that may be left of one of two mistakes."""
 _INFINITE: Final = float("inf")
 
 
@@ -53,9 +51,9 @@ class GoldenRuler(Ruler):
         """Whether no difference is left under a mistake."""
         return max(self.remaining(answered.given).values()) <= self._judgement.tolerance
 
-    def tried(self, answered: Answered, besides: tuple[str, str] | None = None) -> Tried:
-        """Return what is left under a mistake, and under another one besides, if there is one."""
-        return Tried(answered.words, answered.convention, self.remaining(answered.given), besides)
+    def tried(self, answered: Answered) -> Tried:
+        """Return what is left under a mistake."""
+        return Tried(answered.words, answered.convention, self.remaining(answered.given))
 
     def explained(self, tried: Sequence[Tried]) -> Explanation:
         """Return which of some mistakes, tried on all questions, explains the difference."""
@@ -104,7 +102,7 @@ class GoldenRuler(Ruler):
         found: dict[tuple[float, str], int] = {}
         for place, one in enumerate(answered):
             share = self._mean(self.remaining(one.given)) / self._mean(before)
-            if share <= _EASED:
+            if share < 1.0:
                 found.setdefault((float(f"{share:.6g}"), one.convention), place)
         return [place for _, place in sorted(found.items())][:most]
 

@@ -23,7 +23,7 @@ from xpl_cli.audit.offline.parity.shown import Shown
 from xpl_cli.audit.offline.search.contest import held
 from xpl_cli.audit.offline.search.course import Course
 from xpl_cli.audit.offline.search.played import overrides
-from xpl_cli.audit.offline.search.ways import Ways
+from xpl_cli.audit.offline.search.ways import Read, Ways
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.basics.errors import UserError
 from xpl_cli.model_io import reading
@@ -46,8 +46,12 @@ if TYPE_CHECKING:
 
 SEARCH_S: Final = 240.0
 """Longest search, s."""
+_LIKELIEST: Final = 2
+"""Mistakes of a family that are undone so that all others are tried besides."""
 _FIRSTS: Final = 6
-"""Mistakes of a family that are undone so that others are tried besides."""
+"""Mistakes of a family that are undone so that some others are tried besides, ..."""
+_EASED: Final = 60
+"""... and those that are tried so."""
 
 
 @dataclass(frozen=True)
@@ -80,11 +84,12 @@ class Search:
         self._course = Course(judgement.session)
         self._config = overrides(judgement.session, settings)
         until = time.monotonic() + min(seconds, probe.options.clock.left)
-        self._ways = Ways(probe, self._course, self._config, until, **self._inputs)
+        self._ways = Ways(probe, self._course, self._config, until, self._read)
         self._until = until
         self._ruler = GoldenRuler(self._course, judgement, self._course.everything)
         self._tried: list[tuple[Family, Held]] = []
         self._unseen: list[Pattern] = []
+        self._known: dict[tuple[int, int], Answered | None] = {}
 
     def run(self) -> Found | None:
         """Return the mistake that explains the difference best, or the two, None if none lowers it.
@@ -179,32 +184,69 @@ class Search:
     # -- two mistakes --------------------------------------------------------------------------------------------------
 
     def _two(self) -> Iterator[Found]:
-        """Yield what explains the difference by two mistakes, each of the catalogue, or the second a line."""
-        for family, tried in self._tried:
-            for place in self._ruler.eased(tried.first, _FIRSTS):
-                if self._ways.left <= 0:
-                    return
-                explanation = self._besides(family, place)
-                if explanation is not None and explanation.cause is not None:
-                    yield Found(explanation, in_block=self._ways.by_block and family is self._tried[0][0])
+        """Yield what explains the difference by two mistakes of which each eases it.
 
-    def _besides(self, family: Family, place: int) -> Explanation | None:
-        """Return what the mistake of a number explains together with another one."""
-        first = next(family.ask([place], self._ruler.everything), None)
+        Both are undone in one way, all pairs in one contest; or the second is one of commands, or a line, of the
+        answers with the first one undone.
+        """
+        eased = [(family, tried, self._ruler.eased(tried.first, _EASED)) for family, tried in self._tried]
+        for family, _, good in eased:
+            yield from self._found(family, [one for place in good[:_FIRSTS] for one in self._with_line(family, place)])
+        for family, tried, good in eased:
+            every = [(one, other) for one in good[:_LIKELIEST] for other in range(len(tried.first)) if other != one]
+            some = [(one, other) for at, one in enumerate(good[:_FIRSTS]) for other in good[at + 1 :]]
+            yield from self._found(family, self._pairs(family, tried, list(dict.fromkeys([*every, *some]))))
+        for family, _, good in eased:
+            for place in good[:_FIRSTS]:
+                if self._ways.left > 0:
+                    yield from self._found(family, self._with_commands(family, place))
+
+    def _pairs(self, family: Family, tried: Held, pairs: Sequence[tuple[int, int]]) -> list[Tried]:
+        """Return what is left where both of each pair are undone, of those that are worth all questions."""
+        both = family.both(pairs) if pairs and self._ways.left > 0 else None
+        if both is None:
+            return []
+        return [self._pair(tried, *both.numbers[at], one) for at, one in held(both, self._ruler).last]
+
+    def _found(self, family: Family, tried: Sequence[Tried]) -> Iterator[Found]:
+        explanation = self._ruler.explained(tried)
+        if explanation.cause is not None:
+            yield Found(explanation, in_block=self._ways.by_block and family is self._tried[0][0])
+
+    def _with_line(self, family: Family, place: int) -> list[Tried]:
+        """Return what is left where one mistake is undone, and commands are a line of the golden ones, if they are."""
+        first = self._undone(family, place)
+        line = None if first is None else self._line(first, self._ruler.tried(first))
+        if first is None or line is None:
+            return []
+        return [Tried(first.words, first.convention, line.remaining, (line.words, line.convention))]
+
+    def _with_commands(self, family: Family, place: int) -> list[Tried]:
+        """Return what is left where one mistake is undone, and one of commands besides."""
+        first = self._undone(family, place)
         if first is None or first.given is None:
-            return None
-        named = first.words, first.convention
-        tried = self._ruler.tried(first)
-        line = self._line(first, tried)
-        seconds = [] if line is None else [replace(line, besides=named)]
-        after = family.after(place)
-        families = [self._ways.commands(first.given, self._ruler.leaves_nothing)] if _is_known(first.given) else []
-        for other in (*families, *([] if after is None else [after])):
-            seconds += [self._ruler.tried(answered, named) for _, answered in held(other, self._ruler).last]
-            explanation = self._ruler.explained([_first_named(one) for one in seconds])
-            if explanation.cause is not None:
-                return explanation
-        return None
+            return []
+        commands = held(self._ways.commands(first.given, self._ruler.leaves_nothing), self._ruler).last
+        return [
+            Tried(first.words, first.convention, self._ruler.remaining(one.given), (one.words, one.convention))
+            for _, one in commands
+        ]
+
+    def _undone(self, family: Family, place: int) -> Answered | None:
+        """Return the answers to all questions where one mistake is undone, None where they are not all known."""
+        key = (id(family), place)
+        if key not in self._known:
+            first = next(family.ask([place], self._ruler.everything), None) if self._ways.left > 0 else None
+            is_known = first is not None and first.given is not None and _is_known(first.given)
+            self._known[key] = first if is_known else None
+        return self._known[key]
+
+    def _pair(self, tried: Held, one: int, other: int, answered: Answered) -> Tried:
+        """Return what is left where two mistakes of a family are undone."""
+        first, second = tried.first[one], tried.first[other]
+        return Tried(
+            first.words, first.convention, self._ruler.remaining(answered.given), (second.words, second.convention)
+        )
 
     # -- what is known -------------------------------------------------------------------------------------------------
 
@@ -263,18 +305,18 @@ class Search:
         ]
 
     @cached_property
-    def _inputs(self) -> dict[str, Any]:
+    def _read(self) -> Read:
         """What the adapter reads, everything if it does not say that."""
         read, session = list(self._probe.package.manifest.read), self._judgement.session
         shown = [self._course.observation(*question.shown[-1]) for question in session.questions]
         texts = sorted({obs[sdk.Obs.INSTRUCTION] for obs in shown})
         if not read:
-            return {"cameras": list(session.cameras), "instructions": texts}
+            return Read(list(session.cameras), None, texts)
         cameras, fields = (
             [name.partition(".")[2] for name in read if name.startswith(f"{group}.")]
             for group in (sdk.Obs.VISION, sdk.Obs.STATE)
         )
-        return {"cameras": cameras, "reads": fields, "instructions": texts if sdk.Obs.INSTRUCTION in read else []}
+        return Read(cameras, fields, texts if sdk.Obs.INSTRUCTION in read else [])
 
     @property
     def _repeats(self) -> bool:
@@ -290,11 +332,3 @@ class Search:
 def _is_known(given: Mapping[int, Sequence[Any]]) -> bool:
     """Tell whether every step of all answers is known."""
     return all(step is not None for chunk in given.values() for step in chunk)
-
-
-def _first_named(tried: Tried) -> Tried:
-    """Return two changes with that first which was undone first."""
-    if tried.besides is None:
-        return tried
-    words, convention = tried.besides
-    return Tried(words, convention, tried.remaining, (tried.words, tried.convention))

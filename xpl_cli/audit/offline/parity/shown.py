@@ -11,7 +11,6 @@ import functools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
@@ -115,18 +114,15 @@ class Shown:
             given = around.answers(first, ruler.everything) if ways.left > 0 else None
             if given is None:
                 continue
-            others = [_after(first, one) for one in mistakes if not (one.windowed or first.windowed)]
-            for family in (
-                ways.commands(given, ruler.leaves_nothing),
-                Family(others, ways.asking(around, others, ruler.leaves_nothing)),
-            ):
-                last = held(family, ruler).last
-                both = [(one.words, one.convention) for _, one in last]
-                rests = [ruler.remaining(one.given) for _, one in last]
-                pairs = zip(both, rests, strict=True)
-                found = ruler.explained([Tried(first.words, first.convention, rest, named) for named, rest in pairs])
-                if found.cause is not None:
-                    return found
+            last = held(ways.commands(given, ruler.leaves_nothing), ruler).last
+            found = ruler.explained(
+                [
+                    Tried(first.words, first.convention, ruler.remaining(one.given), (one.words, one.convention))
+                    for _, one in last
+                ]
+            )
+            if found.cause is not None:
+                return found
         return None
 
     def _crossed(self, apart: Around, numbers: Sequence[int]) -> Callable[[Mapping[str, float]], Tried] | None:
@@ -178,13 +174,6 @@ class Shown:
     def _are_same(self, one: Answers, other: Answers) -> bool:
         found = differences([one[number] for number in other], list(other.values()), self._judgement.spread)
         return all(share <= self._judgement.allowed[part] for part, share in found.items())
-
-
-def _after(first: Mistake, second: Mistake) -> Mistake:
-    """Return both changes of what is shown; what is commanded is changed as each says, in their order."""
-    one, other = first.shown, second.shown
-    assert one is not None and other is not None  # noqa: S101, PT018 - both are of what is shown
-    return replace(second, shown=lambda seen: other(one(seen)))
 
 
 def _with(same: Observation, seen: Sequence[Observation]) -> list[ObservationDict]:

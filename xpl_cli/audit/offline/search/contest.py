@@ -27,13 +27,15 @@ class Family:
     Attributes:
         mistakes: the likeliest first.
         ask: yields answers under them.
-        after: of the number of a mistake, the family in which that one is undone, and each other is tried besides; None
-            where nothing can be tried besides.
+        both: of pairs of mistakes by their numbers, the family in which both of each are undone; None where they cannot
+            be undone together. It has the pairs that fit, `numbers`.
+        numbers: of such a family, the pairs of its mistakes.
     """
 
     mistakes: Sequence[Mistake]
     ask: Ask
-    after: Callable[[int], Family | None] = lambda _number: None
+    both: Callable[[Sequence[tuple[int, int]]], Family | None] = lambda _pairs: None
+    numbers: Sequence[tuple[int, int]] = ()
 
 
 class Ruler(ABC):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import checkpoint
@@ -33,11 +33,31 @@ _MANY: Final = 0.45
 _FEW: Final = 0.9
 """Shares of the time that is left for changes of encoded inputs: of all, and of those that lower the difference."""
 
-_LITTLE_S: Final = 10.0
+_ALONE: Final = frozenset(("drawn", "once"))
+"""Kinds of changes of encoded inputs that are made of all that a model does."""
+_LITTLE_S: Final = 15.0
 """What the search for two mistakes may take at least."""
 
 Enough = Callable[[Answered], bool]
 """Tells whether answers leave nothing to explain, so that what is less likely need not be tried."""
+
+
+@dataclass(frozen=True)
+class Read:
+    """What an adapter reads, of what the questions show.
+
+    Attributes:
+        cameras: names of cameras.
+        state: fields of the state, without an arm's prefix; None if that is not known.
+        texts: the instructions; empty if it reads none.
+    """
+
+    cameras: Sequence[str]
+    state: Sequence[str] | None
+    texts: Sequence[str]
+
+
+_NOTHING: Final = Read((), None, ())
 
 
 class Ways:
@@ -48,11 +68,11 @@ class Ways:
         course: the questions.
         settings: keys of deploy.yml that it is served with for them.
         until: when to end, by the monotonic clock.
-        inputs: what of the case is known by the questions: cameras, reads, instructions.
+        read: what it reads.
     """
 
     def __init__(
-        self, probe: Probe, course: Course, settings: Mapping[str, object], until: float, **inputs: Any
+        self, probe: Probe, course: Course, settings: Mapping[str, object], until: float, read: Read = _NOTHING
     ) -> None:
         self._course, self._until = course, until
         self._began = time.monotonic()
@@ -69,7 +89,9 @@ class Ways:
             templates=templates(package.path),
             history=self.manifest.reach if history is None else history.length,
             stride=1 if history is None else history.stride,
-            **inputs,
+            cameras=read.cameras,
+            reads=read.state,
+            instructions=read.texts,
         )
         self.loaded = LoadedAdapter(probe, course, self.config, self.case.block)
         self.by_block = bool(self.case.block)
@@ -99,28 +121,29 @@ class Ways:
             found = list(mistakes.in_block(self.case, self.manifest.temporal.chunk))
         except ConversionError:
             return None
-        return self._of_blocks([pair for pair in found if wanted(pair[0])], self._after_block)
-
-    def _after_block(self, block: Mapping[str, Any]) -> Family:
-        """Return what may be wrong besides, where a block is mended already."""
-        case = replace(self.case, block=block)
-        found = mistakes.in_block(case, self.manifest.temporal.chunk)
-        return self._of_blocks([pair for pair in found if pair[1] != self.case.block], None)
+        return self._of_blocks([pair for pair in found if wanted(pair[0])])
 
     def _of_blocks(
-        self,
-        pairs: Sequence[tuple[Mistake, dict[str, Any]]],
-        after: Callable[[Mapping[str, Any]], Family] | None,
+        self, found: Sequence[tuple[Mistake, Mapping[str, Any]]], numbers: Sequence[tuple[int, int]] = ()
     ) -> Family:
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Answered]:
-            found = self.loaded.blocks([pairs[number][1] for number in chosen], wanted, self.left)
-            self.by_block = self.by_block and found is not None
-            for number, given in zip(chosen, found or [], strict=False):
-                yield Answered(pairs[number][0].words, pairs[number][0].convention, given)
+            answers = self.loaded.blocks([found[number][1] for number in chosen], wanted, self.left)
+            self.by_block = self.by_block and answers is not None
+            for number, given in zip(chosen, answers or [], strict=False):
+                yield Answered(found[number][0].words, found[number][0].convention, given)
 
-        return Family(
-            [mistake for mistake, _ in pairs], ask, lambda number: None if after is None else after(pairs[number][1])
-        )
+        def both(pairs: Sequence[tuple[int, int]]) -> Family:
+            named, made = [], []
+            for one, other in pairs:
+                edits = {**(found[one][0].edits or {}), **(found[other][0].edits or {})}
+                if len(edits) == sum(len(found[place][0].edits or {}) for place in (one, other)):
+                    named.append((one, other))
+                    made.append(replace(found[one][0], edits=edits))
+            fit = dict(mistakes.placed(self.case, made, self.manifest.temporal.chunk))
+            kept = sorted(fit)
+            return self._of_blocks([(made[place], fit[place]) for place in kept], [named[place] for place in kept])
+
+        return Family([mistake for mistake, _ in found], ask, both, numbers)
 
     # -- around the adapter --------------------------------------------------------------------------------------------
 
@@ -155,26 +178,24 @@ class Ways:
 
     def inputs(self) -> Family:
         """Return changes of what the adapter's own `encode` makes."""
-        found = list(catalogue.in_inputs(self.case))
-        return self._of_inputs(found, lambda number: self._after_inputs(found, found[number]))
+        return self._of_inputs(list(catalogue.in_inputs(self.case)))
 
-    def _after_inputs(self, found: Sequence[Mistake], first: Mistake) -> Family | None:
-        if first.encoded is None or first.encoded["kind"] == "drawn":
-            return None
-        both = [
-            replace(one, encoded={"kind": "several", "of": [first.encoded, one.encoded]}, geometry="")
-            for one in found
-            if one.encoded is not None and one.encoded["kind"] not in {"drawn", first.encoded["kind"]}
-        ]
-        return self._of_inputs(both, lambda _number: None)
-
-    def _of_inputs(self, found: Sequence[Mistake], after: Callable[[int], Family | None]) -> Family:
+    def _of_inputs(self, found: Sequence[Mistake], numbers: Sequence[tuple[int, int]] = ()) -> Family:
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Answered]:
             # The last family needs time, too; but those that are left of many are near the mistake.
             share = _MANY if len(chosen) == len(found) else _FEW
             yield from self.loaded.inputs([found[number] for number in chosen], wanted, share * self.left)
 
-        return Family(found, ask, after)
+        def both(pairs: Sequence[tuple[int, int]]) -> Family:
+            kept, made = [], []
+            for one, other in pairs:
+                hows = [found[place].encoded or {} for place in (one, other)]
+                if len({how["kind"] for how in hows}) == len(hows) and not _ALONE & {how["kind"] for how in hows}:
+                    kept.append((one, other))
+                    made.append(replace(found[one], encoded={"kind": "several", "of": hows}, geometry=""))
+            return self._of_inputs(made, kept)
+
+        return Family(found, ask, both, numbers)
 
     def known(self, given: Sequence[Chunk]) -> Given:
         """Return answers to all questions by their numbers."""
