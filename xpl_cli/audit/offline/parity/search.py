@@ -8,6 +8,7 @@ the others tried besides. The time is bounded: a finding without a cause is stil
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -193,9 +194,11 @@ class Search:
         for family, _, good in eased:
             yield from self._found(family, [one for place in good[:_FIRSTS] for one in self._with_line(family, place)])
         for family, tried, good in eased:
+            # Those first that ease it most: the time may not reach over all.
+            ordered = sorted(itertools.combinations(range(len(good)), 2), key=lambda pair: (sum(pair), pair))
+            some = [(good[one], good[other]) for one, other in ordered if one < _FIRSTS]
             every = [(one, other) for one in good[:_LIKELIEST] for other in range(len(tried.first)) if other != one]
-            some = [(one, other) for at, one in enumerate(good[:_FIRSTS]) for other in good[at + 1 :]]
-            yield from self._found(family, self._pairs(family, tried, list(dict.fromkeys([*every, *some]))))
+            yield from self._found(family, self._pairs(family, tried, list(dict.fromkeys([*some, *every]))))
         for family, _, good in eased:
             for place in good[:_FIRSTS]:
                 if self._ways.left > 0:
