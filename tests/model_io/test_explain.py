@@ -32,6 +32,14 @@ def test_a_change_that_leaves_nothing_is_the_cause() -> None:
     assert found.leads is found.cause
 
 
+def test_two_changes_are_told_together() -> None:
+    both = Tried("channels: bgr", "image_channels", dict.fromkeys(BEFORE, 0.0), ("unit: deg", "angle_unit"))
+    found = _explained(_tried("worse", c=2.0), both)
+    assert found.cause is not None
+    assert found.cause.conventions == ("image_channels", "angle_unit")
+    assert found.text.startswith("with `channels: bgr` and `unit: deg` the difference falls from 0.9 to 0")
+
+
 @pytest.mark.parametrize(("rest", "is_near"), [(0.008, True), (0.02, False)])
 def test_a_fall_by_a_hundred_is_consistent_and_no_cause(rest: float, is_near: bool) -> None:
     """Another library's filter never leaves nothing."""

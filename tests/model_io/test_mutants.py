@@ -52,3 +52,10 @@ def test_mistakes_are_caught_and_named(recorded: Recorded) -> None:
     ]
     assert len(escaped) <= 0.05 * len(mutants), escaped
     assert len(misnamed) <= 0.15 * len(mutants), misnamed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["wrist at the left and one start", "cell fed twice"])
+def test_two_mistakes_and_a_state_advanced_twice_are_named(name: str, recorded: Recorded) -> None:
+    (mutant,) = [one for one in read("planted") if one.name == name]
+    assert mutant.is_named(tried(mutant, recorded).conventions)
