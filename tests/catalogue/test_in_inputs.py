@@ -76,5 +76,8 @@ def test_a_history_is_reversed_where_there_is_one() -> None:
     assert made["state"].tolist() == [[4.0, 5.0, 6.0, 7.0], [0.0, 1.0, 2.0, 3.0]]
     assert (made["rgb"][0] == 1.0).all()
     assert reversed_(inputs, {"length": 2, "of": "vectors"})["rgb"][1].all()
+    frames = [[(np.zeros(3), "a"), (np.ones(3), "b")], [(np.ones(3), "c")]]
+    turned = reversed_(frames, {"length": 2, "of": "all", "way": "batch"})
+    assert [[text for _, text in one] for one in turned] == [["b", "a"], ["c"]]
     with pytest.raises(UnfitError):
         reversed_(inputs, {"length": 3, "of": "all"})

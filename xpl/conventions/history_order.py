@@ -45,11 +45,15 @@ def _in_inputs(case: Case) -> Iterator[Mistake]:
 
 
 def _reversed(value: Any, how: Mapping[str, Any]) -> Any:
-    """Return inputs whose axis of history is reversed: the one that is as long, before a picture or a vector.
+    """Return inputs whose history is reversed: an axis that is as long, before a picture or a vector, or a list.
+
+    Of a batch, `xpl.Policy` hands a list for each environment to a model whose adapter has no block.
 
     Raises:
         UnfitError: if there is none.
     """
+    if how.get("way") == "batch" and how["of"] == "all" and isinstance(value, list) and _are_lists(value):
+        return [frames[::-1] for frames in value]
     seen = False
 
     def change(leaf: Any) -> Any:
@@ -68,6 +72,11 @@ def _reversed(value: Any, how: Mapping[str, Any]) -> Any:
     if not seen:
         raise walk.UnfitError("no history of this length")
     return result
+
+
+def _are_lists(value: Sequence[Any]) -> bool:
+    """Tell whether a batch has a list of inputs for each environment, and some more than one."""
+    return all(isinstance(frames, list) for frames in value) and any(len(frames) > 1 for frames in value)
 
 
 CONVENTION = Convention(

@@ -10,6 +10,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.model_io.difference import columns, differences
+from xpl_cli.packages.conventions import HISTORY
 
 if TYPE_CHECKING:
     from xpl_cli.model_io.difference import Differences, Thread
@@ -29,10 +30,17 @@ class Pattern:
     Attributes:
         words: what is seen, and what it suggests.
         convention: of the vocabulary, that it suggests.
+        others: conventions that it suggests as well.
     """
 
     words: str
     convention: str
+    others: tuple[str, ...] = ()
+
+    @property
+    def conventions(self) -> tuple[str, ...]:
+        """All that it suggests."""
+        return (self.convention, *self.others)
 
 
 @dataclass(frozen=True)
@@ -105,19 +113,19 @@ def _memory(threads: Sequence[Thread], spread: Differences, tolerance: float, ki
     begins = [one.is_right for one in answers if not one.earlier]
     again = [one.is_right for one in answers if not one.earlier and one.episode]
     convention = "recurrent" if kind.keeps_state else "history_length" if kind.history > 1 else "action_reference"
+    others = tuple(one for one in HISTORY if convention in HISTORY and one != convention)
     remembers = kind.keeps_state or kind.history > 1
     if begins and later and all(begins) and (not any(later) or (remembers and sum(later) <= _FEW * len(later))):
         told = {
             "recurrent": "the state is not carried on, or not as often as the model does it",
-            "history_length": "earlier observations are not the model's",
+            "history_length": "earlier observations are not the model's: how many, which, or in which order",
             "action_reference": "something is remembered that the model does not remember, or the other way round",
         }[convention]
-        yield Pattern(
-            f"answers to the first observation of an episode are right, and later ones are not: {told}", convention
-        )
+        words = f"answers to the first observation of an episode are right, and later ones are not: {told}"
+        yield Pattern(words, convention, others)
     elif again and answers[0].is_right and not any(again) and remembers:
         told = "the first episode begins right, and later ones do not: what is remembered outlives a reset"
-        yield Pattern(told, convention)
+        yield Pattern(told, convention, others)
 
 
 def _answers(

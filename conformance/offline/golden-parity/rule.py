@@ -151,7 +151,7 @@ def _blamed(message: str, cause: Found | None, *, expected: str, got: str, evide
         evidence["cause"] = {
             "words": best.words,
             "convention": best.convention,
-            "conventions": [best.convention],
+            "conventions": list(best.conventions),
             "whole": False,
         }
     elif best is not None:
