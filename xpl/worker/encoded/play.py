@@ -53,6 +53,7 @@ def changes(
     """
     until = time.monotonic() + seconds
     samples = [obs for call in calls for _, obs in call.get("show", ())][:_SAMPLES]
+    shown = list({obs.get(spec.Obs.ENV_IDX) or 0: obs for obs in samples}.values())
     own, predicts = model.encode, model.predict
     known: dict[str, Any] = {"kept": _remembering(own)}
     for how in wanted:
@@ -60,7 +61,7 @@ def changes(
             return
         try:
             model.reset()
-            model.update_obs(samples[0])  # so that there is an environment that encodes
+            model.update_obs_batch(shown)  # so that there are environments that encode
             if how["kind"] in _WHOLE:
                 yield _WHOLE[how["kind"]](model, how, calls)
                 continue
