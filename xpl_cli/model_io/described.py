@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from xpl.catalogue import Convention
 
 _MOST = 12
+_PLACE = re.compile(r" \((state|action|image|cam_\w+)\)$")
+"""Where a mistake was made."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,8 @@ def _mistakes(one: Convention) -> list[str]:
         shown = robot.cameras[:2]
         case = Case(robot, action_type, block, cameras=shown, history=2, instructions=["Do it."])
         found += [*one.in_block(case), *one.around(case), *one.in_inputs(case)]
-    return list(dict.fromkeys(mistake.words for mistake in sorted(found, key=lambda mistake: mistake.rank)))[:_MOST]
+    told = [_PLACE.sub("", mistake.words) for mistake in sorted(found, key=lambda mistake: mistake.rank)]
+    return list(dict.fromkeys(told))[:_MOST]
 
 
 def page(one: Described) -> Iterator[str]:
