@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from xpl.catalogue import Convention
 
 _MOST = 12
+_SEP = ", "
 _PLACE = re.compile(r" \((state|action|image|cam_\w+)\)$")
 """Where a mistake was made."""
 
@@ -115,11 +116,12 @@ def page(one: Described) -> Iterator[str]:
     yield f"# {one.name}"
     yield ""
     yield f"{one.about[:1].upper()}{one.about[1:]}."
-    places = [
-        f"`{key}` ({place})" if key != "*" else f"all of `{place}`" for place, keys in one.keys.items() for key in keys
-    ]
+    stands: dict[str, list[str]] = {}
+    for place, keys in one.keys.items():
+        told = "all keys" if "*" in keys else ", ".join(f"`{key}`" for key in keys)
+        stands.setdefault(told, []).append(place)
     yield ""
-    yield f"In the block: {', '.join(places)}."
+    yield f"In the block: {'; '.join(f'{keys} of {_SEP.join(places)}' for keys, places in stands.items())}."
     for key, found in one.values.items():
         yield ""
         yield f"Values of `{key}`:"
