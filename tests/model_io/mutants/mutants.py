@@ -3,10 +3,9 @@
 A mutant is a subject of this folder, or one of its rewritten variants, with some text replaced, as a file of mistakes
 says. The files differ by who planted: `known.yml` by somebody who knew how the parity rule explains, `strangers.yml` by
 somebody who did not, and the search was then bettered by what it had missed; `fresh.yml` by somebody else who did not,
-when that was done; `planted.yml`, four
-of whose thirty are two mistakes at once, by yet another one when the search was written anew, which was then bettered by
-what it had missed; `later.yml`, likewise thirty, by the next one after that. The rates are told apart: those of
-`fresh.yml`, `planted.yml` and `later.yml` at first sight are out of sample.
+when that was done; `planted.yml`, four of whose thirty are two mistakes at once, by yet another one when the search was
+written anew, which was then bettered by what it had missed; `later.yml`, likewise thirty, by the next one after that.
+The rates are told apart: only those at first sight of the last three are out of sample.
 """
 
 from __future__ import annotations
