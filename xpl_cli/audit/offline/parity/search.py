@@ -21,10 +21,10 @@ from xpl.conventions.point import tool
 from xpl.convert import ConversionError
 from xpl_cli.audit.offline.parity.golden import GoldenRuler
 from xpl_cli.audit.offline.parity.shown import Shown
-from xpl_cli.audit.offline.search.contest import held
+from xpl_cli.audit.offline.search.contest import Family, held
 from xpl_cli.audit.offline.search.course import Course
 from xpl_cli.audit.offline.search.played import overrides
-from xpl_cli.audit.offline.search.ways import Read, Ways
+from xpl_cli.audit.offline.search.ways import Enough, Read, Ways
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.basics.errors import UserError
 from xpl_cli.model_io import reading
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from xpl_cli.audit.offline.parity.judgement import Judgement
-    from xpl_cli.audit.offline.search.contest import Family, Held
+    from xpl_cli.audit.offline.search.contest import Held
     from xpl_cli.audit.offline.search.loaded import Answered
     from xpl_cli.audit.served.probe import Probe
 
@@ -128,14 +128,30 @@ class Search:
 
     def _by_block(self) -> Explanation | None:
         """Return what other words of the block explain; None where the adapter does not convert by it alone."""
-        family = self._ways.block()
-        if family is None:
+        found = self._by_words(self._ruler.leaves_nothing)
+        if found is None or found.cause is not None:
+            return found
+        # What leaves nothing of one question may leave something of others: then all are tried.
+        return self._by_words(lambda _answered: False)
+
+    def _by_words(self, enough: Enough) -> Explanation | None:
+        family = self._ways.block(enough=enough)
+        tried = None if family is None else held(family, self._ruler)
+        if family is None or tried is None or not self._ways.by_block:
             return None
-        tried = held(family, self._ruler)
-        if not self._ways.by_block:
-            return None
-        self._tried.append((family, tried))
-        return self._explained(tried)
+        self._tried = [(family, tried)]
+        found = self._explained(tried)
+        if found.cause is None:
+            return found
+        # What is less likely was not tried; what of the same convention these pairs do not tell from it is to be said.
+        later = range(len(tried.first), len(family.mistakes))
+        alike = [number for number in later if family.mistakes[number].convention == found.cause.convention]
+        others = Family(
+            [family.mistakes[number] for number in alike],
+            lambda chosen, wanted: family.ask([alike[place] for place in chosen], wanted),
+        )
+        last = [*tried.last, *held(others, self._ruler).last]
+        return self._ruler.explained([self._ruler.tried(answered) for _, answered in last])
 
     def _by_commands(self) -> Explanation:
         """Return what changes of the answers that are known explain."""

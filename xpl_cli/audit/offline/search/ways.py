@@ -7,6 +7,7 @@ changes of what is shown, by a server; as changes of the commands that are known
 from __future__ import annotations
 
 import functools
+import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -109,11 +110,14 @@ class Ways:
 
     # -- the block -----------------------------------------------------------------------------------------------------
 
-    def block(self, wanted: Callable[[Mistake], bool] = lambda _one: True) -> Family | None:
+    def block(
+        self, wanted: Callable[[Mistake], bool] = lambda _one: True, enough: Enough = lambda _answered: False
+    ) -> Family | None:
         """Return other words of the block; None where there is none that fits.
 
         Args:
             wanted: tells which are tried.
+            enough: of all of them, what is less likely than one for which this holds is not asked.
         """
         if not self.case.block:
             return None
@@ -121,16 +125,30 @@ class Ways:
             found = list(mistakes.in_block(self.case, self.manifest.temporal.chunk))
         except ConversionError:
             return None
-        return self._of_blocks([pair for pair in found if wanted(pair[0])])
+        return self._of_blocks([pair for pair in found if wanted(pair[0])], enough=enough)
 
     def _of_blocks(
-        self, found: Sequence[tuple[Mistake, Mapping[str, Any]]], numbers: Sequence[tuple[int, int]] = ()
+        self,
+        found: Sequence[tuple[Mistake, Mapping[str, Any]]],
+        numbers: Sequence[tuple[int, int]] = (),
+        enough: Enough = lambda _answered: False,
     ) -> Family:
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Answered]:
+        def asked(chosen: Sequence[int], wanted: Sequence[int]) -> list[Answered]:
             answers = self.loaded.blocks([found[number][1] for number in chosen], wanted, self.left)
             self.by_block = self.by_block and answers is not None
-            for number, given in zip(chosen, answers or [], strict=False):
-                yield Answered(found[number][0].words, found[number][0].convention, given)
+            named = [(found[number][0].words, found[number][0].convention) for number in chosen]
+            return [Answered(*one, given) for one, given in zip(named, answers or [], strict=False)]
+
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Answered]:
+            if len(chosen) < len(found):
+                yield from asked(chosen, wanted)
+                return
+            for _, several in itertools.groupby(chosen, lambda number: found[number][0].rank):
+                numbers = list(several)
+                told = asked(numbers, wanted)
+                yield from told
+                if len(told) < len(numbers) or any(map(enough, told)):
+                    return
 
         def both(pairs: Sequence[tuple[int, int]]) -> Family:
             named, made = [], []
