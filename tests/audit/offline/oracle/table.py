@@ -1,11 +1,11 @@
 """Makes results.json, docs/mistakes.md and its picture of what `trained.py` wrote.
 
 python -m tests.audit.offline.oracle.table [FIRST [AFTER]]
-python -m tests.audit.offline.oracle.table --contract OUT
+python -m tests.audit.offline.oracle.table --again OUT
 
 FIRST is the OUT of the search as it was when the mistakes were planted, AFTER that of the mended one. Without any, the
-page is made of results.json as it is; with --contract, what OUT says of the contract goes into it first, of another
-training of these policies, for example.
+page is made of results.json as it is; with --again, what OUT says of contract, parity and success goes into it first,
+and of demonstrations as of the mended search: of another training of these policies, for example.
 """
 
 from __future__ import annotations
@@ -80,13 +80,17 @@ def _alike(first: Path) -> dict[str, dict[str, Row]]:
     return found
 
 
-def with_contract(rows: list[Row], out: Path) -> list[Row]:
-    """Return rows with the contract that a run found, where it found one."""
-    told = _alike(out)
-    found = []
+def again(rows: list[Row], out: Path) -> list[Row]:
+    """Return rows with what a run found, where it found something."""
+    told, found = _alike(out), []
     for row in rows:
-        contract = told.get(_subject(row).same, {}).get("contract")
-        found.append({**row, "contract": _kept("contract", contract)} if contract else row)
+        subject = _subject(row)
+        new = dict(row)
+        for proof, whole in told.get(subject.same, {}).items():
+            new[proof] = _kept(proof, (whole.get("parity") or {}) if proof == "parity" else whole)
+        if one := said(out / "rows" / f"{subject.key}-demonstrations.json"):
+            new.update(after=_kept("demonstrations", one), apart=round(one["apart"], 4), own=round(one["own"], 4))
+        found.append(new)
     return found
 
 
@@ -344,11 +348,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("first", type=Path, nargs="?")
     parser.add_argument("after", type=Path, nargs="?")
-    parser.add_argument("--contract", type=Path, metavar="OUT")
+    parser.add_argument("--again", type=Path, metavar="OUT")
     asked = parser.parse_args()
     rows = results() if asked.first is None else collected(asked.first, asked.after)
-    if asked.contract is not None:
-        rows = with_contract(rows, asked.contract)
+    if asked.again is not None:
+        rows = again(rows, asked.again)
     RESULTS.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
     PAGE.write_text(page(rows, PAGE.read_text()))
     PICTURE.write_text(picture(rows))
