@@ -26,6 +26,7 @@ from xpl_cli.audit.offline.search.course import Course
 from xpl_cli.audit.offline.search.played import overrides
 from xpl_cli.audit.offline.search.ways import Enough, Read, Ways
 from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.audit.served.rounding import OF_SPAN
 from xpl_cli.basics.errors import UserError
 from xpl_cli.model_io import reading
 from xpl_cli.model_io.difference import Thread
@@ -110,7 +111,8 @@ class Search:
             if explanation.cause is not None:
                 return found[-1]
         self._ways.halve()
-        two = next(self._two(), None)
+        # Two of many mistakes explain what is as small as what kernels round.
+        two = next(self._two(), None) if max(self._ruler.before.values()) > OF_SPAN else None
         if two is not None:
             return two
         near = [one for one in found if one.explanation.near is not None]

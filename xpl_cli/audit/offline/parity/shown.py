@@ -19,6 +19,7 @@ from xpl.catalogue.pictures import dark
 from xpl_cli.audit.offline.parity.golden import GoldenRuler
 from xpl_cli.audit.offline.search.around import Around
 from xpl_cli.audit.offline.search.contest import Family, held
+from xpl_cli.audit.served.rounding import OF_SPAN
 from xpl_cli.model_io.difference import differences
 from xpl_cli.model_io.explain import Explanation, Tried
 from xpl_cli.model_io.patterns import Pattern
@@ -102,7 +103,8 @@ class Shown:
         found = ruler.explained([ruler.tried(answered) for _, answered in tried.last])
         if found.cause is not None:
             return found
-        return self._besides(mistakes, tried, around, ruler, ways) or found
+        is_large = max(ruler.before.values()) > OF_SPAN
+        return (self._besides(mistakes, tried, around, ruler, ways) if is_large else None) or found
 
     def _besides(
         self, mistakes: Sequence[Mistake], tried: Held, around: Around, ruler: GoldenRuler, ways: Ways
