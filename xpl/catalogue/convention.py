@@ -142,11 +142,6 @@ def found(kind: str, word: str) -> Any:
     return None
 
 
-def more(kind: str) -> Mapping[str, Any]:
-    """Return the words that installed packages add under `kind`."""
-    return {word: value for one in others() for word, value in getattr(one, kind).items()}
-
-
 def applying(block: Entry) -> list[str]:
     """Return the conventions that are to be agreed on for a block, sorted."""
     there = set(_places(block, ()))

@@ -51,10 +51,9 @@ class Change:
     delta: Turn | None
     ways: tuple[str, ...] = ("both", "state", "action")
 
-    def inverse(self, words: str, delta: Turn | None = None, rank: int | None = None) -> Change:
+    def inverse(self, words: str, delta: Turn | None = None) -> Change:
         """Return the change in the other direction."""
-        found = replace(self, words=words, there=self.back, back=self.there, delta=delta)
-        return found if rank is None else replace(found, rank=rank)
+        return replace(self, words=words, there=self.back, back=self.there, delta=delta)
 
 
 def on(keys: Iterable[str], function: Function) -> Turn:
@@ -101,7 +100,8 @@ def placed(function: Function) -> Function:
     return lambda pose: np.concatenate((function(pose[..., _PLACE]), pose[..., _TURN]), axis=-1)
 
 
-def _whole(function: Function) -> Function:
+def whole(function: Function) -> Function:
+    """Return the change of poses that changes all of them."""
     return function
 
 
@@ -114,7 +114,7 @@ def _rotation(function: Function) -> Function:
 
 
 PARTS: tuple[tuple[int, str, Callable[[Function], Function]], ...] = (
-    (0, "", _whole),
+    (0, "", whole),
     (1, " of the position", _position),
     (1, " of the rotation", _rotation),
 )

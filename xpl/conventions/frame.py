@@ -128,12 +128,8 @@ def _stands(mounts: dict[str, Numbers]) -> Iterator[Change]:
 
 
 def _stood(rank: int, words: str, transforms: dict[str, Numbers]) -> Change:
-    there, back = (_mounted(transforms, _moved, _whole, inverse=inverse) for inverse in (False, True))
+    there, back = (_mounted(transforms, _moved, fields.whole, inverse=inverse) for inverse in (False, True))
     return Change(rank, words, _NAME, there, back, None)
-
-
-def _whole(function: Function) -> Function:
-    return function
 
 
 def _placed_at(place: Numbers) -> Numbers:

@@ -110,13 +110,18 @@ def run(module: str, order: Mapping[str, object], place: Place) -> Done:
         place: where.
     """
     with _room(place) as (prefix, folder, environment):
-        asked, told = folder / "asked", folder / "answers"
-        asked.write_bytes(b"".join(packed.encode(order)))
-        start = SDK_START + f"from {module} import main; main(*sys.argv[2:])"
-        command = spawn.command(place.python, start, str(asked), str(told), prefix=prefix)
-        errand = _Run(command, place, environment, folder / "log")
+        errand = _Run(_command(module, order, place, prefix, folder), place, environment, folder / "log")
         with errand.running():
-            return errand.done(told, place.limit_s)
+            return errand.done(folder / "answers", place.limit_s)
+
+
+def _command(
+    module: str, order: Mapping[str, object], place: Place, prefix: tuple[str, ...], folder: Path
+) -> list[str]:
+    """Write an order into a folder, and return the command that does it and writes its answers there."""
+    (folder / "asked").write_bytes(b"".join(packed.encode(order)))
+    start = SDK_START + f"from {module} import main; main(*sys.argv[2:])"
+    return spawn.command(place.python, start, str(folder / "asked"), str(folder / "answers"), prefix=prefix)
 
 
 class Standing:
@@ -135,10 +140,7 @@ class Standing:
         self._place, self._asked = place, 0
         with contextlib.ExitStack() as opened:
             prefix, self._folder, environment = opened.enter_context(_room(place))
-            (self._folder / "asked").write_bytes(b"".join(packed.encode(order)))
-            start = SDK_START + f"from {module} import main; main(*sys.argv[2:])"
-            paths = (str(self._folder / "asked"), str(self._folder / "answers"))
-            command = spawn.command(place.python, start, *paths, prefix=prefix)
+            command = _command(module, order, place, prefix, self._folder)
             self._run = _Run(command, place, environment, self._folder / "log")
             opened.enter_context(self._run.running(subprocess.PIPE))
             self.loaded = self._run.done(self._folder / "answers", place.limit_s)

@@ -25,7 +25,6 @@ FITS_MM: Final = 5.0
 _FEW: Final = 12
 _PLENTY: Final = 120
 _STILL: Final = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-_LENGTHS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _MOST_PERMUTED: Final = 7
 
 
@@ -131,8 +130,8 @@ def _tried(robot: Embodiment, joints: np.ndarray, position: np.ndarray, orders: 
             if frame == "base" and side != robot.data["arms"][0]:
                 continue  # it says nothing of the side
             there = poses.compose(poses.compose(outer, ends), inner)[..., :3]
-            for length, scale in _LENGTHS.items():
-                off = there - scale * position
+            for length, factor in frames.UNITS.items():
+                off = there - position / factor
                 errors = 1000 * np.sqrt((off * off).sum(-1).mean(-1))
                 best = range(len(orders)) if len(orders) == 1 else np.argsort(errors)[:24]
                 found += [

@@ -14,8 +14,9 @@ from xpl_cli.model_io.explain import Explanation, Tried, explain
 
 if TYPE_CHECKING:
     from xpl_cli.audit.offline.parity.judgement import Judgement
+    from xpl_cli.audit.offline.search.contest import Held
     from xpl_cli.audit.offline.search.course import Course
-    from xpl_cli.audit.offline.search.loaded import Answered
+    from xpl_cli.audit.offline.search.loaded import Answered, Given
     from xpl_cli.model_io.difference import Step
 
 _FEW: Final = 3
@@ -54,6 +55,14 @@ class GoldenRuler(Ruler):
     def tried(self, answered: Answered) -> Tried:
         """Return what is left under a mistake."""
         return Tried(answered.words, answered.convention, self.remaining(answered.given))
+
+    def both(self, first: Answered, second: Answered, given: Given | None) -> Tried:
+        """Return what is left under two mistakes, of the answers with both undone."""
+        return Tried(first.words, first.convention, self.remaining(given), (second.words, second.convention))
+
+    def explained_by(self, held: Held) -> Explanation:
+        """Return which mistake of a family explains the difference."""
+        return self.explained([self.tried(answered) for _, answered in held.last])
 
     def explained(self, tried: Sequence[Tried]) -> Explanation:
         """Return which of some mistakes, tried on all questions, explains the difference."""

@@ -61,7 +61,7 @@ def margins(probe: Probe, judged: Judgement, settings: Mapping[str, object]) -> 
         found = [] if family is None else list(_under(family, judged, course))
     if found:
         return found
-    commands = ways.commands(ways.known(judged.given), lambda _answered: False)
+    commands = ways.commands(dict(enumerate(judged.given)), lambda _answered: False)
     return list(_under(replace(commands, mistakes=[one for one in commands.mistakes if one.rank <= 1]), judged, course))
 
 

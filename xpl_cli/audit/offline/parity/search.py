@@ -133,7 +133,10 @@ class Search:
         found = self._by_words(self._ruler.leaves_nothing)
         if found is None or found.cause is not None:
             return found
-        # What leaves nothing of one question may leave something of others: then all are tried.
+        ((family, tried),) = self._tried
+        if len(tried.first) == len(family.mistakes) or self._ways.left <= 0:
+            return found
+        # What leaves nothing of one question leaves something of others: then all are tried.
         return self._by_words(lambda _answered: False)
 
     def _by_words(self, enough: Enough) -> Explanation | None:
@@ -142,7 +145,7 @@ class Search:
         if family is None or tried is None or not self._ways.by_block:
             return None
         self._tried = [(family, tried)]
-        found = self._explained(tried)
+        found = self._ruler.explained_by(tried)
         if found.cause is None:
             return found
         # What is less likely was not tried; what of the same convention these pairs do not tell from it is to be said.
@@ -157,10 +160,10 @@ class Search:
 
     def _by_commands(self) -> Explanation:
         """Return what changes of the answers that are known explain."""
-        family = self._ways.commands(self._ways.known(self._judgement.given), self._ruler.leaves_nothing)
+        family = self._ways.commands(dict(enumerate(self._judgement.given)), self._ruler.leaves_nothing)
         tried = held(family, self._ruler)
         self._tried.append((family, tried))
-        found = self._explained(tried)
+        found = self._ruler.explained_by(tried)
         if found.cause is not None:
             return found
         judgement = self._judgement
@@ -227,7 +230,8 @@ class Search:
         both = family.both(pairs) if pairs and self._ways.left > 0 else None
         if both is None:
             return []
-        return [self._pair(tried, *both.numbers[at], one) for at, one in held(both, self._ruler).last]
+        named = [(tried.first[one], tried.first[other]) for one, other in both.numbers]
+        return [self._ruler.both(*named[at], one.given) for at, one in held(both, self._ruler).last]
 
     def _found(self, family: Family, tried: Sequence[Tried]) -> Iterator[Found]:
         explanation = self._ruler.explained(tried)
@@ -248,10 +252,7 @@ class Search:
         if first is None or first.given is None:
             return []
         commands = held(self._ways.commands(first.given, self._ruler.leaves_nothing), self._ruler).last
-        return [
-            Tried(first.words, first.convention, self._ruler.remaining(one.given), (one.words, one.convention))
-            for _, one in commands
-        ]
+        return [self._ruler.both(first, one, one.given) for _, one in commands]
 
     def _undone(self, family: Family, place: int) -> Answered | None:
         """Return the answers to all questions where one mistake is undone, None where they are not all known."""
@@ -262,17 +263,7 @@ class Search:
             self._known[key] = first if is_known else None
         return self._known[key]
 
-    def _pair(self, tried: Held, one: int, other: int, answered: Answered) -> Tried:
-        """Return what is left where two mistakes of a family are undone."""
-        first, second = tried.first[one], tried.first[other]
-        return Tried(
-            first.words, first.convention, self._ruler.remaining(answered.given), (second.words, second.convention)
-        )
-
     # -- what is known -------------------------------------------------------------------------------------------------
-
-    def _explained(self, tried: Held) -> Explanation:
-        return self._ruler.explained([self._ruler.tried(answered) for _, answered in tried.last])
 
     def _line(self, answered: Answered, tried: Tried) -> Tried | None:
         """Return the line that answers under a mistake are of the golden ones, if any is."""

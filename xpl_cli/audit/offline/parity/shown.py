@@ -100,7 +100,7 @@ class Shown:
     def _held(self, mistakes: Sequence[Mistake], around: Around, ruler: GoldenRuler, ways: Ways) -> Explanation:
         """Return what mistakes explain, one by one; where none does, with a change of commands besides."""
         tried = held(Family(mistakes, ways.asking(around, mistakes, ruler.leaves_nothing)), ruler)
-        found = ruler.explained([ruler.tried(answered) for _, answered in tried.last])
+        found = ruler.explained_by(tried)
         if found.cause is not None:
             return found
         is_large = max(ruler.before.values()) > OF_SPAN
@@ -112,17 +112,12 @@ class Shown:
         """Return what explains the difference by two mistakes: of what is shown, and another one."""
         ways.halve()
         for place in ruler.eased(tried.first, _FIRSTS):
-            first = mistakes[place]
-            given = around.answers(first, ruler.everything) if ways.left > 0 else None
+            given = around.answers(mistakes[place], ruler.everything) if ways.left > 0 else None
             if given is None:
                 continue
+            first = tried.first[place]
             last = held(ways.commands(given, ruler.leaves_nothing), ruler).last
-            found = ruler.explained(
-                [
-                    Tried(first.words, first.convention, ruler.remaining(one.given), (one.words, one.convention))
-                    for _, one in last
-                ]
-            )
+            found = ruler.explained([ruler.both(first, one, one.given) for _, one in last])
             if found.cause is not None:
                 return found
         return None

@@ -20,7 +20,7 @@ from xpl.convert import ConversionError
 from xpl.manifest import ModelIO
 from xpl_cli.audit.offline.search.around import Around
 from xpl_cli.audit.offline.search.contest import Ask, Family
-from xpl_cli.audit.offline.search.loaded import Answered, Given, LoadedAdapter
+from xpl_cli.audit.offline.search.loaded import Answered, LoadedAdapter
 from xpl_cli.model_io import mistakes
 from xpl_cli.model_io.prompts import templates
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from xpl.contract import Config
     from xpl_cli.audit.offline.search.course import Course
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.model_io.pairs import Chunk
 
 _MANY: Final = 0.45
 _FEW: Final = 0.9
@@ -119,13 +118,19 @@ class Ways:
             wanted: tells which are tried.
             enough: of all of them, what is less likely than one for which this holds is not asked.
         """
+        if self._in_block is None:
+            return None
+        return self._of_blocks([pair for pair in self._in_block if wanted(pair[0])], enough=enough)
+
+    @functools.cached_property
+    def _in_block(self) -> list[tuple[Mistake, dict[str, Any]]] | None:
+        """The mistakes as other words of the block, each with the block that it makes; each was compiled once."""
         if not self.case.block:
             return None
         try:
-            found = list(mistakes.in_block(self.case, self.manifest.temporal.chunk))
+            return list(mistakes.in_block(self.case, self.manifest.temporal.chunk))
         except ConversionError:
             return None
-        return self._of_blocks([pair for pair in found if wanted(pair[0])], enough=enough)
 
     def _of_blocks(
         self,
@@ -214,7 +219,3 @@ class Ways:
             return self._of_inputs(made, kept)
 
         return Family(found, ask, both, numbers)
-
-    def known(self, given: Sequence[Chunk]) -> Given:
-        """Return answers to all questions by their numbers."""
-        return dict(enumerate(given))
