@@ -123,13 +123,14 @@ Robots that come with `xpl` (`spec/robots`). A project describes its own in the 
 
 def _catalogue() -> str:
     """Write what an adapter and its model have to share."""
+    from xpl.catalogue.convention import conventions
     from xpl_cli.model_io import described
 
     lines = ["# Conventions that an adapter and its model share", "", _CATALOGUE]
-    for name in described.names():
+    for one in conventions():
         lines += [
             "",
-            *(f"#{line}" if line.startswith("# ") else line for line in described.page(described.described(name))),
+            *(f"#{line}" if line.startswith("# ") else line for line in described.page(described.described(one))),
         ]
     return "\n".join(lines)
 

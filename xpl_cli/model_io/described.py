@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl.catalogue import Case
-from xpl.catalogue import convention as catalogue
 from xpl.convert import gaps
 from xpl.embodiment import embodiment_names, get_embodiment
-from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.standard import spec
 from xpl_cli.standard.words import Word, words
 
@@ -50,28 +48,11 @@ class Described:
         return {**vars(self), "keys": {place: list(keys) for place, keys in self.keys.items()}, "values": values}
 
 
-def described(name: str) -> Described:
-    """Return a convention by its name.
-
-    Raises:
-        UserError: there is none; exit code 3.
-    """
-    known = {one.name: one for one in catalogue.conventions()}
-    if name not in known:
-        raise UserError(f"no convention is called {name}; there are {', '.join(known)}", code=ExitCode.NOT_FOUND)
-    one = known[name]
-    about = next(word["description"] for word in _vocabulary() if word["const"] == name)
-    return Described(name, about, one.keys, dict(_values(one)), _mistakes(one))
-
-
-def names() -> list[str]:
-    """Return the names of all conventions."""
-    return [one.name for one in catalogue.conventions()]
-
-
-def _vocabulary() -> list[dict[str, str]]:
-    found: list[dict[str, str]] = spec.schema("model_io")["$defs"]["convention"]["oneOf"]
-    return found
+def described(one: Convention) -> Described:
+    """Return what is to be read about a convention."""
+    vocabulary = spec.schema("model_io")["$defs"]["convention"]["oneOf"]
+    about = next(word["description"] for word in vocabulary if word["const"] == one.name)
+    return Described(one.name, about, one.keys, dict(_values(one)), _mistakes(one))
 
 
 def _values(one: Convention) -> Iterator[tuple[str, Sequence[Word]]]:

@@ -1,16 +1,15 @@
-"""`xpl audit` and `xpl explain`."""
+"""`xpl audit`."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from xpl_cli.basics.formats import REPORTS_HELP
 from xpl_cli.commands.options import (
     ISOLATE_HELP,
-    JSON,
     MEMORY_HELP,
     PATIENCE_HELP,
     POLICY_ENV,
@@ -22,11 +21,7 @@ from xpl_cli.commands.options import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from xpl_cli.audit.demonstrations.check import Check
-    from xpl_cli.audit.rules.registry import Rule
-    from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.packages.targets import Target
-    from xpl_cli.standard.spec import Requirement
 
 _GATES = ("static", "offline", "mujoco")
 _FAIL_ON = ("fail", "warn")
@@ -274,128 +269,3 @@ def _profile(name: str | None, *, shadow: bool) -> str | None:
 def _repeated(option: str, values: list[str]) -> tuple[str, ...]:
     """Return an option as a command repeats it."""
     return tuple(part for value in values for part in (option, value))
-
-
-def explain(
-    names: list[str] = typer.Argument(
-        ..., metavar="RULE...", help="Codes or slugs of rules, such as XPL101 XPL203; or a convention, such as gripper."
-    ),
-    as_json: bool = JSON,
-) -> None:
-    """Explain rules: what each checks, why, and what to do instead. Of retired ones it says what proves the same.
-
-    A convention of the model_io block is explained by itself: its values, what libraries call them, usual mistakes.
-    """
-    from xpl_cli.audit.rules.retired import Retired
-    from xpl_cli.basics import console
-
-    if _explained_convention(names, as_json=as_json):
-        return
-    found = list({rule.code: rule for rule in map(_ruled, names)}.values())
-    proven = {rule.code: requirement for rule in found if (requirement := _requirement(rule)) is not None}
-    if as_json:
-        told = [_explained(rule, proven.get(rule.code)) for rule in found]
-        following = list(dict.fromkeys(f"xpl spec show {requirement.id}" for requirement in proven.values()))
-        following += [f"xpl explain {code}" for rule in found if isinstance(rule, Retired) for code in rule.proven_by]
-        if len(told) == 1:
-            console.answer("xpl.explain/1", told[0], following)
-        else:
-            console.answer("xpl.explanations/1", {"rules": told}, following)
-        return
-    from rich.markdown import Markdown
-
-    for rule in found:
-        if isinstance(rule, Retired):
-            console.rich(Markdown(f"# {rule.code} {rule.slug}\n\n*retired*\n\n{rule.documentation}"))
-            continue
-        requirement = proven.get(rule.code)
-        proves = "*demonstrations, `xpl data validate`*"
-        if requirement is not None:
-            proves = f"*{rule.gate} gate, proves {requirement.id} ({requirement.level}):* {requirement.text}"
-        console.rich(Markdown(f"# {rule.code} {rule.slug}\n\n{proves}\n\n{rule.documentation}"))
-
-
-def _explained_convention(names: list[str], *, as_json: bool) -> bool:
-    """Explain a convention, if the only name is one: slugs of rules are written with hyphens, conventions are not."""
-    if len(names) != 1 or not names[0].islower() or "-" in names[0]:
-        return False
-    from xpl_cli.basics import console
-    from xpl_cli.model_io import described
-
-    if names[0] not in described.names():
-        return False
-    found = described.described(names[0])
-    if as_json:
-        console.answer("xpl.convention/1", found.document(), ["xpl model-io sources POLICY"])
-        return True
-    from rich.markdown import Markdown
-
-    console.rich(Markdown("\n".join(described.page(found))))
-    return True
-
-
-def _ruled(name: str) -> Rule | type[Check] | Retired:
-    """Return a rule of packages, a check of demonstrations or a retired rule, by its code or slug."""
-    from xpl_cli.audit.demonstrations.catalogue import named
-    from xpl_cli.audit.rules import retired
-    from xpl_cli.audit.rules.registry import find
-
-    return named(name) or retired.lookup(name) or find(name)
-
-
-def _requirement(rule: Rule | type[Check] | Retired) -> Requirement | None:
-    """Return what a rule proves; None for a check of demonstrations, and for a retired rule."""
-    from xpl_cli.audit.rules.retired import Retired
-    from xpl_cli.standard import spec
-
-    return None if isinstance(rule, Retired) or not rule.requirement else spec.requirements()[rule.requirement]
-
-
-def _explained(rule: Rule | type[Check] | Retired, requirement: Requirement | None) -> dict[str, Any]:
-    from xpl_cli.audit.rules.retired import Retired
-
-    return {
-        "code": rule.code,
-        "slug": rule.slug,
-        "retired": isinstance(rule, Retired),
-        "gate": None if isinstance(rule, Retired) else rule.gate.value,
-        "requirement": None
-        if requirement is None
-        else {"id": requirement.id, "level": requirement.level, "text": requirement.text},
-        "severity": None if isinstance(rule, Retired) else rule.severity,
-        "documentation": rule.documentation,
-    }
-
-
-def rules(as_json: bool = JSON) -> None:
-    """List every rule with its code, gate, requirement and summary. Those of demonstrations are among them."""
-    from xpl_cli.audit.demonstrations.catalogue import CHECKS
-    from xpl_cli.audit.rules.gates import DEMONSTRATIONS
-    from xpl_cli.audit.rules.registry import rules as all_rules
-    from xpl_cli.basics import console
-
-    found: list[Rule | type[Check]] = [*all_rules(), *CHECKS]
-    if as_json:
-        entries = [
-            {
-                "code": rule.code,
-                "slug": rule.slug,
-                "gate": rule.gate.value,
-                "target": rule.target,
-                "requirement": rule.requirement or None,
-                "severity": rule.severity,
-                "summary": rule.summary,
-            }
-            for rule in found
-        ]
-        console.answer("xpl.rules/1", {"rules": entries}, [f"xpl explain {found[0].code}"])
-        return
-    width = max(len(rule.slug) for rule in found)
-    by_gate: dict[str, list[str]] = {}
-    for rule in found:
-        line = f"  {rule.code}  {rule.slug:<{width}}  {rule.severity:<6}  {rule.summary}"
-        of_environments = " of environments" if rule.target == "env" else ""
-        heading = f"{rule.gate} gate{of_environments}" if rule.target != DEMONSTRATIONS else "xpl data validate"
-        by_gate.setdefault(heading, []).append(line)
-    blocks = ["\n".join([gate, *lines]) for gate, lines in by_gate.items()]
-    console.data("\n\n".join([*blocks, f"next\n  xpl explain {found[0].code}"]))
