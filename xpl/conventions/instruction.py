@@ -1,4 +1,4 @@
-"""Text of the task: its template, case, and what is stripped.
+"""Text of the task: its template, case, and what is stripped and replaced.
 
 Source: spec/v1/model_io.schema.json#/$defs/instruction.
 """
@@ -14,7 +14,7 @@ from xpl.catalogue.edits import Site, everywhere, word
 from xpl.observation import get_instruction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from xpl.catalogue.mistake import Episode, Obs, Shown
     from xpl.contract import Entry, Observation, ObservationDict
@@ -35,8 +35,16 @@ TEMPLATES = (
 )
 """Prompts that were met: LeRobot's pi0, OpenVLA's, openpi's pi05, and their neighbours."""
 
+
+def _replaced(text: str, pairs: Mapping[str, str]) -> str:
+    for old, new in pairs.items():
+        text = text.replace(old, new)
+    return text
+
+
 _STAGES = {
     "strip": Stage(lambda text, letters: text.strip(letters) if letters else text, lambda text, _letters: text),
+    "replace": Stage(_replaced, lambda text, _pairs: text),
     "case": Stage(lambda text, case: text.lower() if case == "lower" else text, lambda text, _case: text),
 }
 _OWN = frozenset(("input", "template", "empty", *_STAGES))
@@ -48,7 +56,7 @@ def encode(text: str, how: Entry) -> str:
 
     Args:
         text: the standard's.
-        how: `instruction` of the block: strip, case, template.
+        how: `instruction` of the block: strip, replace, case, template.
     """
     for key in (*_STAGES, *(key for key in how if key not in _OWN)):
         if key in how:
@@ -75,6 +83,8 @@ def _in_block(case: Case) -> Iterator[Mistake]:
     for strip in ("", " ", ".", ". ", " .", " \n", "\n"):
         rank = 0 if strip in ("", " ") else 1
         yield from everywhere(site, rank, f"instruction: strip: {strip!r}", _NAME, word("strip", strip, ""))
+    for pairs in ({}, {"_": " ", "\n": " "}, {"_": " "}):
+        yield from everywhere(site, 1, f"instruction: replace: {pairs!r}", _NAME, word("replace", pairs, {}))
     now = how.get("template", HOLE)
     for text in dict.fromkeys((*case.templates, *TEMPLATES, now.strip(), f"{now}\n", f"{now} ", now.lower())):
         if HOLE in text:

@@ -3,7 +3,7 @@
 An observation has a recipe, two numbers: the environment, and its place (`100 * episode + control step`). Pictures have
 fine detail and no symmetry; joints, some near their limits, and poses agree by the robot's kinematics where the
 standard knows them; quaternions come with both signs, some near a half-turn; every gripper has an opening of its own;
-instructions have capitals and outer spaces.
+instructions have capitals, outer spaces, a line break, an underscore and full stops, as policies strip or replace them.
 
 Calls show and ask as environments do: one environment and several in batches that change, a step that nobody asks
 about, a history that builds up, resets.
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from xpl.embodiment import Arm, Embodiment
     from xpl.manifest import Manifest
 
-VERSION = 1
+VERSION = 2
 """Of what a recipe stands for. Pairs of another version cannot be compared."""
 
 EPISODE = 100
@@ -42,10 +42,10 @@ _SIZE = (480, 640)
 """Height and width of images where the manifest asks for no larger ones: those of most robots' cameras."""
 _FREQUENCY = 25.0
 _INSTRUCTIONS = (
-    "  Put the RED block into the left tray",
+    "  Put the RED block into the left tray.\n",
     "open the drawer, then take the Green cup ",
-    "push the blue box away",
-    " Stack both Bowls on the plate. ",
+    "push the blue_box away.",
+    " Stack both Bowls on the plate! ",
 )
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _ROTATION = slice(sdk.POSITION_DIM, sdk.POSE_DIM)

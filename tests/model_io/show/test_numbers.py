@@ -33,7 +33,7 @@ def test_the_state_is_told_in_both_words(tmp_path: Path) -> None:
     assert gripper.standard[0]["name"] == "left_ee_joint_state[0] opening"
     assert (padding.part, padding.name) == ("padding", "2 numbers")
     assert vector.words == "normalised by min_max, padded to 16"
-    assert found.texts == {"prompt": "put the red block into the left tray"}
+    assert found.texts == {"prompt": "put the red block into the left tray.\n"}
 
 
 def test_a_command_that_begins_by_holding_still_shows_what_deltas_are(tmp_path: Path) -> None:

@@ -75,6 +75,8 @@ def test_what_has_no_history_shows_the_newest() -> None:
         ({}, "Fold it.", "Fold it."),
         ({"case": "lower"}, "Fold IT.", "fold it."),
         ({"strip": ". "}, " Fold it. ", "Fold it"),
+        ({"strip": " \n", "replace": {"_": " ", "\n": " "}}, " Fold\nthe_cloth.\n", "Fold the cloth."),
+        ({"replace": {"cloth": "CLOTH"}, "case": "lower"}, "Fold the cloth.", "fold the cloth."),
         ({"template": "{instruction}\n"}, "Fold it.", "Fold it.\n"),
         (
             {
