@@ -31,6 +31,7 @@ class Described:
     Attributes:
         name: as reference.py and findings call it.
         about: what is to be agreed on.
+        known_as: what libraries call it, "library: name" each; "" where none has a name for it.
         keys: the keys of the block that say it, by where they stand.
         values: by key, its values, where there is a list of them.
         mistakes: the usual ones, the likeliest first, by what the model means where the adapter does otherwise.
@@ -38,6 +39,7 @@ class Described:
 
     name: str
     about: str
+    known_as: str
     keys: Mapping[str, Sequence[str]]
     values: Mapping[str, Sequence[Word]]
     mistakes: Sequence[str]
@@ -50,9 +52,9 @@ class Described:
 
 def described(one: Convention) -> Described:
     """Return what is to be read about a convention."""
-    vocabulary = spec.schema("model_io")["$defs"]["convention"]["oneOf"]
-    about = next(word["description"] for word in vocabulary if word["const"] == one.name)
-    return Described(one.name, about, one.keys, dict(_values(one)), _mistakes(one))
+    definitions = spec.schema("model_io")["$defs"]
+    word = next(word for word in words(definitions["convention"], definitions) if word.name == one.name)
+    return Described(one.name, word.meaning, word.known_as, one.keys, dict(_values(one)), _mistakes(one))
 
 
 def _values(one: Convention) -> Iterator[tuple[str, Sequence[Word]]]:
@@ -96,7 +98,8 @@ def page(one: Described) -> Iterator[str]:
     """Yield the lines of a convention's description, as Markdown."""
     yield f"# {one.name}"
     yield ""
-    yield f"{one.about[:1].upper()}{one.about[1:]}."
+    known = f" Known as {one.known_as}." if one.known_as else ""
+    yield f"{one.about[:1].upper()}{one.about[1:]}.{known}"
     stands: dict[str, list[str]] = {}
     for place, keys in one.keys.items():
         told = "all keys" if "*" in keys else ", ".join(f"`{key}`" for key in keys)

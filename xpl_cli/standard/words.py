@@ -79,6 +79,6 @@ def _choices(entry: Schema, place: str) -> Iterator[Choice]:
 
 
 def _word(option: Schema) -> Word:
-    known = ", ".join(f"{library}: {name}" for library, name in option.get("x-known-as", {}).items())
+    known = "; ".join(f"{library}: {name}" for library, name in option.get("x-known-as", {}).items())
     formula, source = option.get("x-formula", ""), option.get("x-source", "")
     return Word(str(option["const"]), option["description"], formula, source, known)
