@@ -261,7 +261,7 @@ def test_words_are_shown_with_formula_source_and_what_others_call_them() -> None
                 assert reference.prose(told.rstrip(".")) in html.unescape(page) or told == word.formula
             assert f"| `{word.name}` |" in page
     bilinear = next(word for choice in choices(schema) for word in choice.words if word.name == "bilinear")
-    assert bilinear.known_as == "opencv: INTER_LINEAR, pillow: BILINEAR, torch: bilinear"
+    assert bilinear.known_as == "opencv: INTER_LINEAR; pillow: BILINEAR; torch: bilinear"
 
 
 def test_a_misspelt_name_shows_the_nearest() -> None:
