@@ -19,17 +19,17 @@ _SUFFIXES = {sdk.State.ARM_JOINT_STATE: "joint", sdk.State.EE_POSE: "ee"}
 
 @rule(code="XPL149", requirement="XPL-ACT-10")
 def action_type_ignored(source: Source) -> Iterator[Finding]:
-    """The adapter answers with one type of action, whichever was asked for.
+    """The adapter returns one type of action, whatever action_type the configuration requests.
 
     ## What it does
-    Looks at how `action_type` decides: a comparison that only reports it, by `print` or a logger, and adapters that
-    write the keys of one type into their actions and never use `action_type`, though they may keep it. Adapters that
-    hand the configuration on as a whole, or that raise, are left alone; so are those of the SDK whose manifest declares
-    one type, since the base class refuses the other.
+    Looks at how `action_type` is used: a comparison that only logs a warning, by `print` or a logger, and adapters that
+    write the keys of one action type and never read `action_type`, even if they store it. Not reported: adapters that
+    pass the whole configuration on or raise an error, and adapters of the SDK whose manifest declares one type, since
+    the base class refuses the other.
 
     ## Why it matters
-    A run that is labelled `ee` was a run with joint commands, or an environment that expects a pose gets none. A
-    warning at the start of a server's log is not seen by the client.
+    A run labelled `ee` was a run with joint commands, or an environment that expects a pose gets none. The client does
+    not see a warning in a server's log.
 
     ## Example
     `if self.action_type != "joint": print("only joint is supported")`.

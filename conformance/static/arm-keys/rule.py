@@ -19,15 +19,15 @@ _COUNTS = ("num_arm", "n_arm", "arm_dim", "ee_dim", "arms", "is_dual", "dual", "
 
 @rule(code="XPL152", requirement="XPL-ACT-1")
 def arm_keys(source: Source) -> Iterator[Finding]:
-    """The adapter counts the arms, and gives the only arm of a robot the key of a left one.
+    """The adapter uses the left arm's key for a robot with one arm.
 
     ## What it does
-    Looks for functions that write action keys with the prefix of the left arm and serve robots with one arm too: they
-    stop after the first arm, or skip the second. Keys without a prefix anywhere in what the acting methods reach settle
-    the matter, and so does an error for one arm.
+    Looks for functions that write action keys with the prefix of the left arm and also serve robots with one arm: their
+    loop over the arms stops after the first one, or skips the second. Not reported if `get_action` or what it calls
+    writes keys without a prefix, or raises an error for one arm.
 
     ## Why it matters
-    A robot with one arm has keys without a prefix. The environment refuses `left_arm_joint_state`, or finds no command
+    A robot with one arm has keys without a prefix. The environment refuses `left_arm_joint_state`, or gets no command
     for its arm and does not move it.
 
     ## Example

@@ -1,4 +1,4 @@
-"""XPL141: Asking twice on one observation is answered twice."""
+"""XPL141: get_action leaves the stored observation unchanged."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _DROPS = frozenset(("clear", "pop", "popitem", "popleft"))
 
 @rule(code="XPL141", requirement="XPL-EPI-5")
 def asking_changes(source: Source) -> Iterator[Finding]:
-    """Asking for an action changes or drops the stored observation.
+    """get_action changes or drops the stored observation.
 
     ## What it does
-    Collects the attributes that the observing methods fill, follows them through the acting methods, and looks for
-    entries that are replaced by something made of themselves, for entries that are taken out, and for attributes that
-    are emptied. Queues that the acting methods fill themselves do not count.
+    Collects the attributes that `update_obs` fills, follows them through `get_action`, and looks for entries that are
+    overwritten by a value computed from themselves, entries that are removed, and attributes that are emptied. Queues
+    that `get_action` fills itself are not reported.
 
     ## Why it matters
-    A client that asks again, after a time-out or for a second opinion, gets an exception, or an action from an image
+    A client that calls `get_action` again, after a time-out for example, gets an exception, or an action from an image
     that was normalised twice.
 
     ## Example
     `obs = self.latest; obs["image"] = self.transform(obs["image"])` in `get_action`.
 
     ## Use instead
-    A new map for the model's inputs: `{**obs, "image": self.transform(obs["image"])}`.
+    A new dict for the model's inputs: `{**obs, "image": self.transform(obs["image"])}`.
 
     ## Fix safety
     No automatic fix.

@@ -14,21 +14,21 @@ def bare_except(source: Source) -> Iterator[Finding]:
     """A bare except hides every error, interrupts included.
 
     ## What it does
-    Looks in the boundary's Python files for `except:` and `except BaseException:` that do not raise again.
+    Looks in the adapter's Python files for `except:` and `except BaseException:` that do not raise again.
 
     ## Why it matters
-    Around an import it hides what really failed: the library is there, but cannot be loaded, and a second import under
-    another path fails for another reason. Around a step it also swallows Ctrl-C.
+    Around an import it hides the real error: the library is installed but cannot be loaded, and a second import from
+    another path fails for another reason. Around a control step it also swallows Ctrl-C.
 
     ## Example
     `try: from detr.main import build` with `except: from .main import build`.
 
     ## Use instead
-    `except ImportError:`, or the exception that is meant.
+    `except ImportError:`, or the exception that is expected.
 
     ## Fix safety
-    Safe where no import is guarded: `except Exception:` only lets interrupts through. Around an import the fix is
-    unsafe: `except ImportError:` lets errors through that were hidden, which is what it is for.
+    Safe where no import is guarded: `except Exception:` now lets interrupts through. Around an import the fix is
+    unsafe: `except ImportError:` raises errors that were hidden, which is its purpose.
     """
     for name in source.python_files:
         for node in source.nodes(name) if source.parses(name) else ():

@@ -1,4 +1,4 @@
-"""XPL109: get_action_batch looks at which environments it is asked for."""
+"""XPL109: get_action_batch uses the environment indices that the client requests."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ _FIX = Fix("advice", "keep observations in a map by environment index, and look 
 
 @rule(code="XPL109", requirement="XPL-BAT-1")
 def batch_by_position(source: Source) -> Iterator[Finding]:
-    """get_action_batch ignores which environments it is asked for, or only counts them.
+    """get_action_batch ignores the requested environment indices, or only counts them.
 
     ## What it does
-    Follows the list of environments through `get_action_batch`. Reading its length, or enumerating it without using its
-    entries, says how many environments are asked for, and not which.
+    Follows the list of environment indices through `get_action_batch`. Code that only reads its length, or enumerates
+    it without using its entries, knows how many environments are requested, but not which.
 
     ## Why it matters
     Environments of a batch end at different times. When 3 and 7 have ended and only 9 runs, the list is [9]; an adapter
-    that reads by position sends the command of environment 3 to environment 9. Nothing crashes, the score drops.
+    that indexes by position sends the command of environment 3 to environment 9. Nothing crashes; the success rate
+    drops.
 
     ## Example
     `for i, _ in enumerate(env_idx_list): act(self.observations[i])`.
 
     ## Use instead
-    Derive from `xpl.Policy`, or write `[act(self.observations[env]) for env in env_idx_list]` with a map.
+    Derive from `xpl.Policy`, or write `[act(self.observations[env]) for env in env_idx_list]` with a dict.
 
     ## Fix safety
     No automatic fix.

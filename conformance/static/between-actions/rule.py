@@ -1,4 +1,4 @@
-"""XPL136: The loop shows the policy the new observation between the actions of a chunk."""
+"""XPL136: The evaluation loop calls update_obs between the actions of a chunk."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _OBSERVES = ("get_obs", "get_obs_batch")
 
 @rule(code="XPL136", requirement="XPL-LOOP-4")
 def between_actions(source: Source) -> Iterator[Finding]:
-    """The policy sees no observation between the actions of a chunk.
+    """The evaluation loop does not call update_obs between the actions of a chunk.
 
     ## What it does
-    Takes the innermost loop around each `take_action` and asks whether the policy is shown an observation in it, by an
-    update or with any other call that is given one which the loop takes.
+    Takes the innermost loop around each `take_action` and checks that the loop sends the policy an observation, by
+    `update_obs` or by another call that gets one which the loop reads.
 
     ## Why it matters
-    Policies that keep a history, or blend overlapping chunks, count observations: one per control step. Shown one per
-    chunk, they see the world pass sixteen times too fast.
+    Policies that keep a history, or use temporal ensembling, expect one observation per control step. With one per
+    chunk of sixteen actions, time seems to pass sixteen times too fast for them.
 
     ## Example
     `for action in chunk: TASK_ENV.take_action(action)` and nothing else.
@@ -33,7 +33,7 @@ def between_actions(source: Source) -> Iterator[Finding]:
     `model_client.call(func_name="update_obs", obs=TASK_ENV.get_obs())` after each action but the last.
 
     ## Fix safety
-    No automatic fix: it changes what policies with a history are shown.
+    No automatic fix: it changes the observations that policies with a history get.
     """
     for function in loops(source):
         for call in does(function.node, function, EXECUTES):

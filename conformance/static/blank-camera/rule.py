@@ -1,4 +1,4 @@
-"""XPL123: A camera that is missing is an error."""
+"""XPL123: A missing camera is an error."""
 
 from __future__ import annotations
 
@@ -18,24 +18,23 @@ _CAMERA = "cam_"
 
 @rule(code="XPL123", requirement="XPL-OBS-3")
 def blank_camera(source: Source) -> Iterator[Finding]:
-    """A camera that is missing becomes a black image.
+    """A missing camera is replaced by a black image.
 
     ## What it does
-    Looks in what the observing and acting methods reach for images of zeros that stand in where a look-up found
-    nothing. Where policy.yml declares a camera optional, a stand-in may be meant, and nothing is reported. It is a
-    warning where the function also makes masks, and where a view is lacking in a map that the function itself makes for
-    the model: then the model may have more views than the robot, and be told so. A view there whose name is none of the
-    standard's is the model's own placeholder.
+    Looks in what `update_obs` and `get_action` reach for images of zeros that replace a camera which a look-up did not
+    find. Not reported if policy.yml declares a camera optional. It is a warning if the function also makes masks, or if
+    the missing view belongs to a dict that the function builds for the model: the model may have more views than the
+    robot, and masks for them. A view whose name is not a camera of the standard is the model's own placeholder.
 
     ## Why it matters
-    A misspelt camera name, or an environment without that camera, gives a policy that is blind on one eye. It still
-    moves, and its low score looks like a property of the method.
+    With a misspelt camera name, or an environment without that camera, the policy gets black images. It still moves,
+    and its low score looks like a property of the method.
 
     ## Example
     `if image is None: image = np.zeros((480, 640, 3), np.uint8)`.
 
     ## Use instead
-    `xpl.observation.get_image(obs, camera)`, which names the cameras that are there.
+    `xpl.observation.get_image(obs, camera)`, whose error lists the cameras of the observation.
 
     ## Fix safety
     No automatic fix.

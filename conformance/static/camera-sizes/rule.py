@@ -15,15 +15,15 @@ _KEY = "cameras"
 
 @rule(code="XPL186", requirement="XPL-CFG-13", after=("manifest",))
 def camera_sizes(source: Source) -> Iterator[Finding]:
-    """The manifest does not say which images the policy needs.
+    """The manifest does not declare the image sizes that the policy needs.
 
     ## What it does
     Compares `cameras` in `policy.yml` with the cameras under `inputs.required` and `inputs.optional`: each of them has
     an entry, and no other camera has one.
 
     ## Why it matters
-    A policy that was trained on 640 x 480 takes an image of 64 x 48 without a word, and acts badly. Environments
-    render, and benchmarks refuse, by what is declared here.
+    A policy that was trained on 640 x 480 accepts an image of 64 x 48 without an error, and acts badly. Environments
+    render images of the declared size, and benchmarks refuse others.
 
     ## Example
     `inputs: {required: [vision.cam_head]}` and `cameras: {}`.
@@ -33,7 +33,8 @@ def camera_sizes(source: Source) -> Iterator[Finding]:
     height: null` if any will.
 
     ## Fix safety
-    No automatic fix: only you know what the policy needs. An entry of a camera that is not read can be deleted.
+    No automatic fix: only the author knows which size the policy needs. The entry of a camera that is not read can be
+    deleted.
     """
     if source.is_ecosystem:
         raise NotApplicable("an adapter without policy.yml declares nothing")

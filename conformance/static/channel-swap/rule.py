@@ -13,25 +13,25 @@ from xpl_cli.audit.static.source import Source
 
 @rule(code="XPL121", requirement="XPL-IMG-1")
 def channel_swap(source: Source) -> Iterator[Finding]:
-    """The adapter exchanges red and blue in images that are RGB.
+    """The adapter swaps the red and blue channels of images that are RGB.
 
     ## What it does
-    Follows the observation through the observing methods and looks for exchanges of the channels: `cvtColor` from BGR,
-    which images of the standard never are, and any exchange right after decoding. An exchange that hangs on a setting,
-    or that goes to a writer which wants BGR, does not count. Other exchanges are left to `undeclared-channel-swap`.
+    Follows the observation through `update_obs` and looks for swaps of the channels: `cvtColor` from BGR, although
+    images of the standard are RGB, and any swap directly after decoding. Not reported: a swap that a setting switches
+    on, or one for a video writer that needs BGR. `undeclared-channel-swap` reports other swaps.
 
     ## Why it matters
-    The policy sees a blue cup where a red one stands. A branch for encoded frames only makes it worse: the colours then
-    depend on how the image travelled.
+    The policy sees a blue cup where a red one stands. If only encoded frames are swapped, the colours depend on the
+    image transport.
 
     ## Example
     `cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)` for frames that were encoded from RGB.
 
     ## Use instead
-    `xpl.observation.get_image(obs, camera)`, which is RGB whatever the transport was.
+    `xpl.observation.get_image(obs, camera)`, which is RGB for every image transport.
 
     ## Fix safety
-    No automatic fix: weights that were trained on exchanged channels need them so.
+    No automatic fix: weights that were trained on BGR images need BGR.
     """
     for function in Adapter.of(source).reach(*OBSERVING, *ACTING):
         for swap in swaps(function):

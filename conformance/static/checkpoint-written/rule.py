@@ -34,21 +34,21 @@ _LIBRARIES = frozenset(("os", "shutil", "torch", "np", "numpy", "json", "safeten
 
 @rule(code="XPL127", requirement="XPL-CKP-2")
 def checkpoint_written(source: Source) -> Iterator[Finding]:
-    """Loading changes files of the checkpoint.
+    """Loading the model changes files of the checkpoint.
 
     ## What it does
-    Follows what loading reaches, and looks for files that are written, copied over or deleted at a path which is made
-    of the checkpoint's.
+    Follows what `load` reaches, and looks for files that are written, overwritten or deleted at a path derived from the
+    checkpoint's.
 
     ## Why it matters
-    The checkpoint is no longer the one that was published: its hash differs, and who loads it next gets other numbers.
-    Two servers that start on one checkpoint race; a crash in between leaves it broken; a read-only store fails.
+    The checkpoint is no longer the published one: its hash differs, and its next user gets other results. Two servers
+    that start on one checkpoint race; a crash while writing leaves it broken; a read-only store fails.
 
     ## Example
-    `dataset_statistics.json` of the checkpoint is rewritten from a fallback when a key is missing.
+    The adapter rewrites the checkpoint's `dataset_statistics.json` from a fallback if a key is missing.
 
     ## Use instead
-    Keep what was changed in memory, or write it to a temporary folder that the model loads from.
+    Keep changed values in memory, or write them to a temporary folder that the model loads from.
 
     ## Fix safety
     No automatic fix.

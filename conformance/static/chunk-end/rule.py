@@ -1,4 +1,4 @@
-"""XPL134: The loop stops executing a chunk when the episode ends."""
+"""XPL134: The evaluation loop stops executing a chunk when the episode ends."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from xpl_cli.audit.static.syntax import called, dotted, enclosing, leaves, names
 
 @rule(code="XPL134", requirement="XPL-LOOP-2")
 def chunk_end(source: Source) -> Iterator[Finding]:
-    """The loop goes on executing a chunk after the episode has ended.
+    """The evaluation loop continues to execute a chunk after the episode has ended.
 
     ## What it does
-    Takes the innermost loop around each `take_action` and asks whether it looks at the end of the episode, and leaves:
-    in its own condition, or in a branch with `break` or `return`.
+    Takes the innermost loop around each `take_action` and checks that it stops at the end of the episode: in its own
+    condition, or in a branch with `break` or `return`.
 
     ## Why it matters
-    After success the arm keeps moving and may undo it; an environment that has ended may raise, or count the steps to
-    the next episode.
+    After success the arm continues to move and may undo it; an environment whose episode has ended may raise an error,
+    or count the steps for the next episode.
 
     ## Example
     `for action in chunk: TASK_ENV.take_action(action)`, with the check only around the whole chunk.
@@ -31,8 +31,8 @@ def chunk_end(source: Source) -> Iterator[Finding]:
     `if TASK_ENV.is_episode_end(): break` after each action.
 
     ## Fix safety
-    Safe: the check changes nothing before the end of an episode. It is added where the action of one environment is a
-    statement of its own in a `for` over the chunk; other loops are left to you.
+    Safe: the check changes nothing before the end of an episode. It is added if the action of one environment is a
+    statement of its own in a `for` over the chunk; the author has to fix other loops.
     """
     for function in loops(source):
         for call in does(function.node, function, EXECUTES):

@@ -1,4 +1,4 @@
-"""XPL105: model.py offers the class Model with all five operations."""
+"""XPL105: model.py defines the class Model with all five operations."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ def contract_methods(source: Source) -> Iterator[Finding]:
     """The class Model is missing, or lacks an operation that clients call.
 
     ## What it does
-    Looks for the class, its five operations, and those of its base classes. `xpl.Policy` gives all of them; the field's
-    template gives them in name only: its batch operations raise. A method that does nothing but raise
-    `NotImplementedError` counts as missing.
+    Looks for the class, its five operations, and those of its base classes. `xpl.Policy` has all of them; the base
+    class of the XPolicyLab template has them in name only: its batch operations raise `NotImplementedError`. A method
+    that does nothing but raise `NotImplementedError` counts as missing.
 
     ## Why it matters
     Benchmarks that evaluate in batches call `update_obs_batch` and `get_action_batch`. An adapter that lacks them fails
     at the first step of the first episode.
 
     ## Example
-    Batch operations that are commented out, because the author only evaluated one environment.
+    Batch operations that are commented out, because the author evaluated only one environment.
 
     ## Use instead
-    Derive from `xpl.Policy`, or implement the single operations by the batched ones.
+    Derive from `xpl.Policy`, or implement the single operations with the batched ones.
 
     ## Fix safety
     No automatic fix.

@@ -16,25 +16,25 @@ _IMPORTED = re.compile(r"^\s*from (?:XPolicyLab|xpl)\b", re.MULTILINE)
 
 @rule(code="XPL122", requirement="XPL-IMG-3")
 def conversion_channel_swap(source: Source) -> Iterator[Finding]:
-    """Training data gets red and blue exchanged, and evaluation does not.
+    """Data conversion swaps the red and blue channels, and evaluation does not.
 
     ## What it does
-    Reads the Python files that `process_data.sh` calls, and files of vendored trees that import the ecosystem's helpers
-    and decode frames by them, and looks for exchanges of the channels in frames of a trajectory, which are RGB once
-    decoded. Frames that OpenCV read from a file or a video are BGR and may be exchanged.
+    Reads the Python files that `process_data.sh` runs, and files of vendored code that import the ecosystem's helpers
+    and decode frames with them. Looks for channel swaps in frames of a trajectory, which are RGB after decoding. Frames
+    that OpenCV read from a file or a video are BGR and may be swapped.
 
     ## Why it matters
-    The policy is trained on one order and evaluated on the other. It learns, and then fails on everything that is told
-    apart by colour; nothing in the logs shows why.
+    The policy is trained on one channel order and evaluated on the other. It learns, and then fails on every task that
+    depends on colour; the logs do not show why.
 
     ## Example
     `decode_image_bit(frame)` followed by `cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)`: trajectories are encoded from RGB.
 
     ## Use instead
-    `xpl.images.decode(data)` reads the marker of the file and gives RGB for both byte formats.
+    `xpl.images.decode(data)` reads the format marker and returns RGB for both byte formats.
 
     ## Fix safety
-    No automatic fix: data that was converted before has to be converted again.
+    No automatic fix: data that was already converted has to be converted again.
     """
     readers = _readers(source)
     if not source.conversion_files and not readers:

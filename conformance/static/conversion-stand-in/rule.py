@@ -1,4 +1,4 @@
-"""XPL168: Data conversion keeps what is missing apart from what was recorded."""
+"""XPL168: Data conversion does not replace missing values."""
 
 from __future__ import annotations
 
@@ -19,25 +19,24 @@ _ACTION, _STATE = "action", sdk.Obs.STATE
 
 @rule(code="XPL168", requirement="XPL-DAT-1")
 def conversion_stand_in(source: Source) -> Iterator[Finding]:
-    """Training data gets invented values where a recording lacks something.
+    """Data conversion replaces values that a trajectory lacks by made-up ones.
 
     ## What it does
-    Reads the Python files that `process_data.sh` calls: zeros in place of a camera or a value that is not there, and
-    the recorded state in place of actions that are not there. Zeros that a mask in the same branch tells apart are left
-    alone.
+    Reads the Python files that `process_data.sh` runs, and looks for zeros that replace a missing camera or value, and
+    for the recorded state in place of missing actions. Zeros with a mask in the same branch are not reported.
 
     ## Why it matters
-    One episode with a misspelt camera trains the policy on black frames. Actions that are copies of the state teach it
-    to stay where it is. The loss goes down all the same.
+    One trajectory with a misspelt camera trains the policy on black frames. Actions that are copies of the state train
+    it to hold its pose. The loss decreases all the same.
 
     ## Example
     `if camera not in vision: images[camera] = np.zeros((steps, 240, 320, 3), np.uint8)`.
 
     ## Use instead
-    An error that names the file and what it lacks, or leaving the episode out and saying so.
+    An error that names the file and the missing value, or skipping the trajectory with a log message.
 
     ## Fix safety
-    No automatic fix: data that was converted before has to be converted again.
+    No automatic fix: data that was already converted has to be converted again.
     """
     if not source.conversion_files:
         raise NotApplicable("the adapter converts no data")

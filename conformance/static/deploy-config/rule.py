@@ -1,4 +1,4 @@
-"""XPL103: deploy.yml has the required keys with sensible values, and names the folder it lies in."""
+"""XPL103: deploy.yml has the required keys with valid values, and its policy_name is the folder's name."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from xpl_cli.audit.static.source import Source
 
 @rule(code="XPL103", requirement="XPL-CFG-1")
 def deploy_config(source: Source) -> Iterator[Finding]:
-    """deploy.yml lacks a required key, has a value of the wrong kind, or names another policy.
+    """deploy.yml lacks a required key, has a value of the wrong type, or names another policy.
 
     ## What it does
     Validates `deploy.yml` against the schema of the standard and compares `policy_name` with the folder's name.
 
     ## Why it matters
-    Launchers override these keys and pass them on. A missing one stops the run, or worse, is replaced by somebody's
-    default; with a wrong `policy_name` another adapter is evaluated.
+    Launchers override these keys and pass them on. A missing one stops the run, or a default of some library replaces
+    it; with a wrong `policy_name` another adapter is evaluated.
 
     ## Example
     A copy of an adapter whose `policy_name` still names the original.
 
     ## Use instead
-    `xpl spec show deploy` lists the keys, their kinds and their defaults. null means not given.
+    `xpl spec show deploy` lists the keys, their types and their defaults. null means not set.
 
     ## Fix safety
-    Safe for the name, which has to be the folder's. Everything else is left to you.
+    Safe for the name, which has to be the folder's. The author has to fix everything else.
     """
     name = sdk.File.DEPLOY_YML
     values = source.yaml(name)

@@ -1,4 +1,4 @@
-"""XPL110: An empty list of environments is answered by an empty list."""
+"""XPL110: get_action_batch returns an empty list for an empty list of environments."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from xpl_cli.audit.static.syntax import always_raises, parameters, targets
 
 @rule(code="XPL110", requirement="XPL-BAT-2")
 def empty_list_means_all(source: Source) -> Iterator[Finding]:
-    """An empty list of environments is taken for "not given".
+    """An empty list of environments is treated as "not given".
 
     ## What it does
     Looks in `get_action_batch` for tests of the list's truth value: `envs or default`, `if not envs: envs = ...`, and
-    errors that are raised for a list that is merely empty.
+    errors that are raised for an empty list.
 
     ## Why it matters
-    When the last environment has ended, the list is empty. Python counts an empty list as false, and so the adapter
-    answers every environment, or fails at the very end of an evaluation that went well.
+    When the last environment has ended, the list is empty. Python treats an empty list as false, so the adapter returns
+    actions for every environment, or fails at the end of a successful evaluation.
 
     ## Example
     `env_idx_list = env_idx_list or self.latest`.
@@ -32,7 +32,7 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
 
     ## Fix safety
     Safe: replacing `x or default` by `default if x is None else x`, and `if not x: x = ...` by `if x is None: x = ...`,
-    changes the answer to `[]` only. What raises for an empty list is left to you.
+    changes the answer to `[]` only. The author has to fix code that raises an error for an empty list.
     """
     function = Adapter.of(source).method(ACT_BATCH)
     given = parameters(function.node) if function is not None else []

@@ -1,4 +1,4 @@
-"""XPL181: An error of the evaluation is no failure of the policy."""
+"""XPL181: An infrastructure error does not count as a failure of the policy."""
 
 from __future__ import annotations
 
@@ -19,24 +19,25 @@ _CLIENT: Final = frozenset((sdk.Message.CALL, *sdk.CONTRACT_METHODS))
 
 @rule(code="XPL181", requirement="XPL-LOOP-9")
 def error_counted(source: Source) -> Iterator[Finding]:
-    """The loop catches an error, and the episode counts as one that the policy failed.
+    """The evaluation loop catches an infrastructure error, and the episode counts as a failure of the policy.
 
     ## What it does
-    Looks in what the evaluation functions of deploy.py reach for handlers of every exception around a call of the
-    policy or of the environment that do not raise again: the loop goes on, or the episode ends quietly.
+    Looks in what the evaluation functions of deploy.py reach for handlers that catch every exception around a call of
+    the policy or of the environment and do not raise again: the loop continues, or the episode ends without an error.
 
     ## Why it matters
-    A server that died, a misspelt key and a full disk then all look like a policy that cannot do the task. The success
-    rate goes down, the log scrolls away, and the number is published.
+    A crashed server, a misspelt key and a full disk then look like a policy that cannot do the task. The success rate
+    decreases, and the wrong number is published.
 
     ## Example
     `except Exception as error: print(error); break` around `model_client.call(...)`.
 
     ## Use instead
-    Let it raise: the runner reports the episode as broken, not as failed. Catch only what is expected, by its type.
+    Let it raise: the runner reports an infrastructure error, not a failed episode. Catch only expected exceptions, by
+    type.
 
     ## Fix safety
-    No automatic fix: the runner has to be able to take the error.
+    No automatic fix: the runner has to handle the error.
     """
     source.tree(sdk.File.DEPLOY_PY)
     known = symbols(source, sdk.File.DEPLOY_PY).functions

@@ -1,4 +1,4 @@
-"""XPL133: deploy.py offers the two evaluation functions."""
+"""XPL133: deploy.py defines the two evaluation functions."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from xpl_cli.standard import spec
 
 @rule(code="XPL133", requirement="XPL-LOOP-1")
 def evaluation_loop(source: Source) -> Iterator[Finding]:
-    """deploy.py lacks an evaluation function, or it cannot be called by a benchmark.
+    """deploy.py lacks an evaluation function, or a benchmark cannot call it.
 
     ## What it does
-    Looks for `eval_one_episode` and `eval_one_episode_batch`, and whether each takes the environment and the client.
+    Looks for `eval_one_episode` and `eval_one_episode_batch`, and checks that each takes the environment and the
+    client.
 
     ## Why it matters
-    A benchmark imports deploy.py, picks one of the two by `eval_batch`, and calls it with two arguments.
+    A benchmark imports deploy.py, selects one of the two by `eval_batch`, and calls it with two arguments.
 
     ## Example
-    A deploy.py whose batched function was deleted because the author never needed it.
+    A deploy.py without the batched function, because the author never needed it.
 
     ## Use instead
-    Copy the function from a fresh scaffold: it needs nothing of the policy.
+    Copy the function from a fresh scaffold: it does not depend on the policy.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL146: An inference that fails raises."""
+"""XPL146: An error during inference is raised."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ _SIDE = frozenset(
 
 @rule(code="XPL146", requirement="XPL-CON-6")
 def failure_answered(source: Source) -> Iterator[Finding]:
-    """An exception of the model is caught, and an action is returned all the same.
+    """An error during inference is caught, and an action is returned all the same.
 
     ## What it does
-    Looks in what the observing and acting methods reach for handlers that catch every exception of the model's or the
-    adapter's own functions and go on: with another value, with what was there before, or with nothing. Handlers that
-    raise, that try the same again, or that only guard records and messages do not count.
+    Looks in what `update_obs` and `get_action` reach for handlers that catch every exception of the model or of the
+    adapter's own functions and continue: with another value, with the previous one, or without one. Not reported:
+    handlers that raise, that retry, or that only protect logging.
 
     ## Why it matters
-    The robot is sent an action that no observation gave. Out of memory, a wrong shape and a missing camera all end as
-    an episode that was not solved, and the benchmark counts a failure of the machine as one of the method.
+    The robot executes an action that was not computed from an observation. Out of memory, a wrong shape and a missing
+    camera all end as an unsuccessful episode, and the benchmark counts an infrastructure error as a failure of the
+    method.
 
     ## Example
     `try: chunk = self.policy.infer(obs)` with `except Exception: chunk = self.last_chunk`.

@@ -1,4 +1,4 @@
-"""XPL156: A step of a script that fails ends the script with an error."""
+"""XPL156: A script ends with an error if one of its steps fails."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ _ASKED: Final = frozenset(("if", "elif", "while", "until", "!"))
 
 @rule(code="XPL156", requirement="XPL-PKG-10")
 def failure_passes(source: Source) -> Iterator[Finding]:
-    """A script goes on after a step that failed, and ends as if all had gone well.
+    """A script continues after a failed step, and ends with exit code 0.
 
     ## What it does
-    Looks at the steps of each script: programs, installations, changes of the folder. Without `set -e` the failure of
-    every step but the last has to be looked at; with it, that of a step in a pipeline (`set -o pipefail`), and that of
-    a step behind which stands `|| true`, unless it only cleans up, asks or stops something. A script that others read
-    by `source` has their options; one that reads a library with `set -e` has that.
+    Looks at the steps of each script: programs, installations, changes of the folder. Without `set -e` the script has
+    to check every step but the last for failure. With it, the script has to check a step in a pipeline (`set -o
+    pipefail`) and a step followed by `|| true`, unless that only cleans up, tests or stops something. A script that
+    others `source` has their options; a script that sources a library with `set -e` has that.
 
     ## Why it matters
-    Whoever runs the script, a launcher or a job queue, sees success: an environment in which half is missing, a
-    training that broke off and left an old checkpoint. After a `cd` that failed, the rest happens in another folder.
+    The launcher or job queue that runs the script sees success, although the environment is half installed, or the
+    training stopped and left an old checkpoint. After a `cd` that failed, the next steps run in another folder.
 
     ## Example
     `pip install torch==2.4.1`, then `cd vendor && pip install -e .`, then `pip install -e .`, without `set -e`.
@@ -48,7 +48,7 @@ def failure_passes(source: Source) -> Iterator[Finding]:
     `set -euo pipefail` at the beginning.
 
     ## Fix safety
-    Unsafe: a script that so far went on after a harmless failure stops there.
+    Unsafe: a script that used to continue after a harmless failure stops there.
     """
     found = False
     for name, script in scripts(source):

@@ -1,4 +1,4 @@
-"""XPL182: Which file is taken does not depend on the order of the disk."""
+"""XPL182: The choice of a file does not depend on the order of a directory listing."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ _KEEPS: Final = frozenset(("list", "tuple", "enumerate", "tqdm", "iter"))
 
 @rule(code="XPL182", requirement="XPL-CKP-6")
 def file_order(source: Source) -> Iterator[Finding]:
-    """The first or last of a folder's files is taken, in whatever order the disk gives them.
+    """The first or last entry of an unsorted directory listing is used.
 
     ## What it does
-    Finds `glob`, `listdir` and `iterdir` of which one entry is taken by its place (`[0]`, `[-1]`, `next`), and, in the
-    data conversion, loops that number episodes in that order. Lists that are sorted before that are left alone.
+    Finds `glob`, `listdir` and `iterdir` of which one entry is selected by position (`[0]`, `[-1]`, `next`), and, in
+    the data conversion, loops that number episodes in that order. Sorted lists are not reported.
 
     ## Why it matters
-    The order is that of the file system: another machine, or the same after a copy, loads another checkpoint. Episodes
-    are numbered otherwise, and a split into training and validation is another one.
+    The order is that of the file system: another machine, or a copy of the folder, loads another checkpoint. Episodes
+    get other numbers, and the split into training and validation data changes.
 
     ## Example
     `weights = glob.glob(f"{run}/*.pt")[-1]`.
 
     ## Use instead
-    `xpl.checkpoint.resolve`, or `sorted(..., key=...)` by the number of the step.
+    `xpl.checkpoint.resolve`, or `sorted(..., key=...)` by the training step.
 
     ## Fix safety
-    `sorted` gives one of the orders that the disk could have given.
+    Unsafe: `sorted` gives one of the orders that the file system could have given.
     """
     for file in source.python_files:
         if not any(name in source.text(file) for name in ("glob", "dir(")):

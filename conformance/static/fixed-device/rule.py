@@ -19,16 +19,16 @@ _VISIBLE = "CUDA_VISIBLE_DEVICES"
 
 @rule(code="XPL153", requirement="XPL-CFG-7")
 def fixed_device(source: Source) -> Iterator[Finding]:
-    """The model goes to one device, whatever was configured.
+    """The model is put on one device, whatever the configuration says.
 
     ## What it does
-    Looks in what construction, observing and acting reach for `.cuda()`, and for "cuda" or "cuda:0" that is given as a
-    device without a condition; and for code that sets `CUDA_VISIBLE_DEVICES` itself. A default of a setting, and a
-    choice by `is_available()`, do not count.
+    Looks in what `__init__`, `update_obs` and `get_action` reach for `.cuda()`, for "cuda" or "cuda:0" as a device
+    without a condition, and for code that sets `CUDA_VISIBLE_DEVICES` itself. Not reported: a default of a setting, and
+    a choice by `is_available()`.
 
     ## Why it matters
-    A second server on the machine lands on the same device and runs out of memory, and on a machine without one the
-    adapter cannot even be tried. Where the code sets the visible devices, the launcher's choice is void.
+    A second server on the machine uses the same device and runs out of memory, and on a machine without a GPU the
+    adapter cannot run at all. If the code sets the visible devices, the launcher's choice has no effect.
 
     ## Example
     `device = torch.device("cuda:0")`.

@@ -46,15 +46,15 @@ def _layouts() -> list[tuple[str, frozenset[int], int]]:
 
 @rule(code="XPL125", requirement="XPL-ACT-6")
 def fixed_dimensions(source: Source) -> Iterator[Finding]:
-    """The adapter cuts vectors by the dimensions of one robot.
+    """The adapter slices vectors by the dimensions of one robot.
 
     ## What it does
-    Looks for joint and gripper values that are cut at constants, and for packed vectors that are taken apart by three
-    or more constant slices which are the layout of a robot. What runs only for a robot that the code asks for by its
-    name, or is kept for old checkpoints, is left alone.
+    Looks for joint and gripper values that are sliced at constants, and for packed vectors that are split by three or
+    more constant slices which form the layout of a robot. Not reported: code that runs only for a robot that it
+    compares by name, or only for old checkpoints.
 
     ## Why it matters
-    On a robot with seven joints the seventh is dropped, or taken for the gripper. Shapes still fit, so that the arm
+    On a robot with seven joints the seventh is dropped, or treated as the gripper. The shapes still fit, so the arm
     moves to a wrong pose without an error.
 
     ## Example

@@ -18,11 +18,11 @@ _ENVIRONMENT: Final = re.compile(rf"{sdk.Obs.ENV_IDX}|env(ironment)?(_?id|_index
 
 @rule(code="XPL172", requirement="XPL-BAT-8")
 def fixed_environments(source: Source) -> Iterator[Finding]:
-    """There is room for a fixed number of environments.
+    """The adapter has space for a fixed number of environments.
 
     ## What it does
     Finds lists of a constant length that are later indexed by an environment (`[deque() for _ in range(100)]`), in the
-    classes that model.py and deploy.py reach.
+    classes that model.py and deploy.py use.
 
     ## Why it matters
     Environment 100 of a larger run raises an IndexError in the middle of an evaluation.
@@ -31,10 +31,10 @@ def fixed_environments(source: Source) -> Iterator[Finding]:
     `self.buffers = [deque(maxlen=2) for _ in range(100)]`, then `self.buffers[env_idx].append(obs)`.
 
     ## Use instead
-    A map by environment: `defaultdict(lambda: deque(maxlen=2))`.
+    A dict by environment: `defaultdict(lambda: deque(maxlen=2))`.
 
     ## Fix safety
-    No automatic fix: a list and a map are cleared and counted in other ways.
+    No automatic fix: a list and a dict are cleared and counted differently.
     """
     for file in dict.fromkeys((*source.reached(sdk.File.MODEL_PY), *source.reached(sdk.File.DEPLOY_PY))):
         if source.parses(file):

@@ -1,4 +1,4 @@
-"""XPL138: Waiting is for readiness, not for a fixed time."""
+"""XPL138: Scripts wait for readiness, not for a fixed time."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ _FIX = Fix("advice", "wait for the server's ready line or its port, with a timeo
 
 @rule(code="XPL138", requirement="XPL-LOOP-5")
 def fixed_sleep(source: Source) -> Iterator[Finding]:
-    """A script waits a fixed time for something to be ready.
+    """A script waits a fixed time for a process to be ready.
 
     ## What it does
-    Looks for `sleep` in the scripts, and `time.sleep` in deploy.py, outside of loops. Inside a loop it is the pause
-    of a poll. Pauses of less than a second do not count.
+    Looks for `sleep` in the scripts, and `time.sleep` in deploy.py, outside of loops. Inside a loop it is the interval
+    of a poll. Pauses of less than a second are not reported.
 
     ## Why it matters
-    On a slower disk the model loads longer than the author's did, and the client meets a closed port. On a faster one
+    On a slower disk the model loads longer than on the author's, and the client finds a closed port. On a faster one
     every run wastes the rest of the time.
 
     ## Example
     `bash setup_eval_policy_server.sh ... & sleep 60; bash setup_eval_env_client.sh ...`.
 
     ## Use instead
-    `xpl eval`, which waits for the ready line; or a loop that tries the port, with a timeout.
+    `xpl eval`, which waits for the server's ready line; or a loop that polls the port, with a timeout.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL117: A flag is never taken from the truth value of a text."""
+"""XPL117: A flag is never the truth value of a string."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from xpl_cli.audit.static.syntax import called
 
 @rule(code="XPL117", requirement="XPL-CFG-3")
 def flag_from_text(source: Source) -> Iterator[Finding]:
-    """A flag of the configuration goes through bool(), which takes the text "false" for true.
+    """A flag of the configuration is converted by bool(), which returns True for the string "false".
 
     ## What it does
     Follows the configuration through the constructor and the functions that get it, and looks for `bool(...)` around a
-    value that is read from it.
+    value of it.
 
     ## Why it matters
-    An override on a command line arrives as text in many launchers. `bool("false")` and `bool("0")` are True, so that
-    switching a feature off switches it on, and the run reports nothing.
+    Many launchers pass an override from the command line as a string. `bool("false")` and `bool("0")` are True, so
+    switching a feature off switches it on, without an error.
 
     ## Example
     `self.delta = bool(config.get("delta", False))`.
 
     ## Use instead
-    `self.setting("delta", False)` of `xpl.Policy`, which refuses a text where a flag is expected.
+    `self.setting("delta", False)` of `xpl.Policy`, which refuses a string where a flag is expected.
 
     ## Fix safety
-    No automatic fix: what else may arrive is not known here.
+    No automatic fix: the rule does not know which other values may arrive.
     """
     found: dict[str, list[tuple[Setting, ast.Call]]] = {}
     for setting in Adapter.of(source).settings:

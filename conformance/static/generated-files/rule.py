@@ -1,4 +1,4 @@
-"""XPL188: Generated files are as they were rendered."""
+"""XPL188: Generated files are unchanged."""
 
 from __future__ import annotations
 
@@ -13,26 +13,25 @@ from xpl_cli.basics.errors import UserError
 
 @rule(code="XPL188", requirement="XPL-PKG-15")
 def generated_files(source: Source) -> Iterator[Finding]:
-    """A generated file is not as it was rendered.
+    """A generated file was edited.
 
     ## What it does
-    Compares the files that `.xpl/lock.yml` calls generated with the digests there. A file that is not there is left to
-    the rule about required files.
+    Compares the files that `.xpl/lock.yml` lists as generated with the digests there. `required-files` reports a
+    missing file.
 
     ## Why it matters
-    A launch script that was edited in one adapter behaves otherwise than the same script in all others. The next update
-    has to merge it, and whoever calls it from a benchmark cannot rely on what the standard says of it.
+    A launch script that was edited in one adapter behaves differently from the same script in all others. The next `xpl
+    update` has to merge it, and a benchmark that calls it cannot rely on the standard.
 
     ## Example
-    An `eval.sh` with a path of one machine in it.
+    An `eval.sh` with an absolute path of one machine in it.
 
     ## Use instead
-    Put what differs into `deploy.yml`, or give it as an argument. To keep a file as it is now, move its name from
-    `generated` to `free` in `.xpl/lock.yml`: xpl then never touches it.
+    Put what differs into `deploy.yml`, or pass it as an argument. To keep the edited file, move its name from
+    `generated` to `free` in `.xpl/lock.yml`: xpl then never changes it.
 
     ## Fix safety
-    Safe: writes the file again as it was rendered, from `.xpl/rendered.json`. What was edited in it is lost unless
-    version control has it.
+    Safe: restores the rendered file from `.xpl/rendered.json`. Edits are lost unless version control has them.
     """
     if not source.has(LOCK):
         raise NotApplicable(f"there is no {LOCK}: the package does not tell which of its files are generated")

@@ -1,4 +1,4 @@
-"""XPL187: The manifest says what gripper commands mean, for the robots that have a gripper."""
+"""XPL187: The manifest declares the meaning of gripper commands for robots that have a gripper."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ _HAND = "hand"
 
 @rule(code="XPL187", requirement="XPL-CFG-14", after=("manifest",))
 def gripper_meaning(source: Source) -> Iterator[Finding]:
-    """The manifest does not say what gripper commands mean, or says it of robots that have no gripper.
+    """The manifest does not declare the meaning of gripper commands, or declares it for robots without a gripper.
 
     ## What it does
-    Compares `gripper` in `policy.yml` with the embodiments: it is null exactly where all of them have hands. Where
-    `model_io` tells what the model itself speaks, closed and open are two values.
+    Compares `gripper` in `policy.yml` with the embodiments: it is null exactly if all of them have hands. If `model_io`
+    declares the model's own gripper values, closed and open must differ.
 
     ## Why it matters
-    Between closed and open, one policy commands an opening and another means nothing. A gripper that knows two states
-    only has to round the first and may take the second as it is.
+    For one policy a command between closed and open is an opening; for another it has no meaning. A gripper with two
+    states has to round the first, and may execute the second directly.
 
     ## Example
     `gripper: null` for a robot with parallel grippers.
 
     ## Use instead
-    `gripper: {command: position}`, or `command: binary` where only closed and open are meant.
+    `gripper: {command: position}`, or `command: binary` if only closed and open are meant.
 
     ## Fix safety
-    No automatic fix: only you know what the model was trained on.
+    No automatic fix: only the author knows what the model was trained on.
     """
     if source.is_ecosystem:
         raise NotApplicable("an adapter without policy.yml declares nothing")

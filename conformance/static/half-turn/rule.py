@@ -1,4 +1,4 @@
-"""XPL151: A rotation by half a turn stays one."""
+"""XPL151: A rotation by 180 degrees is preserved."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ def half_turn(source: Source) -> Iterator[Finding]:
     """A rotation by 180 degrees becomes no rotation at all.
 
     ## What it does
-    Looks for functions that take an angle from the trace of a rotation matrix and its axis from the differences of the
-    matrix, and that answer zeros where the length of that axis, or the sine of the angle, is small. Both are small at
-    180 degrees too. A test of the angle itself is no fault.
+    Looks for functions that compute an angle from the trace of a rotation matrix and its axis from the differences of
+    its off-diagonal elements, and that return zeros if the length of that axis, or the sine of the angle, is small.
+    Both are small at 180 degrees too. A test of the angle itself is correct.
 
     ## Why it matters
-    A gripper that points straight down is often a half turn away from the base. The policy is told that it points up;
-    on the way out, the arm is commanded to turn it over.
+    A gripper that points straight down is often a half turn away from the base. The policy gets the orientation of one
+    that points up, and its actions command the arm to turn the gripper over.
 
     ## Example
     `if np.linalg.norm(axis) < 1e-12: return np.zeros(3)`.
 
     ## Use instead
-    `xpl.rotation.to_axis_angle`, which takes the axis from the diagonal there.
+    `xpl.rotation.to_axis_angle`, which computes the axis from the diagonal at 180 degrees.
 
     ## Fix safety
     No automatic fix.

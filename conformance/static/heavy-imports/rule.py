@@ -15,21 +15,21 @@ _ALWAYS_THERE = frozenset((*sys.stdlib_module_names, "numpy", "xpl"))
 
 @rule(code="XPL108", requirement="XPL-CON-4")
 def heavy_imports(source: Source) -> Iterator[Finding]:
-    """Importing model.py already needs the libraries of the policy.
+    """Importing model.py requires the libraries of the policy.
 
     ## What it does
-    Lists what model.py imports while it is being imported, besides the standard library, numpy, `xpl` and files of the
-    adapter. Imports inside functions and under `if TYPE_CHECKING:` do not count.
+    Lists what an import of model.py imports, besides the standard library, numpy, `xpl` and files of the adapter. Not
+    reported: imports inside functions and under `if TYPE_CHECKING:`.
 
     ## Why it matters
-    Tools read an adapter without its environment: the audit in shadow mode, documentation, comparisons. With the
-    imports inside `load`, they can; and the server can report progress and errors while a large library loads.
+    Some tools import an adapter without its libraries: the audit in shadow mode, documentation, comparisons. With
+    imports inside `load` they can, and the server reports progress and errors while a large library loads.
 
     ## Example
-    `import torch` in the first lines of model.py.
+    `import torch` at the top of model.py.
 
     ## Use instead
-    Import inside `load(config)`, and keep the modules that later calls need as attributes.
+    Import inside `load(config)`, and store the modules that later calls need as attributes.
 
     ## Fix safety
     No automatic fix.

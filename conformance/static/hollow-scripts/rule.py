@@ -1,4 +1,4 @@
-"""XPL190: Behind the scripts for data and training there is something."""
+"""XPL190: The scripts for data conversion and training run something."""
 
 from __future__ import annotations
 
@@ -14,21 +14,19 @@ from xpl_cli.standard import spec
 
 @rule(code="XPL190", requirement="XPL-PKG-5")
 def hollow_scripts(source: Source) -> Iterator[Finding]:
-    """process_data.sh or train.sh has nothing behind it.
+    """process_data.sh or train.sh runs nothing.
 
     ## What it does
     Looks at what the two scripts run: `xpl prepare` runs process_data.py, `xpl train` runs train.py, `python FILE` that
-    file. It reports a script whose file is not there, or does nothing but print, pass or raise, and a script that runs
-    nothing at all. A package that declares `evaluation_only: true` is not asked. Where something else runs, it may do
-    the work, and nothing is reported.
+    file. It reports a script whose file is missing, or only prints, passes or raises, and a script that runs nothing.
+    Not reported: a package that declares `evaluation_only: true`, and a script that runs any other program.
 
-    A fresh scaffold has the scripts and no Python file: that is an open place of the template like the marked ones, and
-    `placeholders` lists it with them as long as there are any. Once they are filled in, the scripts are reported here.
-    For the same reason it is a warning.
+    A fresh scaffold has the scripts but no Python file. `placeholders` lists them as long as the template's marked
+    placeholders remain; afterwards this rule reports them. For the same reason it is a warning.
 
     ## Why it matters
-    The package looks as if everybody could train its policy. Who tries waits for a job to begin, and is told that there
-    is no train.py.
+    The package looks as if every user could train its policy. A user who tries waits for a job to start, and then gets
+    the error that there is no train.py.
 
     ## Example
     `exec "${XPL:-xpl}" train "$here"` in train.sh, without a train.py.

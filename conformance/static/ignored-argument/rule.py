@@ -49,22 +49,23 @@ def ignored_argument(source: Source) -> Iterator[Finding]:
     """A script ignores an argument that launchers give it.
 
     ## What it does
-    Follows each argument of the standard through its script: into the variable that takes it, and from there into
-    commands. One that is never taken, or only printed and tested, has no effect. Scripts that hand on all arguments
-    (`"$@"`) or move through them (`shift`) are left alone, and so are stubs that only say that there is nothing to do.
+    Follows each argument of the standard through its script: into the variable that holds it, and from there into
+    commands. An argument that no variable takes, or that is only printed and tested, has no effect. Not reported:
+    scripts that pass on all arguments (`"$@"`) or iterate over them (`shift`), and stubs that only print that there is
+    nothing to do.
 
     ## Why it matters
-    The launcher's label says one thing and the run does another: ten seeds give one result ten times, two policies
-    share a GPU, the checkpoint that is evaluated is not the one that was named.
+    The run differs from the launcher's label: ten seeds give one result ten times, two policies share a GPU, or another
+    checkpoint than the named one is evaluated.
 
     ## Example
     `seed=$6` in `setup_eval_policy_server.sh`, and a call of the server without it.
 
     ## Use instead
-    Hand the argument on: `--overrides seed="${seed}"`, `CUDA_VISIBLE_DEVICES="${policy_gpu_id}"`.
+    Pass the argument on: `--overrides seed="${seed}"`, `CUDA_VISIBLE_DEVICES="${policy_gpu_id}"`.
 
     ## Fix safety
-    No automatic fix: where the argument has to go depends on what is called.
+    No automatic fix: the right place for the argument depends on the program.
     """
     found = False
     orders = spec.data("package")["scripts"]

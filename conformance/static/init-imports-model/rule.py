@@ -1,4 +1,4 @@
-"""XPL107: The package's __init__.py imports nothing of the model."""
+"""XPL107: The package's __init__.py does not import the model."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ def init_imports_model(source: Source) -> Iterator[Finding]:
     """__init__.py imports the model, and with it the libraries of the policy.
 
     ## What it does
-    Looks at what `__init__.py` imports when the package is imported: model.py, directly or by way of another module of
-    the adapter. Imports inside functions are fine, they run when they are needed.
+    Looks at what an import of the package imports: model.py, directly or through another module of the adapter. Imports
+    inside functions are not reported; they run when the function is called.
 
     ## Why it matters
     A simulator imports the package to get `deploy.py`. It then loads the policy's libraries into its own Python:
-    another torch, another numpy, GPU memory. Inside `try: ... except ImportError: pass` it hides the errors of both.
+    another torch, another numpy, GPU memory. Inside `try: ... except ImportError: pass` the errors of both are hidden.
 
     ## Example
     `from .model import Model` in `__init__.py`, for the convenience of a `get_model` function.

@@ -24,26 +24,26 @@ _WORDS: Final = 4
 
 @rule(code="XPL196", requirement="XPL-OBS-4")
 def instruction_unread(source: Source) -> Iterator[Finding]:
-    """The instruction of an observation is not read, or in one spelling only.
+    """The adapter does not read the instruction of an observation, or reads one spelling only.
 
     ## What it does
-    Looks at which of `instruction` and `instructions` the observing and acting methods read, and whatever they call.
-    Reported is an adapter that knows one spelling only. It warns where a policy with an input for language reads
-    neither, since its weights may know one task only, and where a whole sentence in the code is what stands in for an
-    instruction. Adapters that hand the observation on as a whole to another package are left alone.
+    Looks at which of `instruction` and `instructions` the functions reached from `update_obs` and `get_action` read. It
+    reports an adapter that reads one spelling only. It warns if a policy with a language input reads neither, since its
+    weights may know one task only, and if the code has a whole sentence as a fallback for the instruction. Not
+    reported: adapters that pass the whole observation on to another package.
 
     ## Why it matters
-    Both spellings occur in the field. A policy that does not know the one that arrives stops, or acts by a default: it
-    moves, and follows an instruction that nobody gave.
+    Both spellings occur in practice. A policy that does not know the spelling that it gets stops, or uses a default: it
+    moves, and follows an instruction that the user did not give.
 
     ## Example
     `prompt = obs.get("instruction", self.default_prompt)`: an observation with `instructions` gets the default.
 
     ## Use instead
-    `xpl.observation.get_instruction(obs, required=True)`, which also raises where there is none
+    `xpl.observation.get_instruction(obs, required=True)`, which also raises an error if there is none.
 
     ## Fix safety
-    Reading the other spelling too changes nothing for observations that were understood.
+    Safe: reading the other spelling too does not affect observations that were read before.
     """
     adapter = Adapter.of(source)
     if adapter.is_sdk and not {"encode", *sdk.CONTRACT_METHODS[:2]} & set(adapter.methods):

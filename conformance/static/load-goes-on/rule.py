@@ -24,22 +24,21 @@ _MADE = frozenset(("zeros", "ones", "rand", "randn", "eye", "zeros_like", "empty
 
 @rule(code="XPL147", requirement="XPL-CKP-5")
 def load_goes_on(source: Source) -> Iterator[Finding]:
-    """A part of the model that could not be loaded is replaced, or left out, and the run goes on.
+    """A part of the model that cannot be loaded is replaced or left out, and the run continues.
 
     ## What it does
-    Looks in what construction reaches for handlers around a part that is loaded which do not raise but put nothing, a
-    default or another part in its place, and for functions that load a file where it is there and return zeros where it
-    is not.
+    Looks in what `__init__` and `load` reach for handlers around the loading of a part that do not raise but replace it
+    by None, a default or another part, and for functions that load a file if it exists and return zeros if it does not.
 
     ## Why it matters
     A policy without its text encoder moves; so does one with random weights, or with the dimensions of another robot.
-    The message that says so was printed once, an hour before anybody looked at the score.
+    The message that says so was printed once, an hour before the user looked at the score.
 
     ## Example
     `try: encoder = load_encoder(path)` with `except Exception: print("using zeros"); encoder = None`.
 
     ## Use instead
-    Let the exception pass; where a part is optional, ask the configuration whether it is wanted.
+    Let the exception pass; if a part is optional, let a setting decide whether to load it.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL169: The loop does not ask for ever."""
+"""XPL169: The evaluation loop does not retry get_action forever."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from xpl_cli.audit.static.syntax import names, targets
 
 @rule(code="XPL169", requirement="XPL-LOOP-10")
 def loop_differs(source: Source) -> Iterator[Finding]:
-    """The evaluation loop asks again for ever where the policy answers nothing.
+    """The evaluation loop calls get_action again forever if the policy returns nothing.
 
     ## What it does
-    Finds in the functions of deploy.py a `while` that goes back to its beginning on a test of what the policy answered,
-    before anything moved the environment.
+    Finds in the functions of deploy.py a `while` loop that starts over, depending on the policy's action chunk, before
+    any action was executed.
 
     ## Why it matters
-    Nothing moves, so that the next answer is the same, and the episode never ends: a benchmark hangs on one policy that
-    failed.
+    The robot does not move, so the next chunk is the same and the episode never ends: one failed policy blocks a whole
+    benchmark.
 
     ## Example
     `actions = model_client.call(func_name="get_action")`, then `if actions is None: continue`.
 
     ## Use instead
-    The loop of a fresh scaffold, in which an answer that is no chunk is an error.
+    The loop of a fresh scaffold, in which a result that is not an action chunk is an error.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL104: policy.yml validates against its schema and names the folder it lies in."""
+"""XPL104: policy.yml validates against its schema and has the folder's name."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from xpl_cli.audit.static.source import Source
 
 @rule(code="XPL104", requirement="XPL-CFG-5")
 def manifest(source: Source) -> Iterator[Finding]:
-    """policy.yml does not say what the standard asks of it.
+    """policy.yml does not conform to the manifest schema of the standard.
 
     ## What it does
-    Validates `policy.yml` against the manifest schema, compares its name with the folder's, and checks that every
-    embodiment is one that the standard knows.
+    Validates `policy.yml` against the manifest schema, compares its name with the folder's, and checks that the
+    standard knows every embodiment.
 
     ## Why it matters
-    The audit, the server and comparisons between policies read it: inputs that must be there, embodiments, chunk
-    length, interpreter. What is misspelt there is not checked and not served.
+    The audit, the server and comparisons between policies read it: required inputs, embodiments, chunk length,
+    interpreter. A misspelt entry is neither checked nor served.
 
     ## Example
     `temporal: {kind: chunked}`; the kinds are single_step, chunk, history and memory.
@@ -30,7 +30,7 @@ def manifest(source: Source) -> Iterator[Finding]:
     `xpl spec show policy` lists every key.
 
     ## Fix safety
-    Safe for the name, which has to be the folder's. Everything else is left to you.
+    Safe for the name, which has to be the folder's. The author has to fix everything else.
     """
     name = sdk.File.POLICY_YML
     if source.is_ecosystem:

@@ -1,4 +1,4 @@
-"""XPL112: Observations without env_idx count by position."""
+"""XPL112: Observations without env_idx are assigned by position."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ _FIX = Fix("advice", f"enumerate the batch and use obs.get({_KEY!r}, place) both
 
 @rule(code="XPL112", requirement="XPL-BAT-4")
 def missing_env_index(source: Source) -> Iterator[Finding]:
-    """Observations without env_idx overwrite each other, or raise.
+    """Observations without env_idx overwrite each other, or raise an error.
 
     ## What it does
-    Looks at how `update_obs_batch` takes the environment of each observation: a constant default puts the whole batch
-    into one slot, and `obs["env_idx"]` raises; so do helpers that a loop over the batch calls. It also compares the
-    default of the list of environments with the default of the store.
+    Looks at how `update_obs_batch` and its helpers determine the environment of each observation: a constant default
+    stores the whole batch in one slot, and `obs["env_idx"]` raises an error. It also compares the default for the list
+    of environments with the default for the stored observations.
 
     ## Why it matters
-    `env_idx` is optional; a batch without it counts by position. With one slot for all, every environment gets the
-    action of the last one. With two different defaults, the list names environments that the store does not have.
+    `env_idx` is optional; without it, environments are numbered by position. With one slot for all, every environment
+    gets the action of the last one. With two different defaults, the list names environments that have no observation.
 
     ## Example
     `order = [obs.get("env_idx", i) for i, obs in enumerate(batch)]`, and then `store[obs.get("env_idx", 0)] = obs`.
 
     ## Use instead
-    One loop, `for place, obs in enumerate(batch): env = obs.get("env_idx", place)`, that fills both.
+    One loop, `for index, obs in enumerate(batch): env = obs.get("env_idx", index)`, that fills both.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL192: The block model_io fits the robots, cameras and statistics that the package has."""
+"""XPL192: The block model_io is consistent with the robots, cameras and statistics of the package."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ _MOST_PIXELS = 2048
 
 @rule(code="XPL192", requirement="XPL-NAT-1", after=("manifest",))
 def model_io_fits(source: Source) -> Iterator[Finding | Proof]:
-    """The block model_io of policy.yml does not fit what the rest of the manifest declares.
+    """The block model_io of policy.yml is inconsistent with the rest of the manifest.
 
     ## What it does
-    Compiles the conversions of `model_io` for every declared embodiment and action type, as the server does when it
-    starts, and puts images of the declared sizes through them. Statistics that lie in the package are read, and must
-    have as many numbers as the vector. What the block reads has to be listed under `inputs`. Nothing of the adapter
-    runs. Values that are open and statistics that are not there are left out; the JSON report counts the latter.
+    Compiles the conversions of `model_io` for every declared embodiment and action type, as the server does at its
+    start, and converts images of the declared sizes. Statistics files in the package are read, and must have as many
+    numbers as the vector. Inputs of the block have to be listed under `inputs`. None of the adapter's code runs.
+    Unknown values and missing statistics are skipped; the JSON report counts the latter.
 
     ## Why it matters
-    The adapter does not start on that robot, or stops at the first observation.
+    The adapter fails to start for that robot, or fails at the first observation.
 
     ## Example
     `embodiments: [franka]` and `parts: [{joints: {arm: single}}]`: franka has a left and a right arm.
 
     ## Use instead
-    One part for each arm, in the model's order: `parts: [{joints: {arm: left}}, {joints: {arm: right}}]`.
-    `xpl spec show model_io` lists every word.
+    One part for each arm, in the model's order: `parts: [{joints: {arm: left}}, {joints: {arm: right}}]`. `xpl spec
+    show model_io` lists every key and value.
 
     ## Fix safety
     No automatic fix.

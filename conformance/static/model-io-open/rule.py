@@ -1,4 +1,4 @@
-"""XPL193: The block model_io leaves nothing open."""
+"""XPL193: The block model_io has no unknown values."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ _FILE, _BLOCK = sdk.File.POLICY_YML, "model_io"
 
 @rule(code="XPL193", requirement="XPL-NAT-2", after=("manifest",))
 def model_io_open(source: Source) -> Iterator[Finding]:
-    """The block model_io holds values that nobody knows yet.
+    """The block model_io has values that are still unknown.
 
     ## What it does
-    Counts the values of `model_io` in `policy.yml` that say `{unknown: why}`, and lists each with its place and reason.
-    However many there are, that is one finding.
+    Counts the values of `model_io` in `policy.yml` that are `{unknown: why}`, and lists each with its key and reason,
+    in one finding.
 
     ## Why it matters
-    What an open value decides is proven by nothing, and the policy does not start before it is known. Checks that do
-    not need the value run with a plain one in its place (`xpl audit --shadow`).
+    No check proves a convention that depends on an unknown value, and the policy does not start before it is set.
+    Checks that do not need the value use a default in its place (`xpl audit --shadow`).
 
     ## Example
     `channels: {unknown: the checkpoint does not say whether training read images with OpenCV}`.
 
     ## Use instead
-    Ask who would know, look into the authors' data loader, or try both against reference.py (`xpl model-io record`);
-    then write the value: `channels: bgr`. One that has to be chosen meanwhile is `{assumed: rgb, why: reason}`: the
+    Ask the authors, read their data loader, or compare both values with reference.py (`xpl model-io record`); then
+    write the value: `channels: bgr`. A value that has to be chosen meanwhile is `{assumed: rgb, why: reason}`: the
     policy runs, and the verdict names it.
 
     ## Fix safety

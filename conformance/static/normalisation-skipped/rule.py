@@ -1,4 +1,4 @@
-"""XPL148: Statistics of normalisation that are missing are an error."""
+"""XPL148: Missing normalisation statistics are an error."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ _NORMALISES = re.compile(r"normali[sz]|denorm|(^|_)(un)?norm(_|$)|unscale|rescal
 
 @rule(code="XPL148", requirement="XPL-ACT-12")
 def normalisation_skipped(source: Source) -> Iterator[Finding]:
-    """Without statistics values pass unnormalised.
+    """Values are passed on unnormalised if statistics are missing.
 
     ## What it does
-    Looks for functions that normalise, and return what they got where statistics are missing,
-    and for branches that normalise only where statistics are there, with nothing for the other case. Construction that
-    raises where they are missing settles the matter.
+    Looks for functions that normalise, and return their input unchanged if statistics are missing, and for branches
+    that normalise only if statistics exist, without an `else`. Not reported if `__init__` or `load` raises an error for
+    missing statistics.
 
     ## Why it matters
-    The network then reads joint angles in another scale than it was trained on, or its outputs between -1 and 1 are
-    taken for radians. Shapes fit and nothing raises; the arm moves by a fraction, or to a wrong place.
+    The network then gets joint angles in another scale than in training, or its outputs between -1 and 1 are executed
+    as radians. The shapes fit and there is no error; the arm moves too little, or to a wrong pose.
 
     ## Example
     `if self.stats is not None: action = action * self.stats["std"] + self.stats["mean"]`.
 
     ## Use instead
-    Load statistics in `load` without a condition, and raise where a key is missing.
+    Load statistics in `load` unconditionally, and raise an error if a key is missing.
 
     ## Fix safety
-    No automatic fix: a policy that was trained without normalisation says so in its configuration.
+    No automatic fix: a policy that was trained without normalisation declares it in its configuration.
     """
     adapter = Adapter.of(source)
     settled: set[str] | None = None

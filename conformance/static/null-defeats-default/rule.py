@@ -17,15 +17,16 @@ _CONVERSIONS = frozenset(("int", "float", "str", "bool", "list", "dict", "tuple"
 
 @rule(code="XPL119", requirement="XPL-CFG-6")
 def null_defeats_default(source: Source) -> Iterator[Finding]:
-    """deploy.yml sets a key to null, and the default in code does not apply.
+    """deploy.yml sets a key to null, and the default in the code does not apply.
 
     ## What it does
-    Takes the keys that `deploy.yml` sets to null and finds the places that read them as `config.get(key, default)`. The
-    default applies to a missing key only: here the value is None. Keys that launchers fill in are left out, and so are
-    places that handle None afterwards.
+    Takes the keys that `deploy.yml` sets to null and finds the code that reads them with `config.get(key, default)`.
+    The default applies to a missing key only: here the value is None. Not reported: keys that launchers set, and code
+    that handles None afterwards.
 
     ## Why it matters
-    The policy then runs with None where the author reads a default: without a prompt, or it ends with a TypeError.
+    The policy then runs with None where the author expects the default, without a prompt for example, or it ends with a
+    TypeError.
 
     ## Example
     `prompt: null` in `deploy.yml` and `config.get("prompt", task_name)` in model.py.
@@ -34,7 +35,7 @@ def null_defeats_default(source: Source) -> Iterator[Finding]:
     `self.setting("prompt", task_name)` of `xpl.Policy`, or drop the key from `deploy.yml`.
 
     ## Fix safety
-    No automatic fix: `or` would also replace 0, false and the empty text.
+    No automatic fix: `or` would also replace 0, false and the empty string.
     """
     package = spec.data("package")
     given = {name.strip("[]") for names in package["scripts"].values() for name in names}

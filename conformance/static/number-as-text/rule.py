@@ -1,4 +1,4 @@
-"""XPL183: Numbers in names are compared as numbers."""
+"""XPL183: Step numbers in names are compared as numbers."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _PADDED: Final = re.compile(r"0\d+d|zfill|:0")
 
 @rule(code="XPL183", requirement="XPL-CKP-6")
 def number_as_text(source: Source) -> Iterator[Finding]:
-    """The latest checkpoint is chosen by comparing names as texts.
+    """The latest checkpoint is chosen by comparing names as strings.
 
     ## What it does
-    Finds folders or files that bear the number of a step or an epoch, of which the last is taken after `sorted`,
+    Finds folders or files whose names contain a step or epoch number, and of which the last is selected after `sorted`,
     `.sort` or `max` without a key.
 
     ## Why it matters
-    As a text, step_9000 comes after step_10000. The run evaluates a checkpoint from long before the end of training,
-    and nothing says so.
+    As a string, step_9000 comes after step_10000. The run evaluates a checkpoint from long before the end of training,
+    without an error.
 
     ## Example
     `sorted(run.glob("step_*"))[-1]`.
@@ -36,7 +36,7 @@ def number_as_text(source: Source) -> Iterator[Finding]:
     `xpl.checkpoint.resolve`, or `max(run.glob("step_*"), key=lambda path: int(path.name.rpartition("_")[2]))`.
 
     ## Fix safety
-    No automatic fix: where the number stands in the name is for the author to say.
+    No automatic fix: only the author knows where the number stands in the name.
     """
     for file in source.python_files:
         if any(name in source.text(file) for name in ("glob", "dir(")):

@@ -26,26 +26,26 @@ _CHECKOUT = 4
 
 @rule(code="XPL161", requirement="XPL-PKG-13")
 def one_machine(source: Source) -> Iterator[Finding]:
-    """A script or deploy.yml fixes a GPU, a port or a folder that is right on one machine only.
+    """A script or deploy.yml hard-codes a GPU, a port or a folder of one machine.
 
     ## What it does
-    Looks in the scripts for variables that give `CUDA_VISIBLE_DEVICES` or a port as a number, in scripts and
-    `deploy.yml` for absolute paths of data disks, and in model.py and deploy.py for folders beyond the checkout that
-    are put on the path of imports. Defaults that a variable of the environment overrides
-    (`${MASTER_PORT:-29500}`) are left alone for devices and ports.
+    Looks in the scripts for variables that set `CUDA_VISIBLE_DEVICES` or a port to a number, in scripts and
+    `deploy.yml` for absolute paths of data disks, and in model.py and deploy.py for folders outside the checkout that
+    are added to the import path. Not reported: devices and ports that are defaults of an environment variable
+    (`${MASTER_PORT:-29500}`).
 
     ## Why it matters
-    The number wins over what the launcher gave: two evaluations meet on one GPU or one port, and the second fails or
-    talks to the first one's server. The folder does not exist elsewhere.
+    The number overrides the launcher's argument: two evaluations use one GPU or one port, and the second fails or
+    connects to the first one's server. On other machines the folder does not exist.
 
     ## Example
     `export CUDA_VISIBLE_DEVICES=0` in `setup_eval_policy_server.sh`; `model_path: /mnt/disk1/ckpt` in `deploy.yml`.
 
     ## Use instead
-    The script's argument, `null` in `deploy.yml`, a variable of the environment that users set.
+    The script's argument, `null` in `deploy.yml`, or an environment variable that users set.
 
     ## Fix safety
-    No automatic fix: only the author knows what the value stands for.
+    No automatic fix: only the author knows the meaning of the value.
     """
     for name, script in scripts(source):
         for command in script:

@@ -1,4 +1,4 @@
-"""XPL126: A checkpoint that does not exist is an error."""
+"""XPL126: A missing checkpoint is an error."""
 
 from __future__ import annotations
 
@@ -37,23 +37,22 @@ _IS_NOT: Final = (ast.IsNot, ast.NotEq, ast.NotIn)
 
 @rule(code="XPL126", requirement="XPL-CKP-1")
 def other_checkpoint(source: Source) -> Iterator[Finding]:
-    """A checkpoint that was asked for and does not exist is replaced by another one.
+    """A requested checkpoint that does not exist is replaced by another one.
 
     ## What it does
-    Looks, in what loading reaches, for directory listings that are searched by the beginning of a name (`run-1` also
-    finds `run-1-other` and `run-10`); for functions that know the step that is wanted and, without an error for one
-    that is missing, take an entry by its place, such as the last; and for files that are taken from whichever
-    neighbouring run has one.
+    Looks, in what `load` reaches, for directory listings that are searched by a prefix (`run-1` also matches
+    `run-1-other` and `run-10`); for functions that get the requested step and, without an error if it is missing,
+    select an entry by position, such as the last; and for files that are taken from any neighbouring run that has one.
 
     ## Why it matters
-    The results of an evaluation are then those of other weights than its label says. It happens when a training run was
-    not copied completely, that is, unnoticed.
+    The results of an evaluation are then those of other weights than its label says. It happens, unnoticed, if a
+    training run was not copied completely.
 
     ## Example
     `max(folder.glob(f"step_{step}*"))`: step 5 loads step 50000.
 
     ## Use instead
-    `xpl.checkpoint.resolve(config, self.policy_dir)`, which raises and lists what is there.
+    `xpl.checkpoint.resolve(config, self.policy_dir)`, which raises an error and lists the existing checkpoints.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL102: Every file of the boundary parses, and no merge conflict is left in one."""
+"""XPL102: Every file of the adapter parses, and none contains a merge conflict."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ _DATA = (".yml", ".yaml")
 
 @rule(code="XPL102", requirement="XPL-PKG-4")
 def parses(source: Source) -> Iterator[Finding]:
-    """A file does not parse, or a merge conflict is left in it.
+    """A file does not parse, or contains a merge conflict.
 
     ## What it does
-    Reads every file of the boundary, parses those in Python, YAML and shell, and looks for the markers that git leaves
-    at a conflict. Scripts are read by `bash -n`, which runs nothing; without bash the rule is not run. Vendored trees
-    are searched for markers only; the first one is a warning, since the adapter may never run that file.
+    Reads every file of the adapter, parses those in Python, YAML and shell, and looks for git's conflict markers.
+    Scripts are checked with `bash -n`, which runs nothing; without bash the rule is not run. Vendored code is searched
+    for markers only; the first one is a warning, since the adapter may never run that file.
 
     ## Why it matters
-    A script with a marker in it fails when it is run, often hours after the job was queued. What does not parse cannot
-    be checked any further either.
+    A script with a conflict marker fails when it runs, often hours after the job was queued. Other rules cannot check a
+    file that does not parse.
 
     ## Example
     `<<<<<<< HEAD` in `train.sh`, after a merge that was committed unresolved.

@@ -18,24 +18,24 @@ _LOADS = frozenset(("load_state_dict", "load_model", "load_weights", "load_check
 
 @rule(code="XPL128", requirement="XPL-CKP-4")
 def partial_weights(source: Source) -> Iterator[Finding]:
-    """Weights that are missing or left over are accepted.
+    """Missing or unexpected weights are accepted.
 
     ## What it does
-    Looks for `strict=False` where weights are loaded, without an error for what the call reports as missing or
+    Looks for `strict=False` where weights are loaded, without an error for the keys that the call reports as missing or
     unexpected.
 
     ## Why it matters
-    A layer whose weights were not found keeps random ones. The policy runs, moves, and scores like a policy that was
+    A layer whose weights are missing keeps random ones. The policy runs, moves, and scores like a policy that was
     hardly trained.
 
     ## Example
     `missing, unexpected = model.load_state_dict(weights, strict=False)`, both printed.
 
     ## Use instead
-    `strict=True`. Where keys are left out on purpose, name them and raise for all others.
+    `strict=True`. If keys are left out on purpose, list them and raise an error for all others.
 
     ## Fix safety
-    No automatic fix: a checkpoint that only loads in part then raises, as it should.
+    No automatic fix: an incomplete checkpoint then raises an error, as it should.
     """
     reached = {id(function.node) for function in Adapter.of(source).reach(*LOADING)}
     for name in source.reached(sdk.File.MODEL_PY):

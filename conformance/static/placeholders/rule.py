@@ -12,20 +12,21 @@ from xpl_cli.standard import spec
 
 @rule(code="XPL139", requirement="XPL-PKG-5")
 def placeholders(source: Source) -> Iterator[Finding]:
-    """Places that the template marked for the author are still open.
+    """Placeholders of the template are not filled in.
 
     ## What it does
-    Counts the template's marker in the files of the adapter. As long as there is one, it also lists the scripts of the
-    template that have nothing behind them yet, process_data.sh and train.sh; afterwards `hollow-scripts` does.
+    Counts the template's marker in the files of the adapter. As long as one is left, it also lists process_data.sh and
+    train.sh if they run nothing yet; afterwards `hollow-scripts` reports them.
 
     ## Why it matters
-    An adapter that nobody filled in runs: it holds the pose. The marker tells such a run from a policy that fails.
+    An adapter that is not filled in runs: it holds the pose. The marker distinguishes such a run from a policy that
+    fails.
 
     ## Example
     `license: null # XPL-PLACEHOLDER: SPDX identifier of the adapter's own licence` in policy.yml.
 
     ## Use instead
-    Fill the place in, and delete the marker with its comment.
+    Fill in the value, and delete the marker with its comment.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL132: The adapter does not print at every inference."""
+"""XPL132: The adapter does not print at every observation or action."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def print_per_inference(source: Source) -> Iterator[Finding]:
     """The adapter prints at every observation or action.
 
     ## What it does
-    Follows what the observing and acting methods call whatever happens, and looks for `print` in it. Prints under a
-    condition, and functions that are called under one, do not count.
+    Follows what `update_obs` and `get_action` call unconditionally, and looks for `print`. Prints under a condition,
+    and in functions that are called under one, are not reported.
 
     ## Why it matters
-    At 25 Hz and ten environments these are 250 lines a second. They bury the message that matters, and formatting
-    arrays and flushing costs a part of the control period.
+    At 25 Hz with ten environments these are 250 lines per second. They hide the message that matters, and formatting
+    arrays and flushing takes a part of the control period.
 
     ## Example
     `print("request", self.count, action[:6], flush=True)` in `get_action`.

@@ -1,4 +1,4 @@
-"""XPL130: No internal host, proxy, personal path, credential or forced mirror is in the package."""
+"""XPL130: The package contains no internal host, proxy, personal path, credential or hard-coded mirror."""
 
 from __future__ import annotations
 
@@ -42,17 +42,17 @@ _SUFFIXES = (".py", ".sh", ".yml", ".yaml", ".toml", ".cfg", ".txt")
 
 @rule(code="XPL130", requirement="XPL-PKG-3")
 def private_places(source: Source) -> Iterator[Finding]:
-    """The package names a host, a path, a proxy or a secret that only its author has.
+    """The package contains a host, a path, a proxy or a credential that only its author has.
 
     ## What it does
-    Reads code, scripts and configuration, comments too, and looks for addresses of private networks, home folders of a
-    person, proxies, index mirrors, and literals that look like credentials. Their values are not printed. Vendored
-    trees are searched for keys and, in scripts, for private addresses as defaults; the first one of each is reported,
-    an address as a warning, since it cannot be told whether the adapter runs that script.
+    Reads code, scripts and configuration, comments too, and looks for addresses of private networks, personal home
+    folders, proxies, index mirrors, and literals that look like credentials. Their values are not printed. Vendored
+    code is searched for keys and, in scripts, for private addresses as defaults; the first one of each is reported, an
+    address as a warning, since the adapter may never run that script.
 
     ## Why it matters
-    Elsewhere these places do not exist: the installation hangs at a proxy, or takes packages from a mirror that nobody
-    checks. A credential in a repository is known to everybody from then on.
+    On other machines these hosts and paths do not exist: the installation hangs at a proxy, or takes packages from an
+    unverified mirror. A credential in a repository is public from then on.
 
     ## Example
     `export HTTPS_PROXY=http://10.0.0.7:3128` in `install.sh`.

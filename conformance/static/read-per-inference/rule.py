@@ -34,22 +34,22 @@ _REMEMBERS: Final = frozenset(("cache", "lru_cache", "cached_property"))
 
 @rule(code="XPL178", requirement="XPL-SRV-8")
 def read_per_inference(source: Source) -> Iterator[Finding]:
-    """A file is read, or something loaded, at each observation or action.
+    """A file is read, or something is loaded, at each observation or action.
 
     ## What it does
-    Goes from the observing and acting methods to what they call every time, and looks there for calls that read a file,
-    load weights or statistics, or ask another host. What stands in a branch, behind an early return or in a function
-    that remembers its answer is left alone.
+    Follows what `update_obs` and `get_action` call unconditionally, and looks for calls that read a file, load weights
+    or statistics, or request something from another host. Not reported: calls in a branch, after an early return or in
+    a cached function.
 
     ## Why it matters
-    A file on a shared disk takes milliseconds on one day and seconds on another, in the middle of an episode. What is
-    read may also change during a run, and then the first episodes were made by another policy.
+    Reading from a shared disk takes milliseconds on one day and seconds on another, in the middle of an episode. The
+    file may also change during a run; then the first episodes were run with another policy.
 
     ## Example
     `stats = json.load(open(self.stats_path))` in `get_action`.
 
     ## Use instead
-    Read it in `load`, and keep it in an attribute.
+    Read it in `load`, and store it in an attribute.
 
     ## Fix safety
     No automatic fix.

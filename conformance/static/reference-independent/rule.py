@@ -1,4 +1,4 @@
-"""XPL194: reference.py takes nothing from the adapter that it is a second reading of."""
+"""XPL194: reference.py uses no code of the adapter."""
 
 from __future__ import annotations
 
@@ -12,23 +12,22 @@ from xpl_cli.model_io import names
 
 @rule(code="XPL194", requirement="XPL-NAT-4", after=("parses",))
 def reference_independent(source: Source) -> Iterator[Finding]:
-    """reference.py uses the adapter's own conversions, so that comparing the two proves nothing.
+    """reference.py uses the adapter's own conversions, so comparing the two proves nothing.
 
     ## What it does
-    Reads reference.py, and the files of the package that it imports: none of them imports `xpl` or the adapter's
-    model.py, and none names policy.yml. Recording (`xpl model-io record`) looks at what is imported in the end, by
-    whatever way.
+    Reads reference.py, and the files of the package that it imports: none of them may import `xpl` or the adapter's
+    model.py, or mention policy.yml. `xpl model-io record` also checks which modules were actually imported.
 
     ## Why it matters
-    Parity holds the adapter against the authors' own pre- and post-processing. Where both go through the same code, a
-    convention that was read wrong is wrong in both, and every comparison is green.
+    Parity compares the adapter with the authors' own pre- and post-processing. If both run the same code, a mistake in
+    a convention is in both, and every comparison passes.
 
     ## Example
     `from .model import Model` in reference.py, or `yaml.safe_load(open("policy.yml"))["model_io"]`.
 
     ## Use instead
-    The authors' classes and transforms: `from their_package.policy import Policy`. What both need of the network
-    itself, without conversions, may lie in a file of its own, such as network.py. Settings come in `config`.
+    The authors' classes and transforms: `from their_package.policy import Policy`. Code of the network itself, without
+    conversions, may be shared in a file of its own, such as network.py. Settings come in `config`.
 
     ## Fix safety
     No automatic fix.

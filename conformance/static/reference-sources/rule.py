@@ -1,4 +1,4 @@
-"""XPL195: reference.py names the source of every convention that applies."""
+"""XPL195: reference.py cites a source for every convention that applies."""
 
 from __future__ import annotations
 
@@ -16,27 +16,26 @@ from xpl_cli.packages.conventions import Value, applying, declared
 
 @rule(code="XPL195", requirement="XPL-NAT-5", after=("parses",))
 def reference_sources(source: Source) -> Iterator[Finding | Proof]:
-    """A convention in reference.py has no source that somebody else could look up.
+    """A convention in reference.py has no source that a reviewer could look up.
 
     ## What it does
-    Reads the map `CONVENTIONS` of reference.py, without running it. Every convention that applies to the policy (by its
-    model_io block, or by its inputs and actions where it has none) is in it, and names file and line of the authors'
-    code. A file of the package exists; there, and in what is installed in an environment inside the package, the line
-    is looked up: it is not empty, it has the symbol that the citation names, and it does not say another value than
-    the block (`xyzw` for `quaternion_wxyz`). Conventions that are assumed are counted in one finding, and those whose
-    source is empty, as `xpl model-io reference` writes it, in another one; the verdict
-    counts those that are not named with them.
+    Reads the dict `CONVENTIONS` of reference.py, without running it. It has to list every convention that applies to
+    the policy (by its model_io block, or by its inputs and actions if it has none), with file and line of the authors'
+    code. A cited file of the package has to exist. In the package, and in an environment installed inside it, the rule
+    looks up the line: it must not be empty, must contain the symbol that the citation names, and must not state another
+    value than the block (`xyzw` for `quaternion_wxyz`). One finding counts the assumed conventions, another one the
+    empty sources that `xpl model-io reference` wrote; the verdict counts both.
 
     ## Why it matters
-    reference.py is the second reading that the adapter is held against. A convention that both took from the same guess
-    agrees with itself and proves nothing; the verdict says how many are assumed.
+    Parity compares the adapter with reference.py. If both follow the same guess of a convention, they agree, and that
+    proves nothing; the verdict says how many are assumed.
 
     ## Example
     `CONVENTIONS = {"gripper": "as usual"}`.
 
     ## Use instead
-    `"gripper": "authors/env.py:88 OPEN_WIDTH"`, `"github.com/them/policy@4f1c2d0:data/env.py:88"`, or, where nobody
-    says it, `"assumed: the paper does not say which value is open"`.
+    `"gripper": "authors/env.py:88 OPEN_WIDTH"`, `"github.com/them/policy@4f1c2d0:data/env.py:88"`, or, if no source
+    states it, `"assumed: the paper does not say which value is open"`.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL101: the package has every required file."""
+"""XPL101: The package has every required file."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from xpl_cli.standard import spec
 
 @rule(code="XPL101", requirement="XPL-PKG-1")
 def required_files(source: Source) -> Iterator[Finding]:
-    """A file that every adapter must have is missing.
+    """A required file is missing.
 
     ## What it does
     Compares the adapter's folder with the list of files in the standard; `process_data.sh` and `train.sh` are required
-    unless `policy.yml` declares `evaluation_only: true`. An adapter of the ecosystem has no place to declare it, and is
-    not asked for these two. A `policy.yml` that is there and no file is reported, too.
+    unless `policy.yml` declares `evaluation_only: true`. They are not required of an adapter of the ecosystem, which
+    cannot declare that. A `policy.yml` that is not a regular file is reported, too.
 
     ## Why it matters
-    Launchers call these scripts by name. A missing one ends a benchmark run after the queue time was spent.
+    Launchers call these scripts by name. A missing one ends a benchmark run after the job waited in the queue.
 
     ## Example
-    A package without `install.sh` cannot be set up by anybody but its author.
+    Only the author can set up a package without `install.sh`.
 
     ## Use instead
     `xpl new-policy` writes all of them; copy the missing one from a fresh scaffold.

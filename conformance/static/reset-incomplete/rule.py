@@ -1,4 +1,4 @@
-"""XPL115: reset forgets everything an episode left behind."""
+"""XPL115: reset clears all state of an episode."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ _FIX = Fix("advice", "set these attributes anew in reset, or derive from xpl.Pol
 
 @rule(code="XPL115", requirement="XPL-EPI-1")
 def reset_incomplete(source: Source) -> Iterator[Finding]:
-    """Something that an episode left behind survives reset.
+    """State of an episode survives reset.
 
     ## What it does
-    Collects the attributes that the observing and acting methods change and use, and compares them with those that
-    `reset` touches, in the class itself and in objects of the adapter's own classes that it holds. Caches (filled only
-    where an entry is missing) and values that are set anew before each use do not count, nor does what is emptied
-    before its method ends.
+    Collects the attributes that `update_obs` and `get_action` modify and read, and compares them with those that
+    `reset` sets or clears, in the class itself and in its attributes that are objects of the adapter's own classes. Not
+    reported: caches (filled only if an entry is missing), values that are set again before each use, and attributes
+    that are emptied before the method returns.
 
     ## Why it matters
-    The first action of an episode is then computed from the last observation of the episode before, often of another
+    The first action of an episode is then computed from the last observation of the previous episode, often of another
     scene. Results depend on the order of the episodes and cannot be reproduced.
 
     ## Example

@@ -1,4 +1,4 @@
-"""XPL145: A new model is ready to observe."""
+"""XPL145: A new model can observe before its first reset."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from xpl_cli.audit.static.syntax import called, constant, dotted, enclosing, las
 
 @rule(code="XPL145", requirement="XPL-EPI-7")
 def reset_installs(source: Source) -> Iterator[Finding]:
-    """An attribute that observing or acting needs is first set by reset.
+    """An attribute that update_obs or get_action needs is first set by reset.
 
     ## What it does
-    Compares the attributes that the observing and acting methods read with those that construction sets, directly or
-    through what it calls. Reported is what only `reset` sets, also on a part of the model that lacks it. Attributes of
-    the class, and uses that ask first (`hasattr`, `getattr` with a default), do not count.
+    Compares the attributes that `update_obs` and `get_action` read with those that `__init__` sets, directly or through
+    what it calls. It reports an attribute that only `reset` sets, also one of a part of the model. Not reported: class
+    attributes, and uses that test first (`hasattr`, `getattr` with a default).
 
     ## Why it matters
-    The first observation after a start or a restart fails with AttributeError where the client, which thinks it is in
-    mid-episode, does not begin with reset. Tools that try an adapter once meet it at once.
+    The first observation after a restart fails with an AttributeError if the client is in mid-episode and does not call
+    reset. Tools that try an adapter once get the same error.
 
     ## Example
     `self.queue = deque()` in `reset` only, and `self.queue.append(...)` in `update_obs`.
@@ -32,7 +32,7 @@ def reset_installs(source: Source) -> Iterator[Finding]:
     Call `self.reset()` at the end of the constructor.
 
     ## Fix safety
-    Calling `reset` at the end of construction is safe where it needs nothing else.
+    Safe if `reset` needs nothing that is set later.
     """
     adapter = Adapter.of(source)
     if not adapter.is_closed:

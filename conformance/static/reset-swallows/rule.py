@@ -1,4 +1,4 @@
-"""XPL116: A reset that fails raises."""
+"""XPL116: An error in reset is raised."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _NOTES = frozenset(("print", "log", "debug", "info", "warn", "warning", "error",
 
 @rule(code="XPL116", requirement="XPL-EPI-4")
 def reset_swallows(source: Source) -> Iterator[Finding]:
-    """A reset that fails is passed over in silence.
+    """An error in reset is caught and not raised.
 
     ## What it does
     Looks in `reset`, and in what it calls, for handlers that catch every exception and do not raise.
 
     ## Why it matters
-    The episode goes on with the memory of the one before. Nobody looks at a warning in the middle of a hundred
-    episodes; an error ends the run and can be repeated.
+    The next episode starts with the state of the previous one. A warning in the middle of a hundred episodes goes
+    unnoticed; an error ends the run, and the run can be repeated.
 
     ## Example
     `try: self.server.reset_memory()` with `except Exception: logging.warning(...)`.

@@ -12,15 +12,15 @@ from xpl_cli.standard import spec
 
 @rule(code="XPL137", requirement="XPL-PKG-2")
 def script_arguments(source: Source) -> Iterator[Finding]:
-    """A script takes its positional arguments in another order than launchers give them.
+    """A script takes its positional arguments in another order than launchers pass them.
 
     ## What it does
-    Parses the scripts and looks at `name=$N`: a variable that bears the name of an argument of the standard takes it
-    from that argument's place. Calls of the adapter's own scripts are checked the same way.
+    Parses the scripts and looks at `name=$N`: a variable with the name of an argument of the standard has to take it
+    from that argument's position. Calls of the adapter's own scripts are checked in the same way.
 
     ## Why it matters
-    Launchers give arguments by position. A script that expects the seed where the action type comes evaluates the wrong
-    thing, or puts its result under the wrong label.
+    Launchers pass arguments by position. A script that expects the seed in the position of the action type evaluates
+    the wrong thing, or saves its result under the wrong label.
 
     ## Example
     `seed=$5` in `eval.sh`, whose fifth argument is the action type.

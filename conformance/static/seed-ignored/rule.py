@@ -1,4 +1,4 @@
-"""XPL118: The run seed is used, 0 included."""
+"""XPL118: The run's seed is used, 0 included."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ _SEEDED = frozenset(("default_rng", "RandomState", "Generator", "Random", _SEED,
 
 @rule(code="XPL118", requirement="XPL-CFG-2")
 def seed_ignored(source: Source) -> Iterator[Finding]:
-    """The seed of the run has no effect, or seed 0 is replaced.
+    """The run's seed has no effect, or seed 0 is replaced.
 
     ## What it does
-    Finds truth tests of the seed (`seed or 42`, `if seed:`), seeds that are stored and never used, and random numbers
-    that are drawn for actions from a global generator where no seed is mentioned at all.
+    Finds truth tests of the seed (`seed or 42`, `if seed:`), seeds that are stored and never used, and actions that are
+    sampled from a global generator without any use of a seed.
 
     ## Why it matters
-    0 is the first seed of every benchmark. `0 or 42` is 42, and so that run is another one than its label says. With a
-    seed that nobody uses, no result can be repeated.
+    0 is the first seed of every benchmark. `0 or 42` is 42, so that run differs from its label. If the seed is not
+    used, no result can be reproduced.
 
     ## Example
     `self.seed = int(config.get("seed") or 6198)`.
 
     ## Use instead
-    `self.seed` and `self.rng(env)` of `xpl.Policy`; otherwise `0 if seed is None else seed`, and a generator of one's
-    own.
+    `self.seed` and `self.rng(env)` of `xpl.Policy`; otherwise `0 if seed is None else seed`, and a generator of the
+    adapter's own.
 
     ## Fix safety
     No automatic fix.

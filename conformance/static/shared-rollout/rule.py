@@ -1,4 +1,4 @@
-"""XPL113: Environments of a batch share no rollout state."""
+"""XPL113: Environments of a batch share no episode state."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from xpl_cli.audit.static.syntax import LOOPS, parameters
 
 @rule(code="XPL113", requirement="XPL-BAT-5")
 def shared_rollout(source: Source) -> Iterator[Finding]:
-    """Environments of a batch go in turn through one history, queue or counter.
+    """Environments of a batch share one history, queue or counter.
 
     ## What it does
-    Finds the loops over environments in the batch operations, follows what is called in them, and looks for attributes
-    that grow there (`append`, `+=`, ...) without being kept per environment, and whose value is used.
+    Finds the loops over environments in the batch operations, follows the calls in them, and looks for attributes that
+    grow there (`append`, `+=`, ...), are not stored per environment, and are read again.
 
     ## Why it matters
     Environment 7 then continues the history of environment 3: its chunk is taken from the other's queue, its step
-    counter runs twice as fast. One environment at a time works, which is why it is not noticed.
+    counter runs twice as fast. The mistake does not show with one environment.
 
     ## Example
     `for env in env_idx_list: self.update_obs(...); chunks.append(self.get_action())`, where `get_action` keeps a queue
     of pending actions.
 
     ## Use instead
-    Derive from `xpl.Policy` and keep state in maps by environment, or refuse batches.
+    Derive from `xpl.Policy` and store state in dicts by environment, or refuse batches.
 
     ## Fix safety
     No automatic fix.

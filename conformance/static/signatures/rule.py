@@ -1,4 +1,4 @@
-"""XPL106: The operations can be called the way clients call them."""
+"""XPL106: Clients can call the operations with the arguments of the standard."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _GIVEN = {"__init__": (1, 1), UPDATE: (1, 1), UPDATE_BATCH: (1, 1), ACT: (0, 0),
 
 @rule(code="XPL106", requirement="XPL-CON-3")
 def signatures(source: Source) -> Iterator[Finding]:
-    """An operation cannot be called the way clients call it.
+    """A client cannot call an operation with the arguments of the standard.
 
     ## What it does
     Compares the parameters of the operations and of the constructor with the arguments that clients and the server
-    give. Further parameters are fine as long as they have defaults.
+    pass. Further parameters are allowed if they have defaults.
 
     ## Why it matters
-    `reset()` is called without arguments, and `get_action_batch()` with a list or with nothing. A method that requires
+    Clients call `reset()` without arguments, and `get_action_batch()` with a list or without. A method that requires
     more raises a TypeError at the first call.
 
     ## Example

@@ -1,4 +1,4 @@
-"""XPL157: Scripts end the processes that they started, and no others."""
+"""XPL157: Scripts end the processes that they started, and no other ones."""
 
 from __future__ import annotations
 
@@ -22,26 +22,27 @@ _STANDARD = frozenset(spec.data("package")["scripts"])
 
 @rule(code="XPL157", requirement="XPL-PKG-11")
 def stray_processes(source: Source) -> Iterator[Finding]:
-    """A process that a script started outlives it, or the script ends processes of others.
+    """A process outlives the script that started it, or the script ends processes of other users.
 
     ## What it does
-    Looks for processes in the background that are neither waited for nor ended in an exit trap; for a server that is
-    ended by the id of the shell around it, while that shell does not `exec` the server; and for processes that are
-    ended by name. A script that is called `start_...` or `launch_...` is meant to leave processes behind.
+    Looks for background processes that are neither waited for nor ended in an exit trap; for a server that is ended by
+    the id of the shell that started it, if that shell does not `exec` the server; and for processes that are ended by
+    name. A script called `start_...` or `launch_...` is meant to leave processes running.
 
     ## Why it matters
-    A server that is left running keeps the memory of the GPU and the port. The next run fails, or talks to the old
-    model. Ended by name, the evaluations of everybody else on the machine end too.
+    A server that is left running keeps GPU memory and the port. The next run fails, or connects to the old model.
+    Ending processes by name also ends the evaluations of other users on the machine.
 
     ## Example
     `kill "$SERVER_PID"` where that is `bash setup_eval_policy_server.sh`, whose last line is `python serve.py` without
-    `exec`: the shell ends, and Python goes on.
+    `exec`: the shell ends, and Python continues.
 
     ## Use instead
-    `trap 'kill "$SERVER_PID"' EXIT` before the first thing that may fail, and `exec python ...` in the server's script.
+    `trap 'kill "$SERVER_PID"' EXIT` before the first command that may fail, and `exec python ...` in the server's
+    script.
 
     ## Fix safety
-    `exec` before the last command of a script without traps changes nothing else.
+    Safe: `exec` before the last command of a script without traps changes nothing else.
     """
     found = False
     for name, commands in scripts(source):

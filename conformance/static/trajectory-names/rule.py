@@ -1,4 +1,4 @@
-"""XPL170: Data conversion reads a trajectory by the names of the standard."""
+"""XPL170: Data conversion reads trajectories by the keys of the standard."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from xpl_cli.standard import spec
 
 @rule(code="XPL170", requirement="XPL-DAT-2")
 def trajectory_names(source: Source) -> Iterator[Finding]:
-    """Data conversion looks for a recorded value under a name that trajectories do not have.
+    """Data conversion reads a key that trajectories do not have.
 
     ## What it does
     Follows in the Python files of the data conversion what is read below `vision`, `state` and `action`, through local
-    names, loops and paths of HDF5, and compares the last name with the trajectory schema. Names that resemble one of
-    it are reported; where the function knows the right name too, it reads both kinds of files and is left alone.
+    variables, loops and HDF5 paths, and compares the last key with the trajectory schema. It reports keys that resemble
+    one of the schema, unless the function also reads the right key and so supports both kinds of files.
 
     ## Why it matters
-    A trajectory has a leading time axis and plural names, an observation has singular ones. A look-up by the name of an
+    A trajectory has a leading time axis and plural keys, an observation has singular ones. Reading the key of an
     observation ends the conversion with a KeyError, or, with `.get`, trains without the value.
 
     ## Example
     `episode["vision"]["cam_head"]["color"]` where the file holds `colors`.
 
     ## Use instead
-    The names that `xpl spec show trajectory` lists.
+    The keys that `xpl spec show trajectory` lists.
 
     ## Fix safety
-    The name that the standard has, in place of the one that it does not have.
+    Unsafe: replaces the key by that of the standard.
     """
     if not source.conversion_files:
         raise NotApplicable("the adapter converts no data")

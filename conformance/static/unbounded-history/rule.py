@@ -1,4 +1,4 @@
-"""XPL142: Memory of an episode is bounded."""
+"""XPL142: The memory of an episode is bounded."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _REMOVES = frozenset(("pop", "popleft", "clear", "remove", "get", "get_nowait"))
 
 @rule(code="XPL142", requirement="XPL-EPI-6")
 def unbounded_history(source: Source) -> Iterator[Finding]:
-    """A list grows with every observation or action, and nothing shortens it before reset.
+    """A list grows with every observation or action until reset.
 
     ## What it does
-    Looks for lists that the observing and acting methods append to, in the class itself and in objects of the adapter's
-    own classes that it holds, under their own name or that of an entry, and for anything that bounds them: `maxlen`, a
-    slice that is assigned back, `pop`, `del`, a test of the length, or a new list.
+    Looks for lists that `update_obs` and `get_action` append to, in the class itself and in its attributes that are
+    objects of the adapter's own classes, and for anything that bounds them: `maxlen`, a slice that is assigned back,
+    `pop`, `del`, a test of the length, or a new list.
 
     ## Why it matters
-    Three cameras at 25 Hz are 70 MB a second: a long episode ends when memory does. Where the list is given to the
-    model, each step is slower than the one before.
+    Three cameras at 25 Hz are 70 MB per second: a long episode runs out of memory. If the whole list goes into the
+    model, each step takes longer than the previous one.
 
     ## Example
     `self.frames.append(image)` in `update_obs`, with `self.frames[-4:]` read in `get_action`.
@@ -37,7 +37,7 @@ def unbounded_history(source: Source) -> Iterator[Finding]:
     `collections.deque(maxlen=4)`, or `temporal.history` in policy.yml and `xpl.Policy`.
 
     ## Fix safety
-    Safe where only the newest entries are read.
+    Safe if only the newest entries are read.
     """
     adapter = Adapter.of(source)
     for holder, one in (("self", adapter), *((f"self.{name}", other) for name, other in adapter.components.items())):

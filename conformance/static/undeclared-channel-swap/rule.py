@@ -1,4 +1,4 @@
-"""XPL191: Who exchanges red and blue says that the model wants BGR."""
+"""XPL191: A swap of red and blue is declared."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ _ORDER = re.compile(r"colou?r|channel|bgr|rgb", re.IGNORECASE)
 
 @rule(code="XPL191", requirement="XPL-OBS-7")
 def undeclared_channel_swap(source: Source) -> Iterator[Finding]:
-    """Red and blue of an observation's image are exchanged, and nothing says why.
+    """The red and blue channels of an observed image are swapped without a declaration.
 
     ## What it does
-    Follows images of the observation, as `channel-swap` does, and reports every other exchange of the channels: `[...,
-    ::-1]`, `[..., [2, 1, 0]]`, `np.flip` over the last axis, `COLOR_RGB2BGR`. Some models do want BGR, which files
-    cannot show and policy.yml has no key for. So a word counts as declared: "bgr" in a name, comment or docstring of
-    the function, in policy.yml or in deploy.yml. What goes to a writer that wants BGR does not count either. A default
-    in code that differs from the order in deploy.yml is reported too. A warning, since the reader cannot know what the
-    weights were trained on.
+    Follows images of the observation, as `channel-swap` does, and reports every other swap of the channels: `[...,
+    ::-1]`, `[..., [2, 1, 0]]`, `np.flip` over the last axis, `COLOR_RGB2BGR`. Some models do need BGR, and policy.yml
+    has no key for it, so the word "bgr" counts as a declaration: in a name, comment or docstring of the function, in
+    policy.yml or in deploy.yml. A swap for a video writer that needs BGR is not reported. A default in code that
+    differs from the order in deploy.yml is reported too. It is a warning, since the rule does not know what the weights
+    were trained on.
 
     ## Why it matters
-    Images of the standard are RGB. A leftover of code that read them with OpenCV shows the policy a blue cup where a
-    red one stands; it still moves, only worse, and nobody looks for it there.
+    Images of the standard are RGB. Code left over from reading images with OpenCV gives the policy a blue cup in place
+    of a red one; it still moves, only worse, and the cause is hard to find.
 
     ## Example
     `image = xpl.observation.get_image(obs, "cam_head")[..., ::-1]`.
 
     ## Use instead
-    The image as it is. Where the weights were trained on BGR, say so: `bgr = image[..., ::-1] # trained on BGR`.
+    The image as it is. If the weights were trained on BGR, declare it: `bgr = image[..., ::-1] # trained on BGR`.
 
     ## Fix safety
-    No automatic fix: weights that were trained on exchanged channels need them so.
+    No automatic fix: weights that were trained on BGR images need BGR.
     """
     yield from _defaults(source)
     told = (source.text(name) for name in (sdk.File.POLICY_YML, sdk.File.DEPLOY_YML) if source.has(name))

@@ -14,17 +14,17 @@ from xpl_cli.audit.static.syntax import constant, dotted, last, self_attribute, 
 
 @rule(code="XPL111", requirement="XPL-BAT-3")
 def unknown_environment(source: Source) -> Iterator[Finding]:
-    """An environment that was never observed is answered from another one.
+    """An environment without an observation gets the action of another one.
 
     ## What it does
     Follows `get_action_batch` and looks for look-ups by environment whose fallback is another stored observation.
 
     ## Why it matters
-    A client that asks for the wrong environment has a fault, and should learn of it at once. Instead one robot gets the
-    command that was meant for another.
+    A client that requests the wrong environment has a bug, and should get an error. Instead one robot gets the command
+    for another.
 
     ## Example
-    `self.observations.get(env, self.latest)`: environment 5 is answered from what environment 3 saw last.
+    `self.observations.get(env, self.latest)`: environment 5 gets an action for the last observation of environment 3.
 
     ## Use instead
     `self.observations[env]`, which raises, or a check with a clear error.

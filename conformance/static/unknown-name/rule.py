@@ -1,4 +1,4 @@
-"""XPL154: A task or robot that the adapter does not know is an error."""
+"""XPL154: An unknown task or robot is an error."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ _ROBOTS = re.compile(r"^(robot(_name|_type)?|embodiment(_name)?|env_cfg(_type)?|
 
 @rule(code="XPL154", requirement="XPL-CFG-8")
 def unknown_name(source: Source) -> Iterator[Finding]:
-    """A task, robot or data set that a table lacks is taken for another one.
+    """An unknown task, robot or dataset is replaced by another one.
 
     ## What it does
-    Looks for look-ups by the name of a task, robot or data set in a table whose fallback is another entry or a
-    constant: `TABLE.get(task, 0)`, `if key not in table: key = next(iter(table))`. A fallback to None or to the name
-    itself does not count: both are dealt with later. A robot that is taken where none was named is a warning.
+    Looks for look-ups by the name of a task, robot or dataset in a table whose fallback is another entry or a constant:
+    `TABLE.get(task, 0)`, `if key not in table: key = next(iter(table))`. A fallback to None or to the name itself is
+    not reported: the code handles both later. A default robot if none was named is a warning.
 
     ## Why it matters
-    A misspelt or new task runs with the embedding, the prompt or the statistics of another one. The policy moves as if
-    all were well, and its score is filed under a task that it was never told about.
+    A misspelt or new task runs with the embedding, the prompt or the statistics of another one. The policy moves
+    plausibly, and its score is recorded under a task that it did not run.
 
     ## Example
     `task_id = TASK_IDS.get(config["task_name"], 0)`.
 
     ## Use instead
-    `TASK_IDS[config["task_name"]]`, or an error that lists the names there are.
+    `TASK_IDS[config["task_name"]]`, or an error that lists the known names.
 
     ## Fix safety
-    Replacing `.get(name, default)` by `[name]` raises where the name is unknown, as it should.
+    Safe: `[name]` in place of `.get(name, default)` raises an error if the name is unknown, as it should.
     """
     adapter = Adapter.of(source)
     for function in adapter.reach(*LOADING):

@@ -1,4 +1,4 @@
-"""XPL162: What is installed is pinned, so that it is the same tomorrow."""
+"""XPL162: Versions of installed libraries are pinned."""
 
 from __future__ import annotations
 
@@ -37,25 +37,25 @@ _WITH_VALUE: Final = frozenset(("-r", "-c", "-i", "-e", "-f", "-t", "--target", 
 
 @rule(code="XPL162", requirement="XPL-PKG-14")
 def unpinned_install(source: Source) -> Iterator[Finding]:
-    """The installation takes whatever version of a library is newest on the day.
+    """The installation takes the newest version of a library.
 
     ## What it does
     Reads `install.sh`, `requirements.txt` and the requirements in `policy.yml`, and looks for libraries that compute
-    actions or read weights without any version, and for repositories without a revision. What a pyproject.toml,
-    setup.py or list of requirements in the package bounds, a vendored one too, is pinned.
+    actions or read weights without any version, and for repositories without a revision. A library counts as pinned if
+    a pyproject.toml, setup.py or list of requirements in the package, a vendored one too, bounds its version.
 
     ## Why it matters
-    The environment that was tested cannot be made again. With another version, weights do not load, or they load and
-    the actions are others.
+    The tested environment cannot be reproduced. With another version, weights do not load, or they load and the actions
+    differ.
 
     ## Example
     `pip install torchvision git+https://host/project`, without `==` and without `@revision`.
 
     ## Use instead
-    `torchvision==0.19.1`, `git+https://host/project@<commit>`; or a lock file.
+    `torchvision==0.19.1`, `git+https://host/project@<commit>`; or a lockfile.
 
     ## Fix safety
-    Pinning the version that was tested changes nothing where it is installed.
+    Safe: pinning the tested version changes nothing on machines that have it.
     """
     files = [name for name in (sdk.File.INSTALL_SH, REQUIREMENTS) if source.has(name)]
     if not files and source.is_ecosystem:

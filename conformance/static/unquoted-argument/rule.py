@@ -1,4 +1,4 @@
-"""XPL159: What a script passes on by position is quoted."""
+"""XPL159: Scripts quote the arguments that they pass on by position."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _CALLERS = SHELLS | {"python", "python3", "xpl"}
 
 @rule(code="XPL159", requirement="XPL-PKG-9")
 def unquoted_argument(source: Source) -> Iterator[Finding]:
-    """An argument is handed on without quotes, so that what follows moves up when it is empty or holds a blank.
+    """An unquoted argument shifts the arguments after it if it is empty or contains a space.
 
     ## What it does
     Takes the calls of scripts and Python files, and finds arguments of the standard, `$1` and its like, and `$@`, that
     are passed on by position without quotes.
 
     ## Why it matters
-    The shell drops an empty value and splits one at its blanks. All that follows then stands one place off: the robot
-    is taken for the checkpoint, and the run that ends well is another one than was asked for.
+    The shell drops an empty value and splits one at its spaces. All following arguments then shift by one position: the
+    robot is used as the checkpoint, and a run that ends successfully is not the requested one.
 
     ## Example
     `bash process_data.sh ${bench_name} ${ckpt_name} ${env_cfg_type}` with an empty checkpoint name.
@@ -33,7 +33,7 @@ def unquoted_argument(source: Source) -> Iterator[Finding]:
     `"${ckpt_name}"`, and `"$@"`.
 
     ## Fix safety
-    Quotes change nothing for values without blanks that are not empty.
+    Safe: quotes change nothing for values without spaces that are not empty.
     """
     standard = {entry.strip("[]") for entries in spec.data("package")["scripts"].values() for entry in entries}
     found = False

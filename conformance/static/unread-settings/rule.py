@@ -1,4 +1,4 @@
-"""XPL120: What deploy.yml sets is read."""
+"""XPL120: Every setting of deploy.yml is read."""
 
 from __future__ import annotations
 
@@ -24,18 +24,17 @@ _CONVERSIONS = frozenset(("int", "float", "str", "bool", "list", "tuple"))
 
 @rule(code="XPL120", requirement="XPL-CFG-4")
 def unread_settings(source: Source) -> Iterator[Finding]:
-    """deploy.yml sets keys that nobody reads.
+    """deploy.yml sets keys that no code reads.
 
     ## What it does
     Takes the adapter's own keys of `deploy.yml` and looks for each in the adapter's code and scripts; a value that is
-    only stored in an attribute, or printed, is not read either. Where the whole configuration is handed on to another
-    package, that package may read any key, and nothing is reported; the helpers of the ecosystem read keys of the
-    standard only. A key that is read, that nobody sets, and that is short for one of the standard which is not read, is
-    reported too.
+    only stored in an attribute, or printed, is not read. If the whole configuration is passed on to another package,
+    that package may read any key, and nothing is reported; the helpers of the ecosystem read only keys of the standard.
+    A key that code reads, that no file sets, and that abbreviates an unread key of the standard, is reported too.
 
     ## Why it matters
-    Whoever changes such a key sees no effect, and believes that there is none. Often it is a misspelt name of one that
-    is read with its default.
+    A user who changes such a key sees no effect, and concludes that the setting has none. Often the key is misspelt,
+    and the code uses the default of the right one.
 
     ## Example
     `include_state: false` in `deploy.yml`, and code that always includes it.
@@ -44,7 +43,7 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     Delete the key, or read it.
 
     ## Fix safety
-    Deleting a key that nobody reads changes nothing, but a misspelt one should be renamed.
+    Deleting a key that no code reads changes nothing, but a misspelt one should be renamed.
     """
     adapter = Adapter.of(source)
     if adapter.config_escapes:

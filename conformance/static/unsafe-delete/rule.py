@@ -1,4 +1,4 @@
-"""XPL158: Scripts delete only what they made."""
+"""XPL158: Scripts delete only what they created."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ _CLOSING = re.compile(r"(.*)/\$\{?([A-Za-z_]\w*|\d+)(?::-)?\}?[\"']?(?:/\*?)?[\"
 
 @rule(code="XPL158", requirement="XPL-PKG-12")
 def unsafe_delete(source: Source) -> Iterator[Finding]:
-    """A script may delete more than it means to, because a variable is empty or a folder is another one.
+    """A script may delete more than intended, because a variable is empty or a folder is another one.
 
     ## What it does
-    Takes every recursive `rm` and asks of each variable in its path whether it may be empty there: an argument or
-    environment variable that is not checked, an empty default, a folder that need not exist. A relative path behind a
-    `cd` that may fail counts too.
+    Takes every recursive `rm` and checks of each variable in its path whether it may be empty there: an argument or
+    environment variable that is not checked, an empty default, a folder that may not exist. A relative path after a
+    `cd` that may fail is reported too.
 
     ## Why it matters
-    `rm -rf "$out/$name"` with an empty name deletes the results of all runs; with an empty `out`, it begins at the root
-    of the disk.
+    `rm -rf "$out/$name"` with an empty name deletes the results of all runs; with an empty `out`, it starts at the root
+    of the file system.
 
     ## Example
     `ckpt_name=$2` and `rm -rf "checkpoints/${ckpt_name}"`, called with one argument.
@@ -34,7 +34,7 @@ def unsafe_delete(source: Source) -> Iterator[Finding]:
     `rm -rf "${out:?}/${name:?}"`, which stops instead of deleting the wrong thing.
 
     ## Fix safety
-    `:?` changes nothing where the variables hold something.
+    Safe: `:?` changes nothing if the variables are not empty.
     """
     found = False
     for name, script in scripts(source):

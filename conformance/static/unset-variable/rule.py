@@ -1,4 +1,4 @@
-"""XPL155: Scripts expand only what is set, or say what holds if it is not."""
+"""XPL155: Scripts expand only variables that are set, or give a default."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ _ACTIVATED: Final = re.compile(r"CONDA_\w+|VIRTUAL_ENV")
 
 @rule(code="XPL155", requirement="XPL-PKG-9")
 def unset_variable(source: Source) -> Iterator[Finding]:
-    """A script expands a variable that nothing sets.
+    """A script expands a variable that is never set.
 
     ## What it does
     Follows the variables of each script. A name that the script neither sets nor guards (`${name:-default}`,
-    `${name:?message}`, a test) must come from the caller's environment; in lower case it hardly does. A search path
-    that is extended by its own value must have one.
+    `${name:?message}`, a test) must come from the caller's environment, which is unlikely for a lower-case name. A
+    search path that is extended by its own value needs a guard.
 
     ## Why it matters
-    Mostly it is a misspelt name. Without `set -u` the shell puts nothing in its place: the run gets another checkpoint
-    or no seed. With it, the script stops on every machine where the variable is not set. A search path that ends in a
-    colon makes Python import from the working directory.
+    Usually the name is misspelt. Without `set -u` the shell expands it to nothing: the run gets another checkpoint or
+    no seed. With `set -u`, the script stops on every machine that does not set it. A search path that ends in a colon
+    makes Python import from the working directory.
 
     ## Example
     `export PYTHONPATH="$root:$PYTHONPATH"` under `set -u`, or `--seed "$sede"`.
 
     ## Use instead
-    The name that was set; `"${PYTHONPATH:+:$PYTHONPATH}"` for search paths; `"${NAME:?what it is for}"` for what users
-    have to give.
+    The name that was set; `"${PYTHONPATH:+:$PYTHONPATH}"` for search paths; `"${NAME:?what it is for}"` for values that
+    users have to set.
 
     ## Fix safety
-    A guard changes nothing where the variable is set.
+    Safe: a guard changes nothing if the variable is set.
     """
     found = False
     for name, script in scripts(source):

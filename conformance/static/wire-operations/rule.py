@@ -1,4 +1,4 @@
-"""XPL135: The loop calls only operations that the wire carries, reset first."""
+"""XPL135: The evaluation loop calls only operations of the protocol, reset first."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _CLIENT = frozenset((sdk.Message.CLOSE, "connect"))
 
 @rule(code="XPL135", requirement="XPL-LOOP-3")
 def wire_operations(source: Source) -> Iterator[Finding]:
-    """The loop calls an operation that the protocol does not carry, or does not reset first.
+    """The evaluation loop calls an operation that the protocol does not have, or does not call reset first.
 
     ## What it does
-    Collects what the evaluation functions ask of the client: only the operations of the contract, and the methods that
-    policy.yml declares, by `call(func_name=...)`; the first of them is `reset`. A call has one argument, `obs`,
-    which also carries the list of environments.
+    Collects what the evaluation functions call on the client by `call(func_name=...)`: only operations of the contract
+    and the methods that policy.yml declares are allowed; the first one has to be `reset`. A call has one argument,
+    `obs`, which also carries the list of environments.
 
     ## Why it matters
-    A server refuses other names, and a client of a benchmark has no other methods. Without a reset the first action of
-    an episode comes from the state that the last one left.
+    A server refuses other names, and a benchmark's client has no other methods. Without a reset the first action of an
+    episode depends on the state of the previous one.
 
     ## Example
     `model_client.call(func_name="set_language", obs=text)`.

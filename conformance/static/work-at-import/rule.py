@@ -1,4 +1,4 @@
-"""XPL179: Importing a module of the adapter only defines things."""
+"""XPL179: Importing a module of the adapter only defines functions and classes."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def work_at_import(source: Source) -> Iterator[Finding]:
     """Importing the adapter loads, downloads or changes something.
 
     ## What it does
-    Looks at what runs when model.py, deploy.py, `__init__.py` and the modules they import are imported: at top level,
-    in class bodies and in `if` and `try`, not behind `if __name__ == "__main__"`. Weights, downloads, processes, a
-    change of the working directory, files, and tensors that are put on a GPU are reported.
+    Looks at the code that runs at an import of model.py, deploy.py, `__init__.py` and the modules they import: at top
+    level, in class bodies and in `if` and `try`, but not under `if __name__ == "__main__"`. It reports weights,
+    downloads, processes, a change of the working directory, files, and tensors that are put on a GPU.
 
     ## Why it matters
-    A simulator imports deploy.py, and a catalogue or a test imports the package: they load gigabytes, take memory of
-    the GPU, or fail because a file is only there on the policy's machine. An error at import is hard to report.
+    A simulator imports deploy.py, and a catalogue or a test imports the package: they load gigabytes, use GPU memory,
+    or fail because a file exists only on the policy's machine. An error at import is hard to report.
 
     ## Example
     `STATS = json.load(open("stats.json"))` at the top of model.py.

@@ -1,4 +1,4 @@
-"""XPL129: Paths start at the file, not at the working directory."""
+"""XPL129: Paths are relative to the file, not to the working directory."""
 
 from __future__ import annotations
 
@@ -21,21 +21,22 @@ _RELATIVE = re.compile(r"(?!/|~)(?:\.{1,2}/)?[\w.-]+(?:/[\w.-]+)*/?$")
 
 @rule(code="XPL129", requirement="XPL-PKG-8")
 def working_directory(source: Source) -> Iterator[Finding]:
-    """A path depends on the folder from which the server or the script was started.
+    """A path depends on the working directory of the server or the script.
 
     ## What it does
-    Looks for relative paths of the configuration that are made absolute by the working directory, for folders that are
-    made there, and for scripts that call a file of the adapter by a relative path without going to its folder first.
+    Looks for relative paths of the configuration that are resolved against the working directory, for folders that are
+    created there, and for scripts that call a file of the adapter by a relative path without changing to its folder
+    first.
 
     ## Why it matters
-    The server is started by launchers, from their folder. The same deploy.yml then finds the weights on one machine and
-    not on the other, or other weights.
+    Launchers start the server from their own folder. With the same deploy.yml the server finds the weights on one
+    machine and not on the other, or finds other weights.
 
     ## Example
     `os.path.abspath(config["model_path"])`.
 
     ## Use instead
-    `self.policy_dir / path`, which leaves absolute paths alone; in scripts, `cd "$(dirname "${BASH_SOURCE[0]}")"`.
+    `self.policy_dir / path`, which also accepts absolute paths; in scripts, `cd "$(dirname "${BASH_SOURCE[0]}")"`.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL180: YAML takes a value for what its author takes it for."""
+"""XPL180: YAML parses each value as its author means it."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ _NAMES: Final = re.compile(r"(.*_)?(name|version|tag|ckpt|checkpoint|run|revisio
 
 @rule(code="XPL180", requirement="XPL-CFG-11")
 def yaml_misread(source: Source) -> Iterator[Finding]:
-    """YAML reads a value of the configuration as something else than a person does.
+    """YAML parses a value of the configuration differently from how it looks.
 
     ## What it does
-    Looks in `deploy.yml` and `policy.yml` for values that YAML 1.1 reads otherwise than they look: `1e-4` is a text,
-    010 is 8, `1:30` is 90, a date is no text, `1.10` as a name loses its zero, and `no` or `on` in a list or as a key
-    is a truth value.
+    Looks in `deploy.yml` and `policy.yml` for values that YAML 1.1 parses differently from how they look: `1e-4` is a
+    string, 010 is 8, `1:30` is 90, a date is not a string, `1.10` as a name loses its zero, and `no` or `on` in a list
+    or as a key is a boolean.
 
     ## Why it matters
-    A learning rate that is a text fails late, or is compared as a text. Checkpoint 010 is looked for as 8, and the one
-    that is found there is another policy.
+    A learning rate that is a string fails late, or is compared as a string. Checkpoint 010 is looked up as 8, which may
+    be another policy.
 
     ## Example
     `noise: 1e-4` and `ckpt_name: 010`.
@@ -47,7 +47,7 @@ def yaml_misread(source: Source) -> Iterator[Finding]:
     `noise: 1.0e-4` and `ckpt_name: "010"`.
 
     ## Fix safety
-    `1.0e-4` is the number that `float` makes of `1e-4`. Quotes turn a number into a text, which code may not expect.
+    Safe for `1.0e-4`, which equals `float("1e-4")`. Quotes turn a number into a string, which code may not expect.
     """
     for file in (sdk.File.DEPLOY_YML, sdk.File.POLICY_YML):
         if not source.has(file) or not _SUSPECT.search(source.text(file)) or source.yaml_problem(file) is not None:

@@ -1,4 +1,4 @@
-"""XPL124: A value that the model's output lacks is an error."""
+"""XPL124: A value that is missing from the model's output is an error."""
 
 from __future__ import annotations
 
@@ -14,20 +14,19 @@ from xpl_cli.audit.static.source import Source
 
 @rule(code="XPL124", requirement="XPL-ACT-11")
 def zero_action(source: Source) -> Iterator[Finding]:
-    """A value that the model's output lacks becomes zeros.
+    """A value that is missing from the model's output is replaced by zeros.
 
     ## What it does
-    Looks in what only the acting methods reach for zeros that stand in where a look-up found nothing.
+    Looks in the functions that only `get_action` reaches for zeros that replace the result of a failed look-up.
 
     ## Why it matters
-    Zero is a pose like any other: all joints at zero. A checkpoint with other key names sends the arm there at full
-    speed.
+    All joints at zero is a pose like any other. A checkpoint with other key names sends the arm there at full speed.
 
     ## Example
     `action.get("left_arm", np.zeros((horizon, 6)))`.
 
     ## Use instead
-    `action["left_arm"]`, which raises.
+    `action["left_arm"]`, which raises a KeyError.
 
     ## Fix safety
     No automatic fix.

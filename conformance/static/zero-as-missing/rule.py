@@ -1,4 +1,4 @@
-"""XPL173: Zero is a value."""
+"""XPL173: Zero is not treated as missing."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ _ALL: Final = frozenset(("all", "any", "nonzero", "count_nonzero"))
 
 @rule(code="XPL173", requirement="XPL-ACT-13")
 def zero_as_missing(source: Source) -> Iterator[Finding]:
-    """A value that is exactly zero is taken for one that is not there.
+    """A value of exactly zero is treated as missing.
 
     ## What it does
-    Finds settings that `deploy.yml` sets to 0 and that `or` replaces by another number, and actions or states of which
-    entries other than zero are selected by `all(x != 0)` and its like.
+    Finds settings that `deploy.yml` sets to 0 and that `or` replaces by another number, and actions or states from
+    which `all(x != 0)` and its like select the non-zero rows.
 
     ## Why it matters
-    A gripper that is fully closed is exactly 0, and so is the first step and the first GPU. Rows with such an entry
-    drop out of an average; `temperature: 0` runs with 1.
+    A fully closed gripper is exactly 0, and so are the first step and the first GPU. Rows with such an entry are
+    missing from an average; `temperature: 0` runs with 1.
 
     ## Example
     `populated = torch.all(actions != 0, axis=1)`: one closed gripper removes the prediction from the ensemble.
 
     ## Use instead
-    `is None`, a count of what was filled in, or NaN as the mark of an empty row.
+    `is None`, a count of the filled rows, or NaN to mark an empty row.
 
     ## Fix safety
-    `x if x is not None else default` differs from `x or default` for 0, false and empty texts, which is the point.
+    `x if x is not None else default` differs from `x or default` for 0, false and the empty string, as intended.
     """
     adapter = Adapter.of(source)
     yield from _replaced(source, adapter)
