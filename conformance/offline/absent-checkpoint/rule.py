@@ -1,4 +1,4 @@
-"""XPL251: A checkpoint or a step that is not there is replaced by another."""
+"""XPL251: A checkpoint or a training step that does not exist is replaced by another one."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL251", requirement="XPL-CKP-1", profile="full")
 def absent_checkpoint(configurations: Configurations) -> Iterator[Finding]:
-    """A checkpoint or a step that is not there is replaced by another.
+    """A checkpoint or a training step that does not exist is replaced by another one.
 
     ## What it does
-    Asks for checkpoints whose names are like that of the real one, and for training steps that are not there: 0, the
-    first digit of a step that is there (5 for 50000), and ten times that step. Each has to end in an error. Where step
-    0 is there, it has to act otherwise than the newest.
+    Requests checkpoints with names similar to the real one, and training steps that do not exist: 0, the first digit of
+    an existing step (5 for 50000), and ten times that step. Each has to end in an error. If step 0 exists, its actions
+    have to differ from those of the newest step.
 
     ## Why it matters
-    The run reports the score of a checkpoint that nobody asked for, under the name of another.
+    The run reports the score of another checkpoint than the requested one, under the requested name.
 
     ## Example
-    `glob(f"step_{step}*")`, which finds step 50000 for 5; `if step:`, which takes 0 for "the newest".
+    `glob(f"step_{step}*")`, which finds step 50000 for 5; `if step:`, which treats 0 as "the newest".
 
     ## Use instead
-    `xpl.checkpoint.resolve` and `xpl.checkpoint.resolve_step`, which never choose another.
+    `xpl.checkpoint.resolve` and `xpl.checkpoint.resolve_step`, which never choose another one.
 
     ## Fix safety
     No automatic fix.

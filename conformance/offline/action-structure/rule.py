@@ -1,4 +1,4 @@
-"""XPL202: Actions lack keys, dimensions or finite values that the embodiment asks for."""
+"""XPL202: Actions lack keys, dimensions or finite values that the embodiment requires."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL202", requirement="XPL-ACT-1")
 def action_structure(motions: Motions) -> Iterator[Finding]:
-    """Actions lack keys, dimensions or finite values that the embodiment asks for.
+    """Actions lack keys, dimensions or finite values that the embodiment requires.
 
     ## What it does
-    Serves the adapter for every embodiment and action type that its manifest declares, plays three steps of an episode
-    in which each action is executed, then asks for two environments in a batch, and checks each action step: exact
-    keys, dimensions, finite values, unit quaternions, grippers between 0 and 1.
+    Serves the adapter for every embodiment and action type that its manifest declares, runs three steps of an episode
+    with each action executed, then requests a batch of two environments, and checks each action step: exact keys,
+    dimensions, finite values, unit quaternions, grippers between 0 and 1.
 
     ## Why it matters
-    A robot of another width gets truncated or shifted commands; a controller that meets a NaN stops, or worse, does
-    not.
+    A robot with other dimensions gets truncated or shifted commands; a controller that gets a NaN stops or, worse,
+    continues.
 
     ## Example
     `actions[:, :6]` on an arm with 7 joints, or `left_arm_joint_state` for a robot with one arm.

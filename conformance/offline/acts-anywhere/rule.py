@@ -1,4 +1,4 @@
-"""XPL253: The adapter depends on the folder in which its process runs."""
+"""XPL253: The adapter depends on the working directory of its process."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL253", requirement="XPL-CKP-3")
 def acts_anywhere(configurations: Configurations) -> Iterator[Finding]:
-    """The adapter depends on the folder in which its process runs.
+    """The adapter depends on the working directory of its process.
 
     ## What it does
-    Serves the adapter with an empty folder as its working directory, and compares the episode.
+    Serves the adapter with an empty folder as its working directory, and compares an episode with the same one from the
+    usual folder.
 
     ## Why it matters
-    Launchers start servers from their own folder. The same deploy.yml then finds the weights on one machine and not on
-    the other, or other weights.
+    Launchers start servers from their own folder. With the same deploy.yml the server finds the weights on one machine
+    and not on the other, or finds other weights.
 
     ## Example
     `open("stats.json")`.

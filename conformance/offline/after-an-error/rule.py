@@ -1,4 +1,4 @@
-"""XPL222: An error in one episode reaches the next one."""
+"""XPL222: An error in one episode affects the next one."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL222", requirement="XPL-EPI-1")
 def after_an_error(probe: Probe) -> Iterator[Finding]:
-    """An error in one episode reaches the next one.
+    """An error in one episode affects the next one.
 
     ## What it does
-    In a fresh server, shows damaged observations in the middle of an episode (empty, without state, without
-    pictures, of the wrong type; a batch whose second observation is damaged) and asks for environments that are
-    unknown. Then it resets and plays an episode, which must equal the same episode after one without errors.
+    In a fresh server, sends invalid observations in the middle of an episode (empty, without state, without images, of
+    the wrong type; a batch whose second observation is invalid) and requests unknown environments. Then it resets and
+    runs an episode, which must equal the same episode after one without errors.
 
     ## Why it matters
-    A simulator that hiccups once must not cost all episodes after it. What is left half done by an error, and not
-    cleared by reset, spoils results in a way that nobody connects with the error.
+    One bad observation of a simulator must not affect all later episodes. State that an error leaves inconsistent, and
+    that reset does not clear, changes results in a way that is hard to trace to the error.
 
     ## Example
-    `self.busy = True` at the beginning of an inference and `self.busy = False` at its end.
+    `self.busy = True` at the start of an inference and `self.busy = False` at its end.
 
     ## Use instead
-    Change state only once everything that can fail is done, and clear all of it in reset.
+    Change state only after everything that can fail has succeeded, and clear all of it in reset.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL241: A quaternion and its negative are answered differently, although the model is told one sign."""
+"""XPL241: A quaternion and its negative give different actions, although the model always gets one sign."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from xpl_cli.packages.package import Package
 
 @rule(code="XPL241", requirement="XPL-OBS-9", profile="full")
 def antipodal_alike(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
-    """A quaternion and its negative are answered differently, although the model is told one sign.
+    """A quaternion and its negative give different actions, although the model always gets one sign.
 
     ## What it does
-    Where the block `model_io` of `policy.yml` says which of q and -q the model is told (`sign: positive_w`,
-    `sign: continuous`), or tells it a form of rotation without a sign: shows the same poses once with q and once with
-    -q, in the first observation of an episode, in a pose that is turned far, and in the second observation only. The
-    actions must be the same motions. A model that was trained on signs as they come may answer them differently.
-    Without a block only `golden-parity` can judge.
+    Applies if the block `model_io` of `policy.yml` declares which of q and -q the model gets (`sign: positive_w`,
+    `sign: continuous`), or a form of rotation without a sign. Sends the same poses once with q and once with -q: in the
+    first observation of an episode, in a pose that is rotated far, and in the second observation only. The actions must
+    be the same motions. A model that was trained on unchanged signs may distinguish them. Without a block only
+    `golden-parity` can judge.
 
     ## Why it matters
-    Simulators and drivers change the sign at will, often in the middle of a motion. A model that was trained with
-    w >= 0 takes the other sign for another pose, and jumps there.
+    Simulators and drivers change the sign arbitrarily, often in the middle of a motion. A model that was trained with w
+    >= 0 treats the other sign as another pose, and jumps there.
 
     ## Example
-    `state = np.concatenate([position, quaternion])` in `encode`, where the block says `sign: positive_w`.
+    `state = np.concatenate([position, quaternion])` in `encode`, although the block declares `sign: positive_w`.
 
     ## Use instead
-    The sign that the model was trained with: leave `encode` to the block, or say
-    `quaternion if quaternion[0] >= 0 else -quaternion`. Do not change signs of a model that was trained on them as they
-    come: it would answer half of all poses otherwise than its authors' code does.
+    The sign that the model was trained with: leave the conversion to the block, or write `quaternion if quaternion[0]
+    >= 0 else -quaternion`. Do not change signs for a model that was trained on unchanged ones: for half of all poses
+    its actions would differ from those of its authors' code.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL211: Asking twice on one observation fails, or is answered otherwise."""
+"""XPL211: A second get_action on one observation fails, or returns another action."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL211", requirement="XPL-EPI-5")
 def ask_twice(probe: Probe) -> Iterator[Finding]:
-    """Asking twice on one observation fails, or is answered otherwise.
+    """A second get_action on one observation fails, or returns another action.
 
     ## What it does
-    Shows one observation and asks for an action twice. Where the policy answers that observation alike whenever it is
-    shown again, the second answer must be the first one. Where the manifest declares memory, the second answer must not
-    be that of an observation shown twice. Where answers change by themselves, with random numbers or by averaging, only
-    that there is a second one can be seen.
+    Sends one observation and calls `get_action` twice. If the policy's action depends only on the observation, the
+    second action must equal the first. If the manifest declares memory, the second action must not be that of an
+    observation sent twice. If actions vary by themselves, by random numbers or ensembling, the rule only checks that
+    there is a second one.
 
     ## Why it matters
-    Clients retry and debug tools ask again. An adapter whose inference consumes or changes the stored observation
-    fails then, or answers from half-normalised data.
+    Clients retry, and debug tools call again. An adapter whose inference consumes or changes the stored observation
+    then fails, or computes an action from data that were normalised twice.
 
     ## Example
     `obs["state"].pop("left_ee_pose")` during inference.
 
     ## Use instead
-    Make `encode` pure: build new arrays and leave the observation alone.
+    Keep `encode` free of side effects: build new arrays and leave the observation unchanged.
 
     ## Fix safety
     No automatic fix.

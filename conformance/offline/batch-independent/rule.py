@@ -15,21 +15,20 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
     """Environments of one batch influence each other.
 
     ## What it does
-    Runs three environments with one instruction in one batch for three steps, then each of them alone, and compares
-    the actions. What larger batches round is left out: if answers differ, equal observations are shown to batches of
-    one to four, and five times what an environment's answers are apart is allowed, at most 2 % of what answers to
-    others span or half a percent of the largest number.
+    Runs three environments with one instruction in one batch for three steps, then each of them alone, and compares the
+    actions. Floating-point error that depends on the batch size is allowed: if actions differ, equal observations are
+    sent in batches of one to four, and five times the differences of one environment's actions is allowed, at most 2 %
+    of the range of all actions or half a percent of the largest number.
 
     ## Why it matters
-    A shared history, cache, step counter or random generator makes results depend on how many environments ran beside.
-    Such numbers cannot be reproduced with another batch size.
+    A shared history, cache, step counter or random generator makes results depend on how many environments run in
+    parallel. Such results cannot be reproduced with another batch size.
 
     ## Example
     One action queue for all environments: environment 1 continues the chunk of environment 0.
 
     ## Use instead
-    `xpl.Policy` keeps history and generators per environment; state of a library belongs in a dict keyed by
-    environment.
+    `xpl.Policy` keeps history and generators per environment; store state of a library in a dict keyed by environment.
 
     ## Fix safety
     No automatic fix.

@@ -14,12 +14,11 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     """None and the empty list are confused.
 
     ## What it does
-    Asks for `[]`, which must be answered by `[]`, and for `None`, which means the environments of the last batch in
-    their order.
+    Requests `[]`, which must return `[]`, and `None`, which means the environments of the last batch in their order.
 
     ## Why it matters
-    When the last environment of a batch ends the list is empty. Taking it for "all" makes the policy act on finished
-    episodes, and shifts every answer after it.
+    When the last environment of a batch ends, the list is empty. An adapter that treats it as "all" acts on finished
+    episodes, and the actions after it go to the wrong environments.
 
     ## Example
     `envs = env_idx_list or self.all_envs`

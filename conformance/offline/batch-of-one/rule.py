@@ -1,4 +1,4 @@
-"""XPL219: A batch of one environment is answered differently than a single call."""
+"""XPL219: A batch of one environment gives other actions than a single call."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL219", requirement="XPL-BAT-7", compares=True)
 def batch_of_one(probe: Probe) -> Iterator[Finding]:
-    """A batch of one environment is answered differently than a single call.
+    """A batch of one environment gives other actions than a single call.
 
     ## What it does
-    Plays one episode of environment 5 with `update_obs` and `get_action`, with `update_obs_batch` and
+    Runs one episode of environment 5 with `update_obs` and `get_action`, with `update_obs_batch` and
     `get_action_batch([5])`, and with `get_action_batch(None)`, and compares the chunks of every step.
 
     ## Why it matters
-    Benchmarks use either form; `eval_batch` in deploy.yml decides. Two paths through an adapter that prepare inputs
-    on their own drift apart, and the score depends on a flag that should only change the speed.
+    Benchmarks use either form; `eval_batch` in deploy.yml decides. If the two prepare inputs separately, they diverge,
+    and the score depends on a flag that should only affect the speed.
 
     ## Example
     `get_action` scales the state and `get_action_batch` does not.
 
     ## Use instead
-    One path: let `get_action` answer `get_action_batch([env])[0]`, as `xpl.Policy` does.
+    One code path: let `get_action` return `get_action_batch([env])[0]`, as `xpl.Policy` does.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL203: A batch answers other environments than it was asked for."""
+"""XPL203: A batch returns actions of other environments than the requested ones."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL203", requirement="XPL-BAT-1", compares=True)
 def batch_order(probe: Probe) -> Iterator[Finding]:
-    """A batch answers other environments than it was asked for.
+    """A batch returns actions of other environments than the requested ones.
 
     ## What it does
-    Shows observations of environments 3, 7 and 9, then asks for [9], [9, 3] and [7, 9, 3] and compares each answer
-    with what these environments got before, up to what larger batches round (XPL207).
+    Sends observations of environments 3, 7 and 9, then requests [9], [9, 3] and [7, 9, 3] and compares each action with
+    the previous one of that environment, up to batch-size-dependent floating-point error (XPL207).
 
     ## Why it matters
-    In batched evaluation environments finish at different times. An adapter that reads the list by position sends the
-    commands of one robot to another; nothing crashes, the success rate just drops.
+    In batched evaluation environments finish at different times. An adapter that indexes by position sends the commands
+    of one robot to another; nothing crashes, but the success rate drops.
 
     ## Example
-    `get_action_batch([9])` that computes `self.obs[: len(env_idx_list)]` answers for environment 3.
+    `get_action_batch([9])` that computes `self.obs[: len(env_idx_list)]` returns the action of environment 3.
 
     ## Use instead
     Derive from `xpl.Policy`, or keep observations in a dict keyed by environment index.

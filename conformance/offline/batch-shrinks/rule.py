@@ -1,4 +1,4 @@
-"""XPL218: An environment acts differently once others of its batch have ended."""
+"""XPL218: The actions of an environment change after other environments of its batch have ended."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ _COMPARED = (3, 0)
     compares=True,
 )
 def batch_shrinks(probe: Probe) -> Iterator[Finding]:
-    """An environment acts differently once others of its batch have ended.
+    """The actions of an environment change after other environments of its batch have ended.
 
     ## What it does
-    Plays one episode of four environments of which one after the other ends: all four, then without environment 1,
-    then 3 before 0, then 3 alone, asked for with `None`. Each environment that goes on must act as it does in a run
-    by itself, up to what larger batches round (XPL207).
+    Runs one episode of four environments that end one after the other: all four, then without environment 1, then 3
+    before 0, then 3 alone, requested with `None`. The actions of each running environment must equal those of a run on
+    its own, up to batch-size-dependent floating-point error (XPL207).
 
     ## Why it matters
-    Episodes of a batch end at different times. State that is kept by position moves to another robot as soon as one
-    in front of it has ended: its history, its queue or its hidden state is then that of a neighbour.
+    Episodes of a batch end at different times. State that is stored by position moves to another robot as soon as an
+    earlier one has ended: its history, its queue or its hidden state is then that of a neighbour.
 
     ## Example
-    `self.hidden[:len(obs_list)]` keeps one row per place in the batch.
+    `self.hidden[:len(obs_list)]` keeps one row per position in the batch.
 
     ## Use instead
     A dict keyed by environment index, or the state that `xpl.Policy` keeps for each environment.

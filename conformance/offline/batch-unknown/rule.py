@@ -1,4 +1,4 @@
-"""XPL205: An unknown or repeated environment is answered instead of refused."""
+"""XPL205: An unknown or repeated environment gets an action instead of an error."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL205", requirement="XPL-BAT-3")
 def batch_unknown(probe: Probe) -> Iterator[Finding]:
-    """An unknown or repeated environment is answered instead of refused.
+    """An unknown or repeated environment gets an action instead of an error.
 
     ## What it does
-    Observes environments 3 and 7, then asks for [3, 8] and for [3, 3]. Both must be errors.
+    Observes environments 3 and 7, then requests [3, 8] and [3, 3]. Both must be errors.
 
     ## Why it matters
-    The answer can only come from another environment's observation. A launcher with an off-by-one then looks healthy.
+    The action can only come from another environment's observation. An off-by-one error of a launcher then goes
+    unnoticed.
 
     ## Example
     `obs = self.obs.get(env, self.last_obs)`
 
     ## Use instead
-    `obs = self.obs[env]`, which raises a KeyError, or `xpl.Policy`, which says which environments it knows.
+    `obs = self.obs[env]`, which raises a KeyError, or `xpl.Policy`, whose error lists the known environments.
 
     ## Fix safety
     No automatic fix.

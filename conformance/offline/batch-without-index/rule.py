@@ -1,4 +1,4 @@
-"""XPL206: Observations without env_idx are mixed up or refused."""
+"""XPL206: Observations without env_idx are confused or refused."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL206", requirement="XPL-BAT-4", compares=True)
 def batch_without_index(probe: Probe) -> Iterator[Finding]:
-    """Observations without env_idx are mixed up or refused.
+    """Observations without env_idx are confused or refused.
 
     ## What it does
-    Shows the same two observations with and without `env_idx`, for two steps, asks for both and for the second alone,
-    and compares the answers. Then shows a batch of which only the first observation has an index, 1, the place of the
-    other one: environment 1 must not be answered from that.
+    Sends the same two observations with and without `env_idx`, for two steps, requests both and then the second alone,
+    and compares the actions. Then sends a batch in which only the first observation has an index, 1, the position of
+    the other one: the action of environment 1 must not come from that other one.
 
     ## Why it matters
-    `env_idx` is optional. Clients that leave it out, and there are some in the field, would see every robot receive the
-    actions of the last one, or an exception.
+    `env_idx` is optional. With a client that omits it, every robot would get the actions of the last one, or an
+    exception.
 
     ## Example
     `self.obs[obs.get("env_idx", 0)] = obs` inside the loop over the batch stores all of them under 0.

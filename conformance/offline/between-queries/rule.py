@@ -1,4 +1,4 @@
-"""XPL229: What is shown between two questions does not reach the model."""
+"""XPL229: Observations between two get_action calls do not reach the model."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ _Second = Callable[..., "Answer"]
 
 @rule(code="XPL229", requirement="XPL-EPI-8")
 def between_queries(probe: Probe) -> Iterator[Finding]:
-    """What is shown between two questions does not reach the model.
+    """Observations between two get_action calls do not reach the model.
 
     ## What it does
-    Shows an observation, asks, shows more, as a benchmark does while it executes a chunk, and asks again. The second
-    answer must follow the newest observation: it must not be what an adapter answers that saw none of them, or all but
-    the newest; and what is older must not move it more than four times as far. With a declared history the observations
-    in between must count, too: a change of theirs moves the answer by at least a thousandth of what a change of the
-    newest does. Where the model_io block says which inputs have a history, that is asked of each.
+    Sends an observation, calls `get_action`, sends more observations, as a benchmark does while it executes a chunk,
+    and calls `get_action` again. The second action must depend on the newest observation: it must differ from that of
+    an adapter that got none of them, or all but the newest; and older ones must not affect it more than four times as
+    much. With a declared history the observations in between must count, too: changing them changes the action by at
+    least a thousandth of what changing the newest does. If the model_io block declares which inputs have a history,
+    each of these is checked.
 
     ## Why it matters
-    A policy that looks at the world once per chunk of its own runs open loop while the benchmark believes in
-    feedback. With a history, frames at the wrong distance are something that the model never saw in training.
+    A policy that observes only once per chunk runs open loop, while the benchmark assumes feedback. With a history,
+    frames at the wrong interval are inputs that the model never saw in training.
 
     ## Example
-    `if self.queue: return self.queue.pop(0)` in `get_action`, whatever was shown since.
+    `if self.queue: return self.queue.pop(0)` in `get_action`, whatever was observed since.
 
     ## Use instead
-    Answer from the newest observation whenever an action is asked for; the client decides how much of a chunk it
-    executes.
+    Compute each action from the newest observation; the client decides how much of a chunk it executes.
 
     ## Fix safety
     No automatic fix.

@@ -14,13 +14,12 @@ def bounded_memory(probe: Probe) -> Iterator[Finding]:
     """The memory of an episode grows with every step.
 
     ## What it does
-    Plays one long episode with large pictures and looks at the memory of the adapter's processes after every
-    stretch of steps. What still grows by a sizeable part of an observation per step after several stretches is not
-    bounded.
+    Runs one long episode with large images and measures the memory of the adapter's processes after every series of
+    steps. If it still grows by a sizeable part of an observation per step after several series, it is not bounded.
 
     ## Why it matters
-    Episodes on robots last for hours. A list of everything that was seen ends them when the memory is full, and
-    slows them down long before.
+    Episodes on robots last for hours. A list of all observations ends them when the memory is full, and slows them down
+    long before.
 
     ## Example
     `self.frames.append(obs)` with `self.frames[-2:]` read.

@@ -1,4 +1,4 @@
-"""XPL231: A policy with several cameras does not tell them apart."""
+"""XPL231: A policy with several cameras does not distinguish them."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL231", requirement="XPL-OBS-7", profile="full")
 def cameras_told_apart(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
-    """A policy with several cameras does not tell them apart.
+    """A policy with several cameras does not distinguish them.
 
     ## What it does
-    Exchanges the pictures of two cameras that the manifest requires, for every two of them, and looks whether the
-    action changes. Cameras that have no effect at all are left to `inputs-matter`.
+    Swaps the images of two cameras that the manifest requires, for every pair of them, and checks that the action
+    changes. `inputs-matter` reports cameras that have no effect at all.
 
     ## Why it matters
-    What is left in the picture of one wrist is right in that of the other. A policy to which both are one picture moves
-    either arm for what the other one sees.
+    What is left in the image of one wrist camera is right in that of the other. A policy that cannot distinguish them
+    moves either arm by what the other arm's camera sees.
 
     ## Example
     `np.mean([vision[name]["color"] for name in names], axis=0)`, or the cameras sorted by their content.
 
     ## Use instead
-    One place of the model's input for each camera, by its name.
+    One input of the model for each camera, selected by its name.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL252: Serving the adapter has changed files of its checkpoint."""
+"""XPL252: Serving the adapter changes files of its checkpoint."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL252", requirement="XPL-CKP-2", profile="full")
 def checkpoint_intact(probe: Probe) -> Iterator[Finding]:
-    """Serving the adapter has changed files of its checkpoint.
+    """Serving the adapter changes files of its checkpoint.
 
     ## What it does
-    Compares size and time of change of every file of the checkpoint before the first server of the audit started with
-    what they are now.
+    Compares size and modification time of every file of the checkpoint with those before the first server of the audit
+    started.
 
     ## Why it matters
-    The checkpoint is no longer the one that was published: its hash differs, and who loads it next gets other numbers.
-    Two servers that start on it race; a read-only store fails.
+    The checkpoint is no longer the published one: its hash differs, and its next user gets other results. Two servers
+    that start on it race; a read-only store fails.
 
     ## Example
-    `dataset_statistics.json` of the checkpoint is written again at every load.
+    The adapter rewrites the checkpoint's `dataset_statistics.json` at every load.
 
     ## Use instead
-    Keep what was changed in memory, or write it to a temporary folder that the model loads from.
+    Keep changed values in memory, or write them to a temporary folder that the model loads from.
 
     ## Fix safety
     No automatic fix.

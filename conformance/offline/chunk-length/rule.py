@@ -1,4 +1,4 @@
-"""XPL236: Chunks do not have the length that the manifest declares."""
+"""XPL236: The length of an action chunk is not the declared one."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL236", requirement="XPL-ACT-7")
 def chunk_length(probe: Probe, motions: Motions) -> Iterator[Finding]:
-    """Chunks do not have the length that the manifest declares.
+    """The length of an action chunk is not the declared one.
 
     ## What it does
     Counts the action steps of every chunk: with each embodiment and action type that the manifest declares, at the
     first observation and at later ones, alone and in a batch.
 
     ## Why it matters
-    An environment plans by the declared length: how many steps it executes, when it asks again, and how it fills the
-    batch. Chunks of unequal length leave some environments of a batch without an action.
+    An environment plans with the declared length: how many steps it executes, when the next inference runs, and how it
+    fills the batch. Chunks of unequal length leave some environments of a batch without an action.
 
     ## Example
-    `actions[: self.execute_steps]`, where policy.yml still declares the model's whole horizon.
+    `actions[: self.execute_steps]`, while policy.yml still declares the model's whole action horizon.
 
     ## Use instead
     `temporal.chunk` in policy.yml, the number of action steps that one call returns.

@@ -1,4 +1,4 @@
-"""XPL230: A policy that sees does not tell red from blue."""
+"""XPL230: A policy with cameras does not distinguish red from blue."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL230", requirement="XPL-OBS-7", profile="full")
 def colours_told_apart(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
-    """A policy that sees does not tell red from blue.
+    """A policy with cameras does not distinguish red from blue.
 
     ## What it does
-    Exchanges red and blue in the picture of each camera that the manifest requires, one at a time, and looks whether
-    the action changes. Cameras that have no effect at all are left to `inputs-matter`.
+    Swaps the red and blue channels of each camera that the manifest requires, one at a time, and checks that the action
+    changes. `inputs-matter` reports cameras that have no effect at all.
 
     ## Why it matters
-    "Put the red block on the blue one" cannot be followed by a policy to which both look alike.
+    A policy for which both look the same cannot follow "put the red block on the blue one".
 
     ## Example
     `image[..., :1]`, meant to drop an alpha channel, or a conversion to grey for a network that was trained on colour.
 
     ## Use instead
-    `xpl.observation.get_image(obs, camera)`, which is (H, W, 3) RGB, handed on with all three channels in this order.
+    `xpl.observation.get_image(obs, camera)`, which is (H, W, 3) RGB, passed on with all three channels in this order.
 
     ## Fix safety
     No automatic fix.

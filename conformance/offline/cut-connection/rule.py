@@ -1,4 +1,4 @@
-"""XPL228: An episode goes otherwise after the connection was cut."""
+"""XPL228: An episode differs after the connection was cut."""
 
 from __future__ import annotations
 
@@ -17,24 +17,23 @@ _CUTS = (None, "confirmation", "action", "observation", None)
 
 @rule(code="XPL228", requirement="XPL-SRV-2", compares=True)
 def cut_connection(probe: Probe) -> Iterator[Finding]:
-    """An episode goes otherwise after the connection was cut.
+    """An episode differs after the connection was cut.
 
     ## What it does
-    Plays an episode through a relay that cuts the connection three times: after a shown observation was taken in
-    and before that was confirmed, after an action was computed and before it was delivered, and in the middle of a
-    request. The client comes back and repeats itself. Every answer must equal that of the same episode without
-    cuts.
+    Runs an episode through a proxy that cuts the connection three times: after an observation was processed and before
+    that was confirmed, after an action was computed and before it was delivered, and in the middle of a request. The
+    client reconnects and repeats its request. Every action must equal that of the same episode without cuts.
 
     ## Why it matters
-    Networks drop connections, and the client repeats what was not answered. Where the policy notices, because an
-    observation enters its history twice, or because it takes the pause for the end of an episode, results depend on
-    the network.
+    Networks drop connections, and the client repeats unconfirmed requests. If that affects the policy, because an
+    observation enters its history twice, or because it treats the pause as the end of an episode, results depend on the
+    network.
 
     ## Example
     `if time.time() - self.last_call > 0.5: self.reset()`
 
     ## Use instead
-    Nothing: the server answers a repeated request from its memory. Begin episodes in `reset` and nowhere else.
+    Nothing: the server returns its stored reply to a repeated request. Start episodes in `reset` and nowhere else.
 
     ## Fix safety
     No automatic fix.

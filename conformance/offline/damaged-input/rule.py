@@ -1,4 +1,4 @@
-"""XPL235: A required input that is damaged is passed on to the model."""
+"""XPL235: An invalid value of a required input is passed on to the model."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from xpl_cli.audit.served.probe import Probe
 
 @rule(code="XPL235", requirement="XPL-OBS-8")
 def damaged_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
-    """A required input that is damaged is passed on to the model.
+    """An invalid value of a required input is passed on to the model.
 
     ## What it does
-    Damages each input that the manifest requires, one at a time. States: NaN, infinity, text, one value too many or too
-    few, another axis. Pictures: floats from 0 to 1, no channels, channels first, a fourth channel. The instruction: a
-    number. The answer must be an error that names the input. Inputs that have no effect at all are left to
-    `inputs-matter`.
+    Replaces each input that the manifest requires by invalid values, one at a time. States: NaN, infinity, text, one
+    value too many or too few, another axis. Images: floats from 0 to 1, no channels, channels first, a fourth channel.
+    The instruction: a number. The result must be an error that names the input. `inputs-matter` reports inputs that
+    have no effect at all.
 
     ## Why it matters
-    A network answers anything. A state that is one joint short, or a picture that was scaled twice, gives motion that
-    looks like that of a bad policy; an encoder that fails in flight gives NaN, and NaN may become any motion.
+    A network computes something from any input. A state that lacks one joint, or an image that was scaled twice, gives
+    motion that looks like that of a bad policy; an encoder that fails during motion gives NaN, which may become any
+    motion.
 
     ## Example
-    `np.asarray(obs["state"]["arm_joint_state"], np.float32)`, which also takes NaN, text and another length.
+    `np.asarray(obs["state"]["arm_joint_state"], np.float32)`, which also accepts NaN, text and another length.
 
     ## Use instead
-    `xpl.observation.pack_state` and `get_image`, which say what is wrong with which input.
+    `xpl.observation.pack_state` and `get_image`, whose errors name the input and what is wrong with it.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL221: Actions depend on other observations than the manifest declares."""
+"""XPL221: Actions depend on more or fewer observations than the manifest declares."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from xpl_cli.audit.served.session import Answer
 
 @rule(code="XPL221", requirement="XPL-CFG-9")
 def declared_history(probe: Probe) -> Iterator[Finding]:
-    """Actions depend on other observations than the manifest declares.
+    """Actions depend on more or fewer observations than the manifest declares.
 
     ## What it does
-    Plays two episodes that differ in their first observation only, until that one is older than the history that
-    policy.yml declares, and compares the last answers: they have to be alike. Where policy.yml declares `kind: memory`,
-    plays episodes that begin differently, in what is seen and how long it lasts, and end in the same observations:
-    something of the beginning has to show in an answer. Ensembling is left out.
+    Runs two episodes that differ only in their first observation, until it is older than the history that policy.yml
+    declares, and compares the last actions: they have to be equal. If policy.yml declares `kind: memory`, it runs
+    episodes that start with different observations or a different number of them and end with the same ones: an action
+    has to depend on the start. Temporal ensembling is excluded.
 
     ## Why it matters
-    Evaluations that batch, replay or resume a policy rely on the declared history. What looks farther back, for
-    example a cache that is filled once, acts on a scene that is gone. A recurrent model whose state is thrown away acts
-    in every step as in the first one.
+    Evaluations that batch, replay or resume a policy rely on the declared history. A policy that uses older
+    observations, for example a cache that is filled once, acts on a scene that has changed. A recurrent model whose
+    state is discarded acts in every step as in the first one.
 
     ## Example
     Image features of the first step are kept for the whole episode. Or `hidden = None` in every `predict`.
 
     ## Use instead
-    Declare what the policy sees (`temporal.history`, `kind: memory`), or drop what is older. Carry recurrent state in
-    `self.memory(env)`.
+    Declare what the policy uses (`temporal.history`, `kind: memory`), or drop older observations. Store recurrent state
+    in `self.memory(env)`.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL248: A policy that is declared not deterministic is."""
+"""XPL248: A policy that is declared not deterministic is deterministic."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL248", requirement="XPL-CFG-12", profile="full")
 def declared_random(configurations: Configurations) -> Iterator[Finding]:
-    """A policy that is declared not deterministic is.
+    """A policy that is declared not deterministic is deterministic.
 
     ## What it does
-    Plays one episode under two seeds, where the manifest says `deterministic: false`.
+    Runs one episode with two seeds, if the manifest declares `deterministic: false`.
 
     ## Why it matters
-    The declaration switches off every rule that compares actions: whether environments influence each other, whether an
-    episode depends on the last one. Here nothing stood in their way.
+    The declaration disables every rule that compares actions, such as whether environments influence each other or an
+    episode depends on the previous one. Here it disables them without need.
 
     ## Example
     `deterministic: false`, and a model that draws no random number.

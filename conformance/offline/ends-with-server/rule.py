@@ -1,4 +1,4 @@
-"""XPL245: Processes of the adapter outlive the policy server, or hold up its end."""
+"""XPL245: Processes of the adapter outlive the policy server, or delay its end."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from xpl_cli.audit.served.service import Service
 
 @rule(code="XPL245", requirement="XPL-SRV-5")
 def ends_with_server(service: Service) -> Iterator[Finding]:
-    """Processes of the adapter outlive the policy server, or hold up its end.
+    """Processes of the adapter outlive the policy server, or delay its end.
 
     ## What it does
-    Serves the adapter, asks it some times, tells the server to end, and looks for processes that the adapter had
-    started outside its process group or that live on.
+    Serves the adapter, requests a few actions, stops the server, and looks for processes that the adapter started
+    outside its process group or that are still running.
 
     ## Why it matters
-    What is left holds the GPU's memory, and the next server of the night runs out of it. Launchers end a process group;
-    what has left the group is nobody's.
+    These processes hold GPU memory, and the next server runs out of it. Launchers end a process group; no launcher ends
+    processes outside of it.
 
     ## Example
     `subprocess.Popen([...], start_new_session=True)` in `load`.

@@ -1,4 +1,4 @@
-"""XPL237: The first action of an episode is far from where the robot is."""
+"""XPL237: The first action of an episode is far from the robot's pose."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL237", requirement="XPL-ACT-8", profile="full")
 def first_action_near(motions: Motions, parity: Parity) -> Iterator[Finding]:
-    """The first action of an episode is far from where the robot is.
+    """The first action of an episode is far from the robot's pose.
 
     ## What it does
     With every embodiment and action type that the manifest declares, compares the first action of an episode with the
-    observed pose. The robot has to be able to get there in one control step: by its joint speeds where these are known.
-    Where first actions in the golden pairs are nearer than half as far, the audit fails. Where they are not, it warns,
-    and the verdict says that a mistake may be in both.
+    observed pose. The robot has to be able to reach it in one control step: by its joint speeds if these are known. If
+    the first actions of the golden pairs are less than half as far away, the audit fails. Otherwise it warns, and the
+    verdict says that both may have the same mistake.
 
     ## Why it matters
-    A target far away is where most wiring faults show: left and right exchanged, degrees for radians, differences taken
-    for absolute values, a quaternion in another order, statistics of another robot. On hardware, the arm leaps.
+    A first target far away is a sign of most conversion mistakes: left and right swapped, degrees for radians, delta
+    actions treated as absolute ones, another quaternion order, statistics of another robot. On hardware, the arm leaps.
 
     ## Example
     `{"left_ee_pose": action[7:14], "right_ee_pose": action[:7]}`
 
     ## Use instead
     Absolute targets in the order of `xpl.action.pack`, in the frames and units of the standard. A trained policy may
-    leap because the scripted pictures mean nothing to it: golden pairs tell whether it does, and without them a waiver
-    may say so.
+    leap because the synthetic images mean nothing to it: golden pairs show whether it does, and without them a waiver
+    may accept it.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL260: The policy answers otherwise than the model's own pipeline."""
+"""XPL260: The policy's actions differ from those of the model's own pipeline."""
 
 from __future__ import annotations
 
@@ -17,27 +17,28 @@ from xpl_cli.model_io.patterns import Pattern
 
 @rule(code="XPL260", requirement="XPL-NAT-3", after=("serves",), profile="full")
 def golden_parity(parity: Parity) -> Iterator[Finding | Proof]:
-    """The policy answers otherwise than the model's own pipeline.
+    """The policy's actions differ from those of the model's own pipeline.
 
     ## What it does
-    Shows a fresh server of every robot and action type the scripted episodes that reference.py was asked about, and
-    compares the answers with those in golden_pairs.json: every number of every step, over histories, resets and
-    batches. A difference counts above `model_io.tolerance`, a share of what the golden answers span; not if it is what
-    a batch rounds: within 2 % of the span, and gone where its environment is asked by itself. Of a model that
-    samples and takes no seed, means and spreads of many answers are compared. Where something differs, the usual
-    mistakes of all conventions are tried, as changes of the model_io block, or of what the adapter is shown, reads and
-    commands, one by one and then two at once, and what makes the difference fall is named. Where nothing differs, the
-    same changes tell how clearly such a mistake would have shown, and which conventions the pairs leave undetermined.
+    Sends a fresh server for every robot and action type the scripted episodes that were recorded with reference.py, and
+    compares the actions with those in golden_pairs.json: every number of every step, over histories, resets and
+    batches. A difference counts above `model_io.tolerance`, a fraction of the range of the golden actions; not if it is
+    batch-size-dependent floating-point error: within 2 % of the range, and absent if its environment runs alone. For a
+    model that samples without a seed, means and standard deviations of many actions are compared. If something differs,
+    perturbations for the usual mistakes of all conventions, of the model_io block or of observations, model inputs and
+    actions, are tried one by one and then in pairs, and those that reduce the difference are named. If nothing differs,
+    the same perturbations show how clearly such a mistake would have been detected, and which conventions the pairs
+    leave undetermined.
 
     ## Why it matters
-    An audit that compares an adapter with itself does not see that blue and red, degrees and radians or two arms are
-    exchanged on the way to the model. The robot moves all the same, only wrongly.
+    An audit that compares an adapter with itself does not detect that blue and red, degrees and radians or two arms are
+    swapped on the way to the model. The robot moves all the same, only wrongly.
 
     ## Example
-    `channels: rgb` for a network that was trained on pictures from OpenCV.
+    `channels: rgb` for a network that was trained on images from OpenCV.
 
     ## Use instead
-    What the finding names, if the authors' code says so, too: the pairs hold what reference.py answers, and that may be
+    What the finding names, if the authors' code confirms it: the pairs hold the actions of reference.py, which may be
     wrong. After a change of reference.py or of the weights, `xpl model-io record POLICY`.
 
     ## Fix safety

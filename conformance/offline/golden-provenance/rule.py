@@ -1,4 +1,4 @@
-"""XPL261: Golden pairs are not of the reference code and weights that are there now."""
+"""XPL261: Golden pairs were recorded with other reference code or weights."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from xpl_cli.model_io import names, pairs, provenance, record
 
 @rule(code="XPL261", requirement="XPL-NAT-6", profile="full")
 def golden_provenance(probe: Probe) -> Iterator[Finding]:
-    """Golden pairs are not of the reference code and weights that are there now.
+    """Golden pairs were recorded with other reference code or weights.
 
     ## What it does
-    Reads golden_pairs.json and compares what it was recorded with to what is there: reference.py, but for its
-    citations, and the files of the package that it imported, the authors' code where it is installed, the checkpoint
-    that deploy.yml names, the script that makes the observations, and the robots and action types that the manifest
+    Reads golden_pairs.json and compares what it was recorded with to the current state: reference.py without its
+    citations, the files of the package that it imported, the authors' code if it is installed, the checkpoint that
+    deploy.yml names, the script that makes the observations, and the robots and action types that the manifest
     declares.
 
     ## Why it matters
-    Parity with answers of other code, or of other weights, proves nothing about these.
+    Parity with actions of other code, or of other weights, proves nothing about the current ones.
 
     ## Example
-    reference.py is mended, and the pairs stay.
+    reference.py is fixed, and the pairs are not recorded again.
 
     ## Use instead
-    `xpl model-io record POLICY --diff`, which tells what would change, and `xpl model-io record POLICY` after every
+    `xpl model-io record POLICY --diff`, which reports what would change, and `xpl model-io record POLICY` after every
     change of reference.py, of the authors' code or of the weights.
 
     ## Fix safety

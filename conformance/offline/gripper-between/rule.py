@@ -1,4 +1,4 @@
-"""XPL256: A gripper that is declared binary is commanded neither closed nor open."""
+"""XPL256: A gripper that is declared binary gets a command between closed and open."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _EXACT = 1e-3
 
 @rule(code="XPL256", requirement="XPL-ACT-17", profile="full")
 def gripper_between(probe: Probe, motions: Motions) -> Iterator[Finding]:
-    """A gripper that is declared binary is commanded neither closed nor open.
+    """A gripper that is declared binary gets a command between closed and open.
 
     ## What it does
-    Looks through the gripper commands of a short episode, with every embodiment that has a gripper, where `policy.yml`
-    declares `gripper: {command: binary}`.
+    Checks the gripper commands of a short episode, with every embodiment that has a gripper, if `policy.yml` declares
+    `gripper: {command: binary}`.
 
     ## Why it matters
-    A gripper of two states rounds what lies between, and another one stops half way: the same policy acts otherwise on
-    two robots. A comparison of policies counts a hesitation as an opening.
+    A gripper with two states rounds values in between, and another one stops half way: the same policy acts differently
+    on two robots. A comparison of policies counts a hesitation as an opening.
 
     ## Example
-    The probability of closing, as the network answers it.
+    The network's probability of closing, unchanged.
 
     ## Use instead
     Decide in `decode`: `(raw > 0.5).astype(np.float32)`. Or declare `command: position`, if an opening is meant.

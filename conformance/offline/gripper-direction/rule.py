@@ -1,4 +1,4 @@
-"""XPL242: Gripper commands run the other way round, in another unit, or follow the other arm."""
+"""XPL242: Gripper commands are inverted, in another unit, or those of the other arm."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _COMPARE = "compare the gripper with the authors' own code, in the state that is
 
 @rule(code="XPL242", requirement="XPL-ACT-5", profile="full")
 def gripper_direction(probe: Probe) -> Iterator[Finding]:
-    """Gripper commands run the other way round, in another unit, or follow the other arm.
+    """Gripper commands are inverted, in another unit, or those of the other arm.
 
     ## What it does
-    Shows grippers closed, open and in between, each arm's otherwise, in two scenes. Where commands are a copy of what
-    was observed, by the same straight line in both scenes, the line has to be the observed opening itself: not 1 minus
-    it (closed and open exchanged), not a share of it (metres for a share of the stroke), not the other arm's. Of a
-    policy that decides for itself nothing can be said without the model's own answers or a simulator.
+    Sends observations with grippers closed, open and in between, different for each arm, in two scenes. If commands are
+    the same linear function of the observed opening in both scenes, that function has to be the identity: not 1 minus
+    it (closed and open swapped), not a fraction of it (metres for a fraction of the stroke), not the other arm's. For
+    other policies only the model's own actions or a simulator can show a mistake.
 
     ## Why it matters
-    The gripper opens where it should hold, or never opens. Everything else looks right.
+    The gripper opens when it should hold, or never opens. Everything else looks right.
 
     ## Example
     `1 - gripper`, for a model whose data had 0 for open, on one side of the model only.

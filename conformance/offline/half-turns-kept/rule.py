@@ -25,13 +25,13 @@ def half_turns_kept(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A half turn of the end effector is lost.
 
     ## What it does
-    Shows the end effectors turned by 180 degrees about several axes. An adapter that stays near the observed
-    orientation otherwise has to do so there, none may fail or answer with no rotation at all, and half turns about
-    different axes must not be answered alike.
+    Sends observations with the end effectors rotated by 180 degrees about several axes. An adapter whose actions are
+    near the observed orientation in general must be near it there, none may fail or return the identity rotation, and
+    half turns about different axes must give different actions.
 
     ## Why it matters
-    A gripper that points straight down is often a half turn away from the base. Where that becomes the identity, the
-    arm is commanded to turn it over.
+    A gripper that points straight down is often a half turn away from the base. If that becomes the identity, the arm
+    is commanded to turn it over.
 
     ## Example
     An axis divided by the sine of the angle, with zeros where the sine is small: it is small at 180 degrees too.

@@ -1,4 +1,4 @@
-"""XPL225: Actions depend on how a picture travelled."""
+"""XPL225: Actions depend on how an image was encoded."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from xpl_cli.audit.served.transports import FORMS, LEGACY, decoded, encoded, err
 
 @rule(code="XPL225", requirement="XPL-IMG-2", compares=True)
 def image_transport(probe: Probe, rehearsal: Rehearsal) -> Iterator[Finding]:
-    """Actions depend on how a picture travelled.
+    """Actions depend on how an image was encoded.
 
     ## What it does
-    Sends the same pictures as arrays, as JPEG with the marker of the standard, as JPEG of the older kind, in which
-    red and blue are exchanged, and as true-RGB PNG, and compares each answer with the answer to an array of exactly
-    the decoded picture, so that the codec's own error plays no part. Then it hands the adapter the encoded bytes
-    themselves: it must refuse them, or read them as the standard does. An adapter without a manifest is handed JPEG of
-    the older kind only, as the benchmarks that it was written for send it.
+    Sends the same images as arrays, as JPEG with the marker of the standard, as JPEG of the older kind, with red and
+    blue swapped, and as true-RGB PNG, and compares each action with that for an array of exactly the decoded image, so
+    that the codec's own error does not count. Then it passes the encoded bytes to the adapter: it must refuse them, or
+    decode them as the standard does. An adapter without a manifest only gets JPEG of the older kind, as its benchmarks
+    send it.
 
     ## Why it matters
-    The transport is a matter of bandwidth. Where it changes colours, a policy scores lower with one benchmark than
-    with another, and both look healthy.
+    The encoding is a question of bandwidth. If it changes colours, a policy scores lower with one benchmark than with
+    another, without any error.
 
     ## Example
     `cv2.imdecode(color, 1)` for encoded frames, in BGR, and the array itself for raw ones.
 
     ## Use instead
-    `xpl.observation.get_image(obs, camera)`: the server has decoded the picture before.
+    `xpl.observation.get_image(obs, camera)`: the server has already decoded the image.
 
     ## Fix safety
     No automatic fix.

@@ -15,17 +15,18 @@ def inputs_matter(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A required input has no effect on the actions.
 
     ## What it does
-    Changes each input that the manifest requires, one at a time, and looks whether the action changes.
+    Changes each input that the manifest requires, one at a time, and checks that the action changes.
 
     ## Why it matters
-    A camera, state or instruction that never reaches the model costs bandwidth and hides a wiring fault: the key is
-    read under a wrong name, or a value is read and then ignored.
+    A camera, state or instruction that never reaches the model costs bandwidth and hides a bug: the key is read under a
+    wrong name, or a value is read and then ignored.
 
     ## Example
     The prompt is set once from the task name, and the instruction of the observation is ignored.
 
     ## Use instead
-    Use the input, or declare it under `inputs.unused`, so that comparisons between policies say what each one saw.
+    Use the input, or declare it under `inputs.unused`, so that comparisons between policies list the inputs of each
+    one.
 
     ## Fix safety
     No automatic fix.

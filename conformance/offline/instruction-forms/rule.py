@@ -1,4 +1,4 @@
-"""XPL215: Only one spelling of the instruction is understood."""
+"""XPL215: Only one spelling of the instruction is accepted."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ _FIX = Fix("advice", "read it with xpl.observation.get_instruction(obs, required
 
 @rule(code="XPL215", requirement="XPL-OBS-4", compares=True)
 def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
-    """Only one spelling of the instruction is understood.
+    """Only one spelling of the instruction is accepted.
 
     ## What it does
-    Shows the same observation once with `instruction` and once with `instructions`, a list whose first entry is the
-    same text. A text under `instructions`, and a list under `instruction`, are not of the standard: they must be
-    understood or refused, not read as something else.
+    Sends the same observation once with `instruction` and once with `instructions`, a list whose first entry is the
+    same text. A string under `instructions`, and a list under `instruction`, do not conform to the standard: they must
+    be understood or refused, not read as something else.
 
     ## Why it matters
-    Both occur in the field. A policy that ignores one of them follows no instruction there, or stops.
+    Both occur in practice. A policy that ignores one of them gets no instruction there, or stops.
 
     ## Example
-    `prompt = obs["instruction"]`, or `prompt = obs["instructions"][0]`, which of a text takes the first letter.
+    `prompt = obs["instruction"]`, or `prompt = obs["instructions"][0]`, which of a string takes the first letter.
 
     ## Use instead
-    `xpl.observation.get_instruction(obs, required=True)`, which also raises where there is none
+    `xpl.observation.get_instruction(obs, required=True)`, which also raises an error if there is none.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL238: Joints are commanded past the limits of the embodiment."""
+"""XPL238: Joint commands exceed the limits of the embodiment."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL238", requirement="XPL-ACT-9", profile="full")
 def joint_limits(motions: Motions) -> Iterator[Finding]:
-    """Joints are commanded past the limits of the embodiment.
+    """Joint commands exceed the limits of the embodiment.
 
     ## What it does
-    Looks through the joint commands of a short episode, with every embodiment whose limits are known. The observed
-    joints are well inside them. Then shows joints near their limits: there a command may pass a limit by as much as the
-    policy moves a joint elsewhere, because an environment cuts that off; farther out is no motion, but another scale.
+    Checks the joint commands of a short episode, with every embodiment whose limits are known. The observed joints are
+    well inside them. Then sends joints near their limits: there a command may exceed a limit by as much as the policy
+    moves a joint elsewhere, because an environment clamps that; more is no motion but a wrong scale.
 
     ## Why it matters
-    An environment clamps what it cannot execute, so the robot does something else than the policy meant; a controller
-    on hardware may stop with a fault instead.
+    An environment clamps what it cannot execute, so the robot's motion differs from the policy's; a controller on
+    hardware may stop with a fault instead.
 
     ## Example
     Commands in degrees, or rescaled with the statistics of another robot.
 
     ## Use instead
-    `self.embodiment.arms[0].lower` and `upper`, where a model's output has to be kept inside.
+    `self.embodiment.arms[0].lower` and `upper`, to keep a model's output inside.
 
     ## Fix safety
     No automatic fix.

@@ -16,18 +16,18 @@ def keeps_the_rate(probe: Probe, service: Service) -> Iterator[Finding]:
     """A chunk takes longer to compute than to execute.
 
     ## What it does
-    Compares the time of an answer, the middle of seven, with the time for which a chunk lasts at the control frequency
-    that the manifest declares.
+    Compares the inference time, the median of seven, with the duration of a chunk at the control frequency that the
+    manifest declares.
 
     ## Why it matters
-    The robot waits for the policy between two chunks, or the declared rate is not the real one. What was trained at 30
-    Hz then moves at 10. It counts on the machine of the audit; another may be faster.
+    The robot waits for the policy between two chunks, or the declared rate is wrong. A policy that was trained at 30 Hz
+    then moves at 10 Hz. The machine of the audit counts; another one may be faster.
 
     ## Example
-    `control_frequency: 50` and chunks of one step, where an answer takes 100 ms.
+    `control_frequency: 50` and chunks of one step, with an inference time of 100 ms.
 
     ## Use instead
-    Declare the rate that can be kept, return longer chunks, or make the model faster.
+    Declare a rate that the policy can keep, return longer chunks, or make the model faster.
 
     ## Fix safety
     No automatic fix.

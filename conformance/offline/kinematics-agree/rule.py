@@ -1,4 +1,4 @@
-"""XPL262: Joints and poses that the authors recorded together agree in the conventions that are declared."""
+"""XPL262: Joints and poses that the authors recorded agree in the declared conventions."""
 
 from __future__ import annotations
 
@@ -15,22 +15,23 @@ from xpl_cli.model_io.kinematics.witness import Verdict
 
 @rule(code="XPL262", requirement="XPL-NAT-7")
 def kinematics_agree(probe: Probe) -> Iterator[Finding | Proof]:
-    """Joints and poses that were recorded together contradict each other in the conventions that are declared.
+    """Recorded joints and poses contradict each other in the declared conventions.
 
     ## What it does
-    Reads the rows that `model_io.samples` names, computes from their joints where the flange was, and compares with
-    their
-    poses: as declared, and in every other form, order, point, frame and unit. Nothing of the adapter runs.
+    Reads the rows that `model_io.samples` names, computes the flange pose from their joints, and compares it with their
+    poses: as declared, and in every other form, order, point, frame and unit. None of the adapter's code runs.
 
     ## Why it matters
-    A quaternion that is not reordered, rotation columns read as rows or a tool centre point taken for the flange pass
-    every check of shape. The robot itself knows better: joints and pose of one moment fit in one convention.
+    A quaternion in the wrong order, rotation columns read as rows or a TCP treated as the flange pass every check of
+    shapes. The robot's kinematics decide: joints and pose of one moment agree in one convention.
 
     ## Example
-    `form: quaternion_wxyz`, where authors' rows fit to 0.0 degrees as `quaternion_xyzw`, and to 131 as declared.
+    `form: quaternion_wxyz`, although the authors' rows agree within 0.0 degrees as `quaternion_xyzw`, and 131 as
+    declared.
 
     ## Use instead
-    The words that the finding names. If another tool or frame is left over, say so in `encode`, and under `code`.
+    The values that the finding names. If another tool or frame remains, convert it in `encode`, and declare it under
+    `code`.
 
     ## Fix safety
     No automatic fix: what the model was trained on decides.

@@ -1,4 +1,4 @@
-"""XPL244: The adapter listens on a network port of its own."""
+"""XPL244: The adapter opens a network port of its own."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from xpl_cli.audit.served.service import Service
 
 @rule(code="XPL244", requirement="XPL-SRV-9")
 def listens_itself(service: Service) -> Iterator[Finding]:
-    """The adapter listens on a network port of its own.
+    """The adapter opens a network port of its own.
 
     ## What it does
     Looks, while the adapter is served, for TCP ports on which its processes listen.
 
     ## Why it matters
-    The port is taken for the second server on this machine, which then fails or talks to the first one's model. It has
-    no token, and whoever reaches the machine may use it.
+    A second server on this machine finds the port in use, and fails or connects to the first one's model. The port
+    needs no token, so every program that reaches the machine can use it.
 
     ## Example
-    A second policy server that `load` starts on port 8000, and that the adapter asks over HTTP.
+    A second policy server that `load` starts on port 8000, and that the adapter calls over HTTP.
 
     ## Use instead
-    Load the model in the adapter's process, or talk to a child over a pipe (`multiprocessing.Pipe`).
+    Load the model in the adapter's process, or communicate with a child process over a pipe (`multiprocessing.Pipe`).
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL216: Forms of an observation that the schema allows are not accepted."""
+"""XPL216: Observations that the schema allows are refused, or give other actions."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL216", requirement="XPL-OBS-1", compares=True)
 def lists_and_extras(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
-    """Forms of an observation that the schema allows are not accepted.
+    """Observations that the schema allows are refused, or give other actions.
 
     ## What it does
-    Shows an observation whose state values are lists, one with double precision, one with additional keys, cameras and
-    states, one in another order, and one that holds only what the manifest lists as required or optional. The actions
-    must be the same.
+    Sends an observation whose state values are lists, one with double precision, one with additional keys, cameras and
+    states, one in another order, and one with only what the manifest lists as required or optional. The actions must be
+    the same.
 
     ## Why it matters
-    Benchmarks send all of them. An adapter that insists on one form works in the simulator of its author only.
+    Benchmarks send all of them. An adapter that requires one form works only with its author's simulator.
 
     ## Example
     `obs["state"]["arm_joint_state"].astype(np.float32)` fails on a list; `list(obs["vision"].values())[0]` is the head

@@ -1,4 +1,4 @@
-"""XPL213: A required input that is missing is silently replaced."""
+"""XPL213: A missing required input is silently replaced."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ _TEXT = Fix("advice", "read it with xpl.observation.get_instruction(obs, require
 
 @rule(code="XPL213", requirement="XPL-OBS-3")
 def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
-    """A required input that is missing is silently replaced.
+    """A missing required input is silently replaced.
 
     ## What it does
-    Leaves out each input that the manifest requires, one at a time: the whole of it, the share of one arm, the picture
-    of a camera that is listed, everything of its group. The answer must be an error that names what is missing. Without
-    a manifest, the cameras and states on which the action depends count as required; as nobody said so, that is a
-    warning.
+    Leaves out each input that the manifest requires, one at a time: the whole of it, the values of one arm, the image
+    of a declared camera, everything of its group. The result must be an error that names what is missing. Without a
+    manifest, the cameras and states on which the action depends count as required; since they are not declared, that is
+    a warning.
 
     ## Why it matters
-    A black image in place of a camera that is unplugged or named otherwise gives plausible motion and a low score;
-    nobody looks for the cause in the wiring.
+    A black image in place of a camera that is unplugged or has another name gives plausible motion and a low score; the
+    cause is hard to find.
 
     ## Example
     `image = vision.get("cam_left_wrist", np.zeros((480, 640, 3)))`
 
     ## Use instead
-    `xpl.observation.get_image(obs, "cam_left_wrist")`, which says what is there.
+    `xpl.observation.get_image(obs, "cam_left_wrist")`, whose error lists the cameras of the observation.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL250: A setting that is null is not treated as one that was left out."""
+"""XPL250: A setting that is null is not treated like one that is left out."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ _MOST = 8
 
 @rule(code="XPL250", requirement="XPL-CFG-6")
 def null_means_absent(configurations: Configurations) -> Iterator[Finding]:
-    """A setting that is null is not treated as one that was left out.
+    """A setting that is null is not treated like one that is left out.
 
     ## What it does
-    Serves the adapter with its own keys of deploy.yml left out, and with null in their place, and compares the
-    episodes. Where they differ, the first eight keys are tried one by one. Keys that cannot be left out are left alone.
+    Serves the adapter without its own keys of deploy.yml, and with null in their place, and compares the episodes. If
+    they differ, the first eight keys are tried one by one. Required keys are skipped.
 
     ## Why it matters
-    null in deploy.yml means not given: the template and launchers write it for what they leave open. The default in the
-    code then does not apply, and the model fails or acts otherwise.
+    null in deploy.yml means not set: the template and launchers write it for open settings. The default in the code
+    then does not apply, and the model fails or acts differently.
 
     ## Example
-    `config.get("horizon", 16)`, which is None where deploy.yml says `horizon: null`.
+    `config.get("horizon", 16)`, which is None if deploy.yml has `horizon: null`.
 
     ## Use instead
     `self.setting("horizon", 16)`.

@@ -1,4 +1,4 @@
-"""XPL226: The adapter changes an observation that it was shown."""
+"""XPL226: The adapter changes an observation that it got."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _SHOWN = 4
 
 @rule(code="XPL226", requirement="XPL-OBS-5")
 def observation_intact(rehearsal: Rehearsal) -> Iterator[Finding]:
-    """The adapter changes an observation that it was shown.
+    """The adapter changes an observation that it got.
 
     ## What it does
-    Plays episodes in a process without a server that hands the adapter arrays which may be written to, and compares
-    every observation before and after every operation, also those that were shown earlier.
+    Runs episodes in a process without a server, passes the adapter writable arrays, and compares every observation
+    before and after every operation, also earlier ones.
 
     ## Why it matters
-    On the wire arrays are read-only, so that such an adapter fails, or writes into shared memory behind numpy's
-    back. In one process it changes the benchmark's own data: what is logged is not what the robot saw.
+    Arrays from the wire are read-only, so such an adapter fails, or writes into shared memory behind numpy's back. In
+    one process it changes the benchmark's own data: the logged observation is not what the robot observed.
 
     ## Example
     `obs["state"]["left_arm_joint_state"] /= np.pi`

@@ -16,19 +16,19 @@ def own_instruction(probe: Probe) -> Iterator[Finding]:
     """An environment follows the instruction of another one.
 
     ## What it does
-    Shows two environments that differ in nothing but their instructions, and then changes the instruction of one of
-    them. The other one must act as before; and where an instruction steers the first environment, it must steer the
-    second.
+    Sends observations of two environments that differ only in their instructions, and then changes the instruction of
+    one of them. The actions of the other one must not change; and if an instruction affects the first environment, it
+    must affect the second.
 
     ## Why it matters
-    In a batch of several tasks every robot then carries out the task of the first one. Nothing crashes, and tasks
-    that look alike still succeed.
+    In a batch of several tasks every robot then executes the task of the first one. Nothing crashes, and similar tasks
+    still succeed.
 
     ## Example
     `prompt = obs_list[0]["instruction"]` for the whole batch.
 
     ## Use instead
-    Read the instruction in `encode`, which sees one environment at a time.
+    Read the instruction in `encode`, which gets one environment at a time.
 
     ## Fix safety
     No automatic fix.

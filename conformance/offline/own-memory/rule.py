@@ -18,12 +18,12 @@ def own_memory(rehearsal: Rehearsal) -> Iterator[Finding]:
     """An action shares memory with an observation.
 
     ## What it does
-    Plays episodes in a process without a server and looks whether any array of an answer lies in the memory of an
+    Runs episodes in a process without a server and checks whether any array of an action shares memory with an
     observation.
 
     ## Why it matters
-    In one process an action that is clipped or scaled in place changes the observation that it came from, and the
-    next observation, written into the same buffer, changes an action that is still being executed.
+    In one process an action that is clipped or scaled in place changes the observation that it came from, and the next
+    observation, written into the same buffer, changes an action that is still being executed.
 
     ## Example
     `return [{"left_arm_joint_state": obs["state"]["left_arm_joint_state"]}]` to hold the pose.

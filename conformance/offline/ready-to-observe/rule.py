@@ -1,4 +1,4 @@
-"""XPL254: A new model fails on its first observation unless it is reset before."""
+"""XPL254: A new model fails on an observation before its first reset."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL254", requirement="XPL-EPI-7")
 def ready_to_observe(probe: Probe) -> Iterator[Finding]:
-    """A new model fails on its first observation unless it is reset before.
+    """A new model fails on an observation before its first reset.
 
     ## What it does
-    Shows a model that was just built an observation and asks it for actions, without a reset before.
+    Sends an observation to a newly constructed model and calls `get_action`, without a reset before.
 
     ## Why it matters
-    After a restart the first thing that reaches a server may be an observation, and tools that try an adapter once
-    begin with one. The error they get is about an attribute, not about what is missing.
+    After a restart the first request to a server may be an observation, and tools that try an adapter once start with
+    one. Their error is about an attribute, and does not say what is missing.
 
     ## Example
     `self.queue = deque()` in `reset` only, and `self.queue.append(...)` in `update_obs`.
@@ -27,7 +27,7 @@ def ready_to_observe(probe: Probe) -> Iterator[Finding]:
     Call `self.reset()` at the end of the constructor.
 
     ## Fix safety
-    Calling `reset` at the end of construction is safe where it needs nothing else.
+    Safe if `reset` needs nothing that is set later.
     """
     probe.ready()
     with probe.fresh_session() as policy:

@@ -1,4 +1,4 @@
-"""XPL246: The server says that it is ready before the model is."""
+"""XPL246: The server reports that it is ready before the model is."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ _TIMES, _LONGER_S = 10.0, 2.0
 
 @rule(code="XPL246", requirement="XPL-SRV-10", profile="full")
 def ready_when_said(service: Service) -> Iterator[Finding]:
-    """The server says that it is ready before the model is.
+    """The server reports that it is ready before the model is.
 
     ## What it does
-    Compares the first answer after the server was ready with the later ones: it must not take both ten times as long
-    and two seconds longer.
+    Compares the time of the first action after the server was ready with the later ones: it must not be both ten times
+    as long and two seconds longer.
 
     ## Why it matters
-    The first episode of every run pays for it: the robot stands still in the middle of a control loop, and a client
-    with a short deadline gives up.
+    It delays the first episode of every run: the robot stands still in the middle of a control loop, and a client with
+    a short deadline gives up.
 
     ## Example
-    The weights are read, or the model is compiled, at the first `get_action`.
+    The weights are loaded, or the model is compiled, at the first `get_action`.
 
     ## Use instead
-    Do it in `load`: build the model, and let it answer one made-up observation where it compiles itself.
+    Do it in `load`: build the model, and run one inference on a made-up observation if the model compiles itself.
 
     ## Fix safety
     No automatic fix.

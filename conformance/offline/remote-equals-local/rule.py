@@ -1,4 +1,4 @@
-"""XPL255: The adapter acts differently when it is served."""
+"""XPL255: The adapter's actions differ when it is served."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ _ASKING = (sdk.Method.GET_ACTION, sdk.Method.GET_ACTION_BATCH)
 
 @rule(code="XPL255", requirement="XPL-SRV-11", compares=True)
 def remote_equals_local(probe: Probe) -> Iterator[Finding]:
-    """The adapter acts differently when it is served.
+    """The adapter's actions differ when it is served.
 
     ## What it does
-    Plays an episode of one environment and one of a batch twice: on the model itself, in a process of the adapter's
+    Runs an episode of one environment and one of a batch twice: on the model itself, in a process of the adapter's
     interpreter without server and client, and through the server, packed, packed in shared memory, and as plain
-    msgpack. Every action has to agree to the last bit.
+    msgpack. Every action has to be equal to the last bit.
 
     ## Why it matters
-    A policy is developed and measured in one process, and evaluated through a server. If it acts differently there,
+    A policy is developed and measured in one process, and evaluated through a server. If its actions differ there,
     neither result holds for the other.
 
     ## Example
-    Normalising `obs["state"]` in place inside a `try`: arrays that came over the wire are read-only, the exception is
-    passed over, and the served model is given raw values.
+    Normalising `obs["state"]` in place inside a `try`: arrays from the wire are read-only, the exception is ignored,
+    and the served model gets raw values.
 
     ## Use instead
-    Read values, dtypes and shapes of an observation, and nothing about how its arrays lie in memory; write to copies.
+    Rely on values, dtypes and shapes of an observation, not on the memory layout of its arrays; write to copies.
 
     ## Fix safety
     No automatic fix.

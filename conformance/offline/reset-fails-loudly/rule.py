@@ -1,4 +1,4 @@
-"""XPL224: A reset that fails passes for one that worked."""
+"""XPL224: A failed reset is reported as successful."""
 
 from __future__ import annotations
 
@@ -12,21 +12,20 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL224", requirement="XPL-EPI-4")
 def reset_fails_loudly(rehearsal: Rehearsal) -> Iterator[Finding]:
-    """A reset that fails passes for one that worked.
+    """A failed reset is reported as successful.
 
     ## What it does
-    In a process of its own, has each part that reset calls (methods `reset*` and `clear*` of the model and of its
+    In a separate process, makes each part that reset calls (methods `reset*` and `clear*` of the model and of its
     attributes) fail, one at a time, and resets. The reset must fail, too.
 
     ## Why it matters
-    The next episode would begin with the state of the last one, and nobody would know: the client was told that all
-    is well.
+    The next episode would start with the state of the previous one, unnoticed: the client got no error.
 
     ## Example
     `try: self.model.reset()` with `except Exception: pass`
 
     ## Use instead
-    Let the exception pass. The server tells the client, and the client stops.
+    Let the exception pass. The server reports it to the client, and the client stops.
 
     ## Fix safety
     No automatic fix.

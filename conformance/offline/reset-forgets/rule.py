@@ -1,4 +1,4 @@
-"""XPL208: An episode depends on the one before it."""
+"""XPL208: An episode depends on the previous one."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from xpl_cli.audit.served.session import Session
 
 @rule(code="XPL208", requirement="XPL-EPI-1", compares=True)
 def reset_forgets(probe: Probe) -> Iterator[Finding]:
-    """An episode depends on the one before it.
+    """An episode depends on the previous one.
 
     ## What it does
-    Plays the same episode after different ones and compares it: after another scene of other length in another
+    Runs the same episode after different ones and compares it: after another scene of other length in another
     environment; after a longer one in the same environment with the same instruction; after the same scene with other
-    pictures, and with another state; after a batch. So a cache is found by whatever it is keyed by. The first two are
-    played in servers of their own. A policy that seeds each episode by its number passes.
+    images, and with another state; after a batch. So a cache is found whatever its key is. The first two run in
+    separate servers. A policy that seeds each episode by its number passes.
 
     ## Why it matters
-    The first episode of a run is then the only comparable one; success rates depend on the order of the tasks.
+    Only the first episode of a run is then comparable; success rates depend on the order of the tasks.
 
     ## Example
-    reset clears the observation buffer and forgets the queue of the actions still to be executed.
+    reset clears the observation buffer but not the queue of remaining actions.
 
     ## Use instead
     Keep all episode state in the base class, or clear it in `reset_env`, which is called for every environment.

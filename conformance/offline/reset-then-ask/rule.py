@@ -1,4 +1,4 @@
-"""XPL209: After reset the adapter still answers from the last episode."""
+"""XPL209: After reset the adapter still returns actions of the previous episode."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL209", requirement="XPL-EPI-3")
 def reset_then_ask(probe: Probe) -> Iterator[Finding]:
-    """After reset the adapter still answers from the last episode.
+    """After reset the adapter still returns actions of the previous episode.
 
     ## What it does
-    Shows an observation, resets, and asks for an action without showing a new one; once alone, once in a batch.
+    Sends an observation, resets, and calls `get_action` without a new observation; once for one environment, once for a
+    batch.
 
     ## Why it matters
-    A client that asks too early would move the robot by what it saw in another episode. It must fail instead.
+    A client that calls `get_action` too early would move the robot by an observation of another episode. It must get an
+    error instead.
 
     ## Example
-    reset clears the action queue and keeps `self.obs`.
+    reset clears the action queue but not `self.obs`.
 
     ## Use instead
     Clear the observations in reset, or derive from `xpl.Policy`.

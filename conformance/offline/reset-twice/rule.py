@@ -1,4 +1,4 @@
-"""XPL210: Resetting twice changes the episode."""
+"""XPL210: A second reset changes the episode."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL210", requirement="XPL-EPI-2", compares=True)
 def reset_twice(probe: Probe) -> Iterator[Finding]:
-    """Resetting twice changes the episode.
+    """A second reset changes the episode.
 
     ## What it does
     Compares the first action after one reset with the first action after two, each in a fresh server.
 
     ## Why it matters
-    Some benchmark clients reset before and inside the evaluation loop. If seeds or episode counters advance with
-    reset, two benchmarks that should agree do not.
+    Some benchmark clients reset before and inside the evaluation loop. If seeds or episode counters advance with reset,
+    results of two benchmarks differ that should be equal.
 
     ## Example
     `self.episode += 1` in reset, with a seed that depends on it.

@@ -1,4 +1,4 @@
-"""XPL214: Two runs with one seed act differently."""
+"""XPL214: Two runs with one seed give different actions."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL214", requirement="XPL-CFG-2")
 def seed_repeats(configurations: Configurations) -> Iterator[Finding]:
-    """Two runs with one seed act differently.
+    """Two runs with one seed give different actions.
 
     ## What it does
-    Plays the same episode in two fresh servers with seed 0, and in two with seed 7.
+    Runs the same episode in two fresh servers with seed 0, and in two with seed 7.
 
     ## Why it matters
     A result that cannot be repeated cannot be compared. Seed 0 is the usual default, and the one that `seed or 42`
-    loses.
+    replaces.
 
     ## Example
-    `np.random.normal()` from the process-wide generator, which nobody seeds.
+    `np.random.normal()` from the process-wide generator, which is not seeded.
 
     ## Use instead
     `self.rng(env)`, or seed the framework's generators from `self.seed`; declare `deterministic: false` if neither is

@@ -13,15 +13,15 @@ def serves(probe: Probe) -> Iterator[Finding]:
     """The policy cannot be served.
 
     ## What it does
-    Starts the real policy server on the adapter, in its own interpreter, and waits until the model is loaded. Where a
+    Starts the real policy server on the adapter, in its own interpreter, and waits until the model is loaded. If a
     third-party module or the checkpoint is missing, an adapter of xpl.Policy is served without its model (shadow mode);
-    any other is reported as not run, with what is missing: it says nothing about the adapter.
+    any other is reported as not run, with what is missing: that is no fault of the adapter.
 
     ## Why it matters
     A benchmark that queues for hours and then cannot load the policy has measured nothing.
 
     ## Example
-    `self.horizon = config["horizon"]`, where deploy.yml has no such key: a KeyError in the server, a timeout in the
+    `self.horizon = config["horizon"]`, although deploy.yml has no such key: a KeyError in the server, a timeout in the
     client.
 
     ## Use instead

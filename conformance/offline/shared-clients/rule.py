@@ -39,22 +39,22 @@ def shared_clients(probe: Probe) -> Iterator[Finding]:
     """Clients that share the model influence each other.
 
     ## What it does
-    For an adapter that declares `serving: {shared: true}`: lets two clients play two episodes each, first alone on a
-    server of its own, then together on one server in turns, so that each is observed and resets in the middle of the
-    other's episodes. Every answer is compared.
+    For an adapter that declares `serving: {shared: true}`: two clients run two episodes each, first alone on a server
+    of their own, then together on one server in turns, so that each one observes and resets in the middle of the
+    other's episodes. Every action is compared.
 
     ## Why it matters
-    Clients that share a model belong to different evaluations. If one's reset or observation reaches another, results
-    depend on what else ran on the server at the time, and nobody can repeat them.
+    Clients that share a model belong to different evaluations. If one's reset or observation affects another, results
+    depend on what else ran on the server at the time, and cannot be reproduced.
 
     ## Example
-    `reset_envs(env_idx_list)` that forgets every environment, or `self.batch = obs_list`, which the next client
-    overwrites before the first one asks for its action.
+    `reset_envs(env_idx_list)` that clears every environment, or `self.batch = obs_list`, which the next client
+    overwrites before the first one calls `get_action`.
 
     ## Use instead
-    `xpl.Policy` keeps observations, history and generators per environment, and no two clients have an environment
-    number in common. Keep state of a library in a map by environment and drop single entries in `reset_env(env)`; or
-    leave `serving` out, and each client gets a model of its own.
+    `xpl.Policy` keeps observations, history and generators per environment, and no two clients share an environment
+    number. Store state of a library in a dict by environment and drop single entries in `reset_env(env)`; or leave
+    `serving` out, and each client gets a model of its own.
 
     ## Fix safety
     No automatic fix.

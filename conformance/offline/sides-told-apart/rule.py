@@ -1,4 +1,4 @@
-"""XPL232: The arms of a robot are not told apart."""
+"""XPL232: The policy does not distinguish the arms of a robot."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ from xpl_cli.audit.served.probe import Probe, blame
 
 @rule(code="XPL232", requirement="XPL-OBS-7", profile="full")
 def sides_told_apart(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
-    """The arms of a robot are not told apart.
+    """The policy does not distinguish the arms of a robot.
 
     ## What it does
-    Of each state that the manifest requires: exchanges left and right, then changes that of the left arm alone and that
-    of the right arm alone, and looks whether the action changes. States that have no effect at all are left to
-    `inputs-matter`.
+    For each state that the manifest requires: swaps left and right, then changes the left arm alone and the right arm
+    alone, and checks that the action changes. `inputs-matter` reports states that have no effect at all.
 
     ## Why it matters
-    An arm whose state never reaches the model moves as if it were where the other one is.
+    An arm whose state never reaches the model moves as if it were in the pose of the other one.
 
     ## Example
-    `obs["state"]["left_arm_joint_state"]` twice, once with a forgotten edit.
+    `obs["state"]["left_arm_joint_state"]` twice, after a copy that was not edited.
 
     ## Use instead
     `xpl.observation.pack_state(obs, self.embodiment, self.action_type)`

@@ -16,15 +16,15 @@ def step_size(motions: Motions) -> Iterator[Finding]:
     """Consecutive actions of a chunk are farther apart than the robot can move.
 
     ## What it does
-    Compares each action step of a chunk with the one before. The robot has to be able to follow in one control step, at
-    the frequency that the manifest declares: by its joint speeds where these are known. Grippers may jump.
+    Compares each action step of a chunk with the previous one. The robot has to be able to follow in one control step,
+    at the frequency that the manifest declares: by its joint speeds if these are known. Grippers may jump.
 
     ## Why it matters
-    What cannot be followed is cut short, and the arm arrives somewhere else than the model planned. Either the chunk is
-    out of order, or the declared frequency is not the one that the model was trained at.
+    The robot executes only a part of a step that it cannot follow, and the arm arrives in another pose than the model
+    planned. Either the chunk is out of order, or the declared frequency is not the one that the model was trained at.
 
     ## Example
-    `actions[::4]` to "skip frames", where `control_frequency` stays 50.
+    `actions[::4]` to "skip frames", while `control_frequency` is still 50.
 
     ## Use instead
     The model's own rate as `control_frequency`, and every action step in its order.

@@ -1,4 +1,4 @@
-"""XPL249: A setting that is switched off by text stays on."""
+"""XPL249: A setting stays on if the string "false" switches it off."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ _MOST = 4
 
 @rule(code="XPL249", requirement="XPL-CFG-3")
 def text_as_flag(configurations: Configurations) -> Iterator[Finding]:
-    """A setting that is switched off by text stays on.
+    """A setting stays on if the string "false" switches it off.
 
     ## What it does
-    Serves the adapter with the text "false" in place of each of its own keys of deploy.yml that are true or false, and
-    with the value itself. An error is a good answer to text; the actions of `true` are not. At most four keys are
-    tried: each takes up to three servers.
+    Serves the adapter with the string "false" in place of each of its own boolean keys of deploy.yml, and with the
+    value itself. An error is a valid reaction to a string; the actions of `true` are not. At most four keys are tried:
+    each takes up to three servers.
 
     ## Why it matters
-    Launchers and shell scripts pass on text. The run does the opposite of what its log says.
+    Launchers and shell scripts pass strings. The run does the opposite of what its log says.
 
     ## Example
-    `if config["use_depth"]:`, where the text "false" is true like every text that is not empty.
+    `if config["use_depth"]:`, where the string "false" is true like every non-empty string.
 
     ## Use instead
-    `self.setting("use_depth", False)`, which refuses text where a flag is expected.
+    `self.setting("use_depth", False)`, which refuses a string where a flag is expected.
 
     ## Fix safety
     No automatic fix.

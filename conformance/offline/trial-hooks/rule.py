@@ -1,4 +1,4 @@
-"""XPL263: A hook raises, or what it leaves behind reaches the next trial."""
+"""XPL263: A hook raises an error, or affects the next trial."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ _HOOK: Final = {sdk.Message.PREPARE_CASE: sdk.Method.PREPARE_CASE, sdk.Message.T
 
 @rule(code="XPL263", requirement="XPL-EPI-1", compares=True)
 def trial_hooks(probe: Probe) -> Iterator[Finding]:
-    """A hook raises, or what it leaves behind reaches the next trial.
+    """A hook raises an error, or affects the next trial.
 
     ## What it does
-    In a server of its own, plays the same trial twice as benchmarks do: PREPARE_CASE, reset, an episode, TRIAL_END. The
-    hooks `prepare_case(case_meta)` and `on_trial_end(result)` are told what `xpl eval` tells them. Neither may raise,
-    and the second trial must equal the first one. A policy without hooks passes: it is never told.
+    In a separate server, runs the same trial twice as benchmarks do: PREPARE_CASE, reset, an episode, TRIAL_END. The
+    hooks `prepare_case(case_meta)` and `on_trial_end(result)` get the arguments that `xpl eval` passes. Neither may
+    raise, and the second trial must equal the first one. A policy without hooks passes.
 
     ## Why it matters
-    RoboTwin sends both for every episode, and `xpl eval` does. A hook that raises costs the episode; one that counts,
-    learns from results or lets go of the model makes each episode depend on those before it.
+    RoboTwin and `xpl eval` send both for every episode. A hook that raises ends the episode; one that counts, learns
+    from results or frees the model makes each episode depend on those before it.
 
     ## Example
     `def on_trial_end(self, result): del self.net`, or a `prepare_case` that reads a key which only one benchmark sends.
 
     ## Use instead
-    Take what is there with `case_meta.get(...)`, keep nothing in a hook that reset does not clear, and change nothing
+    Read what is there with `case_meta.get(...)`, store nothing in a hook that reset does not clear, and change nothing
     that actions are computed from.
 
     ## Fix safety

@@ -1,4 +1,4 @@
-"""XPL234: The actions depend on an input that the manifest does not name, or says is unused."""
+"""XPL234: The actions depend on an input that the manifest does not list, or lists as unused."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from xpl_cli.audit.served.probe import Probe
 
 @rule(code="XPL234", requirement="XPL-CFG-9", profile="full")
 def undeclared_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
-    """The actions depend on an input that the manifest does not name, or says is unused.
+    """The actions depend on an input that the manifest does not list, or lists as unused.
 
     ## What it does
-    Changes each input of the scripted observation, one at a time. Where the action changes, the manifest has to list
-    the input as required or optional.
+    Changes each input of the scripted observation, one at a time. If the action changes, the manifest has to list the
+    input as required or optional.
 
     ## Why it matters
-    A policy that is said not to read the instruction, and does, is compared with others that had less to go by. And an
-    environment leaves out what nobody declares.
+    A policy that is declared not to read the instruction, but does, has more information than the policies that it is
+    compared with. And an environment leaves out undeclared inputs.
 
     ## Example
     `unused: [vision.cam_head]`, left from the template, above an `encode` that reads that camera.

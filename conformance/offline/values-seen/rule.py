@@ -16,12 +16,12 @@ def values_seen(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """One joint or coordinate of a required state has no effect on the actions.
 
     ## What it does
-    Moves each joint, gripper and coordinate of the states that the manifest requires a little, one at a time, and looks
-    whether the action changes. States that have no effect at all are left to `inputs-matter`.
+    Changes each joint, gripper and coordinate of the states that the manifest requires a little, one at a time, and
+    checks that the action changes. `inputs-matter` reports states that have no effect at all.
 
     ## Why it matters
-    A state vector that is cut to the width of another robot leaves the model without the last joint; the arm moves as
-    if that joint stood still.
+    A state vector that is truncated to the dimensions of another robot lacks the last joint; the arm moves as if that
+    joint stood still.
 
     ## Example
     `state[:6]` for an arm of seven joints.

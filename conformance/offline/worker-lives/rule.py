@@ -1,4 +1,4 @@
-"""XPL243: The adapter's process ends, or breaks its link to the server, while it is asked."""
+"""XPL243: The adapter's process ends, or breaks its connection to the server, during a request."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from xpl_cli.audit.served.service import Service
 
 @rule(code="XPL243", requirement="XPL-SRV-5")
 def worker_lives(probe: Probe, service: Service) -> Iterator[Finding]:
-    """The adapter's process ends, or breaks its link to the server, while it is asked.
+    """The adapter's process ends, or breaks its connection to the server, during a request.
 
     ## What it does
-    Looks whether the process is still there after all that other rules asked of it. Serves the adapter once more, in a
-    new process, and asks it for eight chunks. Printing is fine, on every stream: the link is a
-    descriptor of its own.
+    Checks whether the process is still running after the requests of all other rules. Serves the adapter once more, in
+    a new process, and requests eight chunks. Printing is allowed, on every stream: the connection has a file descriptor
+    of its own.
 
     ## Why it matters
-    The server has nothing left to ask. Every environment that waits for an answer loses its episode, and the trial
-    counts for nothing.
+    The server has no model left. Every environment that waits for an action loses its episode, and the trial does not
+    count.
 
     ## Example
-    `os.closerange(3, 256)`, which a recipe for background processes calls for; `sys.exit` in a thread's place,
-    `os._exit`; more memory than the machine has.
+    `os.closerange(3, 256)`, as in a recipe for background processes; `sys.exit` instead of ending a thread, `os._exit`;
+    more memory than the machine has.
 
     ## Use instead
-    Leave descriptors alone that the adapter has not opened. Raise what went wrong: the client is told, and the process
-    lives on.
+    Leave file descriptors open that the adapter has not opened. Raise errors: the server reports them to the client,
+    and the process continues.
 
     ## Fix safety
     No automatic fix.

@@ -33,7 +33,7 @@ def trajectory_names(source: Source) -> Iterator[Finding]:
     The keys that `xpl spec show trajectory` lists.
 
     ## Fix safety
-    Unsafe: replaces the key by that of the standard.
+    Safe: replaces the key by that of the standard.
     """
     if not source.conversion_files:
         raise NotApplicable("the adapter converts no data")
