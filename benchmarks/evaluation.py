@@ -20,14 +20,14 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from xpl_cli.evaluation.lanes.backend import Job, Room
-from xpl_cli.evaluation.lanes.backends import make
-from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.rollout.backend import BackendConfig, RolloutJob
+from xpl_cli.evaluation.rollout.backends import make_backend
+from xpl_cli.evaluation.rollout.config import Runtime
 from xpl_cli.evaluation.runs import evaluate, plan, runner
 from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.evaluation.runs.schedule import Schedule
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import environments, package
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -73,8 +73,8 @@ class _Suite:
         self.episodes = episodes
         self._folder = folder
         self._runs = 0
-        orders = evaluate.orders(adapter, environment, self.plan, Runtime(), Bounds())
-        self._backends = {lanes: make(Room(lanes=lanes), *orders, episodes) for lanes in (1, 2)}
+        orders = evaluate.orders(adapter, environment, self.plan, Runtime(), IsolationSettings())
+        self._backends = {lanes: make_backend(BackendConfig(lanes=lanes), *orders, episodes) for lanes in (1, 2)}
 
     def __enter__(self) -> Self:
         for lanes in self._backends:
@@ -88,7 +88,7 @@ class _Suite:
     def play(self, lanes: int = 1) -> _Took:
         """Play without a record."""
         slots = self.plan.slots()
-        jobs = [Job(slot.index, 1, slot.task, slot.setting, slot.seed, trace=False) for slot in slots]
+        jobs = [RolloutJob(slot.index, 1, slot.task, slot.setting, slot.seed, trace=False) for slot in slots]
         began = _now()
         lines = list(runner.replay(self.plan, jobs, self._backends[lanes]))
         took = _since(began)

@@ -225,7 +225,7 @@ def _episode(  # noqa: PLR0913, PLR0917 - private
                     break
                 show()
     except Exception as raised:  # as RoboTwin: what the policy's side raises is a failure of the episode
-        if isinstance(raised, ClientError) and raised.spoils_trial:
+        if isinstance(raised, ClientError) and raised.is_infrastructure_error:
             raise
         error = f"{type(raised).__name__}: {raised}"
     success = bool(task.eval_success)

@@ -18,9 +18,9 @@ from tests.support.recordings.runs import episode, planned
 from xpl import trajectory
 from xpl_cli.basics.errors import UserError
 from xpl_cli.environments import check
-from xpl_cli.evaluation.lanes import orders, recorder
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.model import PlannedCell
+from xpl_cli.evaluation.rollout import config, trajectory_recorder
 from xpl_cli.evaluation.runs import collect, plan
 from xpl_cli.packages import environments
 
@@ -76,9 +76,9 @@ def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path
     }
     for index, failure in enumerate(failures):
         if failure is None:
-            (tmp_path / recorder.file_of(index)).write_bytes(b"12345")
+            (tmp_path / trajectory_recorder.file_name(index)).write_bytes(b"12345")
     line = planned(cells=[PlannedCell("lift", "clean", None, range(5), frozen=False)])
-    request = collect.Request("E", orders.Demos(str(tmp_path), orders.SUCCESS), episodes=2)
+    request = collect.Request("E", config.RecordingConfig(str(tmp_path), config.SUCCESS), episodes=2)
     told = collect._summary(records.Run(tmp_path / "run", line, finals=lines), request, "P", 1.0)
     assert told.tasks == [collect.TaskSet("lift", "clean", 2, wanted=2, tried=4, discarded=1, spoilt=1, steps=14)]
     assert (told.bytes, [path.name for path in tmp_path.glob("*.hdf5")].count("episode_0000004.hdf5")) == (10, 0)

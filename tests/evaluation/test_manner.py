@@ -12,12 +12,12 @@ from tests.support.adapters import drill
 from tests.support.peer import xpl
 from tests.support.recordings.runs import planned
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.backend import Job
-from xpl_cli.evaluation.lanes.retold import retold
 from xpl_cli.evaluation.records import manner, records
 from xpl_cli.evaluation.records.manner import Manner
+from xpl_cli.evaluation.rollout.backend import RolloutJob
+from xpl_cli.evaluation.rollout.instruction import with_instruction
 from xpl_cli.evaluation.statistics.matching import differences
-from xpl_cli.serving.launch import serving
+from xpl_cli.serving.launch import running_server
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,7 +43,7 @@ BATCH = """
 @pytest.fixture(scope="module")
 def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Serve the drill's adapter from a folder that nobody else knows, to who has a token; return its address."""
-    with serving(drill.adapter(tmp_path_factory.mktemp("elsewhere")), {}, token=TOKEN) as server:
+    with running_server(drill.adapter(tmp_path_factory.mktemp("elsewhere")), {}, token=TOKEN) as server:
         yield server.url
 
 
@@ -133,7 +133,9 @@ def test_a_policy_is_told_what_another_episode_is_about(room: Path) -> None:
 def test_other_words_depend_on_the_seed_alone(instead: str, told: list[str]) -> None:
     """Each episode is told what the next one is told that is about something else; all else stays as it is."""
     env = _Told(["lift the red one", "lift the red one", "lift the blue one", "lift the red one"])
-    other = retold(env, instead, [Job(0, 1, "pick", "clean", 1), Job(1, 1, "pick", "clean", 2)], 2)
+    other = with_instruction(
+        env, instead, [RolloutJob(0, 1, "pick", "clean", 1), RolloutJob(1, 1, "pick", "clean", 2)], 2
+    )
     env.reset([1, 2])
     assert [obs["instruction"] for obs in other.get_obs_batch()] == told
     assert [obs["state"] for obs in other.get_obs_batch([1])] == [2]
@@ -143,7 +145,7 @@ def test_other_words_depend_on_the_seed_alone(instead: str, told: list[str]) -> 
 
 def test_where_all_episodes_are_told_the_same_nothing_is_swapped() -> None:
     with pytest.raises(UserError, match=r"pick, clean: episodes of the next 30 seeds are told nothing else"):
-        retold(_Told(["lift it"]), manner.SWAP, [Job(0, 1, "pick", "clean", 1)], 1)
+        with_instruction(_Told(["lift it"]), manner.SWAP, [RolloutJob(0, 1, "pick", "clean", 1)], 1)
 
 
 class _Told:

@@ -13,35 +13,35 @@ import xpl_cli
 from tests.support.adapters import drill
 from tests.support.peer import xpl
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.evaluation.lanes.backend import Job, Outcome
-from xpl_cli.evaluation.lanes.orders import Runtime
-from xpl_cli.evaluation.lanes.ray_actors import Player, Post, Refusal
 from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.rollout.backend import RolloutJob, RolloutResult
+from xpl_cli.evaluation.rollout.config import Runtime
+from xpl_cli.evaluation.rollout.ray_actors import ActorInfo, Refusal, RolloutActor
 from xpl_cli.evaluation.runs import evaluate, plan
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from xpl_cli.evaluation.lanes.orders import Orders
-    from xpl_cli.evaluation.lanes.servers import ServerOrders
+    from xpl_cli.evaluation.rollout.config import RolloutConfig
+    from xpl_cli.evaluation.rollout.servers import ServerConfig
 
-JOB = Job(0, 1, "hold", "clean", 0)
+JOB = RolloutJob(0, 1, "hold", "clean", 0)
 
 
 @pytest.fixture
-def orders(tmp_path: Path) -> tuple[Orders, ServerOrders]:
+def orders(tmp_path: Path) -> tuple[RolloutConfig, ServerConfig]:
     """Return what lanes and servers of a run are told."""
     environment, adapter = drill.environment(tmp_path), package.load(drill.adapter(tmp_path))
     line = plan.make(adapter, environment, adapter.config({}), plan.Wishes()).plan
-    return evaluate.orders(adapter, environment, line, Runtime(), Bounds())
+    return evaluate.orders(adapter, environment, line, Runtime(), IsolationSettings())
 
 
 @pytest.fixture
-def player(orders: tuple[Orders, ServerOrders]) -> Iterator[Player]:
+def player(orders: tuple[RolloutConfig, ServerConfig]) -> Iterator[RolloutActor]:
     """Return a lane with a server of its own; both are ended, which Ray would do by ending its process."""
-    player = Player(xpl_cli.__version__, *orders, number=3, token=None)
+    player = RolloutActor(xpl_cli.__version__, *orders, number=3, token=None)
     yield player
     if player._lane is not None:
         player._lane.close()
@@ -50,10 +50,10 @@ def player(orders: tuple[Orders, ServerOrders]) -> Iterator[Player]:
 
 
 @pytest.mark.slow
-def test_a_lane_with_a_server_of_its_own_plays_and_starts_it_again(player: Player, tmp_path: Path) -> None:
+def test_a_lane_with_a_server_of_its_own_plays_and_starts_it_again(player: RolloutActor, tmp_path: Path) -> None:
     """An attempt in which the policy's process ended is an outcome; the next one is played with a new server."""
     post = player.ready()
-    assert isinstance(post, Post)
+    assert isinstance(post, ActorInfo)
     assert post.worker.endswith("/3")
     assert player.ready() == post
     drill.mark(tmp_path, "policy-dies-0", 0)
@@ -68,14 +68,14 @@ def test_a_lane_with_a_server_of_its_own_plays_and_starts_it_again(player: Playe
     assert again.conduct.server != outcome.conduct.server
 
 
-def _played(player: Player) -> Outcome:
+def _played(player: RolloutActor) -> RolloutResult:
     outcome = player.play(JOB, None)
-    assert isinstance(outcome, Outcome)
+    assert isinstance(outcome, RolloutResult)
     return outcome
 
 
 @pytest.mark.parametrize("what", ["version", "adapter", "environment", "checkpoint"])
-def test_a_machine_with_something_else_is_refused(orders: tuple[Orders, ServerOrders], what: str) -> None:
+def test_a_machine_with_something_else_is_refused(orders: tuple[RolloutConfig, ServerConfig], what: str) -> None:
     """Whatever an episode's outcome follows from must be what the run was planned with."""
     lane, server = orders
     version = xpl_cli.__version__
@@ -87,14 +87,14 @@ def test_a_machine_with_something_else_is_refused(orders: tuple[Orders, ServerOr
         lane = replace(lane, environment=str(Path(lane.environment).parent / "nowhere"))
     else:
         server = replace(server, checkpoint_digest="0" * 64)
-    refusal = Player(version, lane, server, 0, None).ready()
+    refusal = RolloutActor(version, lane, server, 0, None).ready()
     assert isinstance(refusal, Refusal)
     assert refusal.error().code == ExitCode.NOT_RUN
     assert what in refusal.message or what == "version"
 
 
 @pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
-def test_without_ray_the_backend_says_how_to_get_it(orders: tuple[Orders, ServerOrders], tmp_path: Path) -> None:
+def test_without_ray_the_backend_says_how_to_get_it(orders: tuple[RolloutConfig, ServerConfig], tmp_path: Path) -> None:
     done = xpl("eval", "Drilled", "--env", "drill", "--out", "run", "--backend", "ray", cwd=tmp_path)
     assert done.returncode == ExitCode.NOT_RUN
     assert "pip install 'ray" in done.stderr

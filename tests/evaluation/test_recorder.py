@@ -9,10 +9,10 @@ import pytest
 
 from xpl import rollout, trajectory
 from xpl_cli.basics.errors import UserError
-from xpl_cli.evaluation.lanes.backend import Job
-from xpl_cli.evaluation.lanes.orders import ALL, SUCCESS, Demos, Orders, Settings
-from xpl_cli.evaluation.lanes.recorder import recorded
 from xpl_cli.evaluation.records.model import Ending
+from xpl_cli.evaluation.rollout.backend import RolloutJob
+from xpl_cli.evaluation.rollout.config import ALL, SUCCESS, EnvSettings, RecordingConfig, RolloutConfig
+from xpl_cli.evaluation.rollout.trajectory_recorder import recording
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -72,24 +72,24 @@ class Chunks:
         return chunks if isinstance(obs, list) else chunks[0]
 
 
-def _orders(folder: Path, keep: str = ALL, **told: bool) -> Orders:
-    settings = Settings("lift", "arx_x5", "joint", **told)
-    demos = Demos(str(folder), keep, privileged="privileged" in told)
-    return Orders("policy/P", "1" * 64, "envs/E", "2" * 64, {}, settings, demos=demos)
+def _orders(folder: Path, keep: str = ALL, **told: bool) -> RolloutConfig:
+    settings = EnvSettings("lift", "arx_x5", "joint", **told)
+    demos = RecordingConfig(str(folder), keep, privileged="privileged" in told)
+    return RolloutConfig("policy/P", "1" * 64, "envs/E", "2" * 64, {}, settings, demos=demos)
 
 
 def _line(*, success: bool = True, failure: str | None = None) -> Ending:
     return Ending(success=success, failure=failure, steps=4, score=float(success), end_reason="success")
 
 
-def _job(index: int) -> Job:
-    return Job(index, 1, "lift", "clean", 100 + index)
+def _job(index: int) -> RolloutJob:
+    return RolloutJob(index, 1, "lift", "clean", 100 + index)
 
 
 def test_every_step_has_what_was_seen_before_it_also_inside_a_chunk(tmp_path: Path) -> None:
     """A loop that does not look between the actions of a chunk changes nothing of what is kept."""
     env = Counting(4)
-    with recorded(env, _orders(tmp_path), [_job(7)], 10.0) as recorder:
+    with recording(env, _orders(tmp_path), [_job(7)], 10.0) as recorder:
         assert recorder is not None
         client = recorder.listen(Chunks())
         recorder.get_obs()
@@ -113,7 +113,7 @@ def test_what_a_simulator_tells_is_kept_where_asked_and_shown_to_none_that_may_n
 ) -> None:
     """The file is the same; a policy without `privileged` among its inputs sees what it always sees."""
     env = Counting(3)
-    with recorded(env, _orders(tmp_path, privileged=may_know), [_job(0)], 10.0) as recorder:
+    with recording(env, _orders(tmp_path, privileged=may_know), [_job(0)], 10.0) as recorder:
         assert recorder is not None
         assert ("privileged" in recorder.get_obs()) == may_know
         assert ("privileged" in recorder.get_obs_batch([0])[0]) == may_know
@@ -127,7 +127,7 @@ def test_what_a_simulator_tells_is_kept_where_asked_and_shown_to_none_that_may_n
 def test_a_batch_becomes_one_file_for_each_episode(tmp_path: Path) -> None:
     """They end one by one; places that play what nobody asked for leave nothing."""
     env = Counting(2, 5, 3)
-    with recorded(env, _orders(tmp_path), [_job(0), _job(1)], 25.0) as recorder:
+    with recording(env, _orders(tmp_path), [_job(0), _job(1)], 25.0) as recorder:
         assert recorder is not None
         rollout.run_batch(recorder, recorder.listen(Chunks()), horizon=2)
         recorder.keep([_line(), _line()])
@@ -148,7 +148,7 @@ def test_a_batch_becomes_one_file_for_each_episode(tmp_path: Path) -> None:
 )
 def test_only_episodes_that_are_wanted_leave_a_file(tmp_path: Path, keep: str, line: Ending, kept: bool) -> None:
     """Those that succeeded, or that were played to their end; never one that broke off."""
-    with recorded(Counting(2), _orders(tmp_path, keep), [_job(0)], 25.0) as recorder:
+    with recording(Counting(2), _orders(tmp_path, keep), [_job(0)], 25.0) as recorder:
         assert recorder is not None
         rollout.run_episode(recorder, recorder.listen(Chunks()))
         recorder.keep([line])
@@ -160,7 +160,7 @@ def test_what_cannot_be_kept_ends_the_run_and_is_no_fault_of_the_policy(tmp_path
     """The loop goes on undisturbed; the sentence comes when the episode has ended."""
     env = Counting(2)
     env.get_obs_batch = lambda *_: [{"state": {STATE[0]: np.zeros(1 + env._steps[0])}}]  # type: ignore[method-assign]
-    with recorded(env, _orders(tmp_path), [_job(0)], 25.0) as recorder:
+    with recording(env, _orders(tmp_path), [_job(0)], 25.0) as recorder:
         assert recorder is not None
         rollout.run_episode(recorder, recorder.listen(Chunks()))
         with pytest.raises(UserError, match=r"cannot be recorded.*step 1: expected \(1,\)"):

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from tests.support.examples import examples
 from tests.support.recordings.runs import synthetic
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.model import Conduct, Ending
 from xpl_cli.evaluation.records.records import RecordError, Writer
+from xpl_cli.evaluation.rollout.backend import RolloutJob, RolloutResult, lost_rollout
 from xpl_cli.evaluation.runs import runner
 from xpl_cli.evaluation.runs.schedule import Schedule
 
@@ -39,21 +39,23 @@ class Killed(Exception):  # noqa: N818 - no error, but what a test does
 class Script:
     """A backend in memory: a function tells what becomes of each job, and in which order they end."""
 
-    def __init__(self, lanes: int, answer: Callable[[Job], list[Outcome]], turn: Callable[[int], int]) -> None:
+    def __init__(
+        self, lanes: int, answer: Callable[[RolloutJob], list[RolloutResult]], turn: Callable[[int], int]
+    ) -> None:
         self.lanes = lanes
         self.answer = answer
         self.turn = turn
-        self.playing: list[Job] = []
-        self.played: list[Job] = []
+        self.playing: list[RolloutJob] = []
+        self.played: list[RolloutJob] = []
 
     def free(self) -> int:
         return self.lanes - len(self.playing)
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: RolloutJob) -> None:
         assert self.free() > 0
         self.playing.append(job)
 
-    def wait(self) -> list[Outcome]:
+    def wait(self) -> list[RolloutResult]:
         job = self.playing.pop(self.turn(len(self.playing)))
         self.played.append(job)
         return self.answer(job)
@@ -73,8 +75,8 @@ def _never(_outcomes: Sequence[bool | None]) -> bool:
     return False
 
 
-def _good(job: Job) -> list[Outcome]:
-    return [Outcome(job, GOOD, WHEN, {"processor": "x"})]
+def _good(job: RolloutJob) -> list[RolloutResult]:
+    return [RolloutResult(job, GOOD, WHEN, {"processor": "x"})]
 
 
 def _first(_count: int) -> int:
@@ -115,8 +117,8 @@ def test_nothing_is_written_through_a_link_of_a_run(name: str, plan: Plan, tmp_p
         (run / name).symlink_to(elsewhere)
     before = {path: path.read_bytes() for path in elsewhere.iterdir()}
 
-    def answer(job: Job) -> list[Outcome]:
-        return [Outcome(job, GOOD, WHEN, {"processor": "x"}, b"curves", b"film")]
+    def answer(job: RolloutJob) -> list[RolloutResult]:
+        return [RolloutResult(job, GOOD, WHEN, {"processor": "x"}, b"curves", b"film")]
 
     with pytest.raises(RecordError, match=f"{name}.* cannot be written"):
         _play(run, plan, Script(1, answer, _first))
@@ -129,7 +131,9 @@ def test_a_file_of_a_run_that_is_a_link_is_replaced(plan: Plan, tmp_path: Path) 
     (tmp_path / "kept").write_text("somebody's")
     (tmp_path / "traces").mkdir()
     (tmp_path / "traces" / "0.npz").symlink_to(tmp_path / "kept")
-    _play(tmp_path, plan, Script(1, lambda job: [Outcome(job, GOOD, WHEN, {"processor": "x"}, b"curves")], _first))
+    _play(
+        tmp_path, plan, Script(1, lambda job: [RolloutResult(job, GOOD, WHEN, {"processor": "x"}, b"curves")], _first)
+    )
     assert (tmp_path / "kept").read_text() == "somebody's"
     assert (tmp_path / "traces" / "0.npz").read_bytes() == b"curves"
 
@@ -137,8 +141,8 @@ def test_a_file_of_a_run_that_is_a_link_is_replaced(plan: Plan, tmp_path: Path) 
 def test_a_spoilt_attempt_is_played_again_after_others_and_within_a_bound(plan: Plan, tmp_path: Path) -> None:
     """What fails for good is final as a failure of the infrastructure; attempts are counted from 1."""
 
-    def answer(job: Job) -> list[Outcome]:
-        return [lost(job, "gone")] if job.index == 1 else _good(job)
+    def answer(job: RolloutJob) -> list[RolloutResult]:
+        return [lost_rollout(job, "gone")] if job.index == 1 else _good(job)
 
     backend = Script(1, answer, _first)
     run = _play(tmp_path, plan, backend)
@@ -154,7 +158,7 @@ def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: Plan, tmp_path
     cells = [replace(cell, seeds=list(range(20))) for cell in plan.cells]
     long = replace(plan, cells=cells).named()
     with pytest.raises(UserError, match="12 attempts in a row") as caught:
-        _play(tmp_path, long, Script(3, lambda job: [lost(job, "gone")], _first))
+        _play(tmp_path, long, Script(3, lambda job: [lost_rollout(job, "gone")], _first))
     assert caught.value.code == ExitCode.NOT_RUN
     assert not records.read(tmp_path).finals
     assert len(_play(tmp_path, long, Script(3, _good, _first)).finals) == 40
@@ -165,10 +169,10 @@ def test_many_lanes_that_are_lost_at_once_are_no_outage(plan: Plan, tmp_path: Pa
     cells = [replace(cell, seeds=list(range(40))) for cell in plan.cells]
     lost_once = Counter[int]()
 
-    def answer(job: Job) -> list[Outcome]:
+    def answer(job: RolloutJob) -> list[RolloutResult]:
         if job.index in range(1, 17) and not lost_once[job.index]:
             lost_once[job.index] += 1
-            return [lost(job, "node died")]
+            return [lost_rollout(job, "node died")]
         return _good(job)
 
     run = _play(tmp_path, replace(plan, cells=cells).named(), Script(17, answer, _first))
@@ -210,15 +214,15 @@ def test_whatever_happens_each_episode_is_final_once(
     """Lanes die, outcomes come twice or late, the run is killed and resumed: nothing is counted twice or missing."""
     folder = tmp_path / "run"
     shutil.rmtree(folder, ignore_errors=True)
-    old: list[Outcome] = []
+    old: list[RolloutResult] = []
 
-    def answer(job: Job) -> list[Outcome]:
+    def answer(job: RolloutJob) -> list[RolloutResult]:
         what = data.draw(st.sampled_from(["good", "good", "lost", "twice", "late", "killed"]))
         if what == "killed":
             raise Killed
         if what == "lost":
             old.extend(_good(job))
-            return [lost(job, "gone")]
+            return [lost_rollout(job, "gone")]
         return [*(old if what == "late" else ()), *_good(job), *(_good(job) if what == "twice" else ())]
 
     for _ in range(200):

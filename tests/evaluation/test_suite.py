@@ -21,11 +21,11 @@ from tests.support.adapters import drill
 from tests.support.peer import MARK, processes, wait_until, xpl
 from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.backend import Room
 from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.rollout.backend import BackendConfig
 from xpl_cli.evaluation.runs import evaluate, plan
 from xpl_cli.evaluation.statistics import summary
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import package
 from xpl_cli.standard.validate import validate
 
@@ -88,7 +88,7 @@ def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
     assert [line.success for line in run.finals.values()] == [seed in drill.WINS for seed in range(4)] * 2
     assert [line.failure for line in run.finals.values()] == [None, None, "task", None] * 2
     assert len({line.worker for line in run.finals.values()}) == 2
-    assert {line.containment for line in run.finals.values()} == {Bounds.here(ROOT, isolate=False).name}
+    assert {line.containment for line in run.finals.values()} == {IsolationSettings.here(ROOT, isolate=False).name}
     assert [index for index, line in run.finals.items() if line.film] == [0, 4]
     for line in run.finals.values():
         for file in filter(None, (line.trace, line.film)):
@@ -171,7 +171,7 @@ def _request(place: Path, wishes: plan.Wishes | None, **more: Any) -> evaluate.R
     [
         ({"wishes": plan.Wishes(tasks="hold,fold")}, "no task 'fold'"),
         ({"wishes": plan.Wishes(tasks="hold,hold")}, "twice"),
-        ({"wishes": plan.Wishes(), "room": Room("cloud")}, "local, ray"),
+        ({"wishes": plan.Wishes(), "room": BackendConfig("cloud")}, "local, ray"),
         ({"wishes": plan.Wishes(), "overrides": {"env_cfg_type": "piper_single"}}, "has no piper_single"),
     ],
 )
@@ -257,7 +257,7 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_table(room: Pat
 
 
 def _lanes(mark: str) -> list[int]:
-    return [pid for pid, line in processes(mark).items() if "lanes.process" in line]
+    return [pid for pid, line in processes(mark).items() if "rollout.worker_process" in line]
 
 
 def _servers(mark: str) -> list[int]:

@@ -22,9 +22,9 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
-from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.fingerprints import Checkpoint
+from xpl_cli.evaluation.rollout.config import Runtime
 from xpl_cli.evaluation.runs import evaluate
 from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.lifecycle.checkpoints import fetch, specification

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl import json_text
 from xpl.arms.people import ANSWER, DESK, QUESTION, understood
 from xpl_cli.basics import console
-from xpl_cli.basics.strangers import one_line
+from xpl_cli.basics.untrusted import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,12 +11,12 @@ from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
-from xpl_cli.evaluation.lanes.backend import Job
-from xpl_cli.evaluation.lanes.local import LocalBackend, shared
-from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records import fingerprints
+from xpl_cli.evaluation.rollout.backend import RolloutJob
+from xpl_cli.evaluation.rollout.config import Runtime
+from xpl_cli.evaluation.rollout.local_backend import LocalBackend, assign_servers
 from xpl_cli.evaluation.runs import evaluate, runner
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.lifecycle.checkpoints import fetch, specification
 from xpl_cli.packages import environments, package, robots
 from xpl_cli.submission import claims
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl.contract import Config
-    from xpl_cli.evaluation.lanes.orders import Orders
-    from xpl_cli.evaluation.lanes.servers import ServerOrders
     from xpl_cli.evaluation.records.fingerprints import Checkpoint
     from xpl_cli.evaluation.records.model import Episode, Slot
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.rollout.config import RolloutConfig
+    from xpl_cli.evaluation.rollout.servers import ServerConfig
     from xpl_cli.packages.package import Package
 
 
@@ -95,9 +95,9 @@ class Player:
 
     def _backend(self, run: Run) -> LocalBackend:
         lane_orders, server_orders = self._orders(run)
-        return LocalBackend(lane_orders, shared(server_orders, 1, 1))
+        return LocalBackend(lane_orders, assign_servers(server_orders, 1, 1))
 
-    def _orders(self, run: Run) -> tuple[Orders, ServerOrders]:
+    def _orders(self, run: Run) -> tuple[RolloutConfig, ServerConfig]:
         """Return what lanes and servers are told, made sure that it is what was recorded."""
         plan = run.plan
         adapter = self._package
@@ -114,7 +114,7 @@ class Player:
             raise UserError(f"{folder.name} does not wait for the policy: no episode repeats", code=ExitCode.NOT_RUN)
         if fingerprints.package_digest(folder) != plan.environment.digest:
             raise UserError(f"{folder.name} here is another version than the run's", code=ExitCode.NOT_RUN)
-        bounds = Bounds.here(adapter.path.parent, isolate=self.runtime.isolate)
+        bounds = IsolationSettings.here(adapter.path.parent, isolate=self.runtime.isolate)
         return evaluate.orders(adapter, folder, plan, self.runtime, bounds)
 
     def _find_weights(self, config: Config, loaded: Checkpoint | None) -> None:
@@ -141,8 +141,8 @@ class Player:
                 fetch.link(self._package.path, one.name, path)
 
 
-def _job(slot: Slot, attempt: int) -> Job:
-    return Job(slot.index, attempt, slot.task, slot.setting, slot.seed, trace=False)
+def _job(slot: Slot, attempt: int) -> RolloutJob:
+    return RolloutJob(slot.index, attempt, slot.task, slot.setting, slot.seed, trace=False)
 
 
 def _is_open(line: Episode | None) -> bool:

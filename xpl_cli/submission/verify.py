@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
-from xpl_cli.evaluation.lanes.orders import Runtime
+from xpl_cli.evaluation.rollout.config import Runtime
 from xpl_cli.standard import spec
 from xpl_cli.submission import bundle, inspection, replay
 from xpl_cli.submission.replaying import Player

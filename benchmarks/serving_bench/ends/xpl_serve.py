@@ -91,7 +91,7 @@ _SAME = f"""
 
 def serve(model: Model, setting: str, ready: Ready) -> None:
     """Serve an adapter that is written for this until the process is interrupted."""
-    from xpl_cli.serving.launch import serving
+    from xpl_cli.serving.launch import running_server
 
     manifest: dict[str, Any] = {
         "temporal": {"kind": "chunk", "chunk": CHUNK},
@@ -108,7 +108,7 @@ def serve(model: Model, setting: str, ready: Ready) -> None:
         # JSON is YAML.
         (folder / "policy.yml").write_text(json.dumps(manifest), encoding="utf-8")
         (folder / "deploy.yml").write_text(json.dumps({"env_cfg_type": EMBODIMENT}), encoding="utf-8")
-        with serving(folder, {"fixed_ms": model.fixed_ms, "sample_ms": model.sample_ms}) as server:
+        with running_server(folder, {"fixed_ms": model.fixed_ms, "sample_ms": model.sample_ms}) as server:
             ready(server.url)
             threading.Event().wait()
 

@@ -21,7 +21,7 @@ from xpl import Client, get_embodiment
 from xpl.action import ActionError
 from xpl_cli.basics.content import load_module
 from xpl_cli.packages import environments
-from xpl_cli.serving.launch import serving
+from xpl_cli.serving.launch import running_server
 
 ENV = ROOT / "envs" / "robodojo"
 POLICY = ROOT / "policy" / "demo_policy"
@@ -264,7 +264,7 @@ class Noted:
 
 def test_an_adapters_own_deploy_plays_as_robodojo_calls_it() -> None:
     """Both functions, by keyword, with two resets at the beginning of each batch of layouts."""
-    with serving(POLICY, {"env_cfg_type": "arx_x5", "action_type": "joint"}) as server:
+    with running_server(POLICY, {"env_cfg_type": "arx_x5", "action_type": "joint"}) as server:
         for count in (1, 3):
             with Client(server.url) as client:
                 noted = Noted(client)

@@ -30,7 +30,7 @@ from xpl.poses import compose, pose
 from xpl_cli.basics.content import load_module
 from xpl_cli.evaluation.records import stand_ins
 from xpl_cli.packages import environments
-from xpl_cli.serving.launch import serving
+from xpl_cli.serving.launch import running_server
 
 ENV = ROOT / "envs" / "robotwin"
 POLICY = ROOT / "policy" / "demo_policy"
@@ -231,7 +231,7 @@ def test_what_the_policy_raises_fails_its_episode_and_is_told() -> None:
     assert [one["success"] for one in told.episodes] == [False, False]
     assert all("empty chunk" in one["error"] for one in told.episodes)
     lost = RequestTimeoutError("no answer within 120 s")
-    assert lost.spoils_trial
+    assert lost.is_infrastructure_error
     with pytest.raises(RequestTimeoutError):
         played(Chunks(raises=lost))
 
@@ -247,7 +247,7 @@ def test_the_search_for_seeds_ends(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_loop_plays_a_real_server() -> None:
     """Every operation of RoboTwin's client, over the wire; the policy holds still."""
     with (
-        serving(POLICY, {"env_cfg_type": "aloha_agilex", "action_type": "joint"}) as server,
+        running_server(POLICY, {"env_cfg_type": "aloha_agilex", "action_type": "joint"}) as server,
         Client(server.url, trial_id="t", action_case_id="c") as client,
     ):
         told = played(client, test_num=2)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.basics.endings import ends
-from xpl_cli.basics.strangers import as_lines
+from xpl_cli.basics.untrusted import as_lines
 from xpl_cli.commands.options import ISOLATE_HELP, JSON, POLICY, POLICY_ENV, POLICY_GPU, PYTHON
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def verify(
     from xpl_cli.basics import console
     from xpl_cli.basics.progress import progress
     from xpl_cli.basics.sizes import parse_size
-    from xpl_cli.evaluation.lanes.orders import Runtime
+    from xpl_cli.evaluation.rollout.config import Runtime
     from xpl_cli.submission import unproven
     from xpl_cli.submission import verify as verification
 

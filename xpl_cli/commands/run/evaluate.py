@@ -139,7 +139,7 @@ def evaluate(
     from xpl import _spec as spec
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.evaluation.lanes import orders, recorder
+    from xpl_cli.evaluation.rollout import config, trajectory_recorder
     from xpl_cli.evaluation.runs import look, remote
     from xpl_cli.evaluation.runs.settings import environment_for, with_robot
     from xpl_cli.packages import package
@@ -186,7 +186,7 @@ def evaluate(
         )
         if is_done:
             return
-    demos = recorder.wanted(record, keep, resume=resume, privileged=privileged)
+    demos = trajectory_recorder.recording_config(record, keep, resume=resume, privileged=privileged)
     told = None if reached is None or (out is None and is_here) else remote.announced(reached, overrides)
     adapter = remote.package_of(policy, told, overrides)
     _check_instruction(instruction, is_recorded=out is not None)
@@ -197,9 +197,9 @@ def evaluate(
         console.note(f"--env-gpu {env_gpu} is for launchers that start a simulator; the environments here need none")
     if out is not None:
         from xpl_cli.basics.errors import NotFoundError
-        from xpl_cli.evaluation.lanes import backends
-        from xpl_cli.evaluation.lanes.backend import Room
         from xpl_cli.evaluation.records import records
+        from xpl_cli.evaluation.rollout import backends
+        from xpl_cli.evaluation.rollout.backend import BackendConfig
         from xpl_cli.evaluation.runs import evaluate as suite
         from xpl_cli.evaluation.runs import plan
 
@@ -220,10 +220,10 @@ def evaluate(
                 out=out,
                 wishes=wishes,
                 resume=resume,
-                room=Room(backend, 1 if is_batch else backends.lanes_of(workers), servers, policy_gpus),
+                room=BackendConfig(backend, 1 if is_batch else backends.parse_workers(workers), servers, policy_gpus),
                 films=film,
                 overrides=overrides if env is None else with_robot(adapter, env, overrides),
-                runtime=orders.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
+                runtime=config.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
                 remote=reached,
                 announced=told,
                 num_envs=num_envs,
@@ -252,7 +252,7 @@ def evaluate(
             horizon=horizon,
             overrides=with_robot(adapter, env, overrides),
             remote=reached,
-            runtime=orders.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
+            runtime=config.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
             demos=demos,
         ),
         policy,

@@ -83,12 +83,12 @@ def record(
     from xpl_cli.basics.errors import ExitCode
     from xpl_cli.basics.progress import progress
     from xpl_cli.environments.play import chosen
-    from xpl_cli.evaluation.lanes import backends, orders
+    from xpl_cli.evaluation.rollout import backends, config
     from xpl_cli.evaluation.runs import collect, remote
     from xpl_cli.packages import package
 
-    kept = chosen("choice for --keep", keep or (orders.SUCCESS if policy is None else orders.ALL), orders.KEEP)
-    demos = orders.Demos(
+    kept = chosen("choice for --keep", keep or (config.SUCCESS if policy is None else config.ALL), config.KEEP)
+    demos = config.RecordingConfig(
         str(out.absolute()), kept, chosen("form of images", form, FORMS), quality, not no_depth, privileged
     )
     request = collect.Request(
@@ -104,10 +104,10 @@ def record(
         size=_size(images),
         horizon=remote.WHOLE if policy is None and horizon is None else horizon,
         films=film,
-        workers=backends.lanes_of(workers),
+        workers=backends.parse_workers(workers),
         resume=resume,
         overrides=package.parse_overrides(settings),
-        runtime=orders.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
+        runtime=config.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
     )
     with desk(env), progress() as say:
         told = collect.collect(request, say)

@@ -113,17 +113,17 @@ def serve(
 ) -> None:
     """Serve a policy until interrupted. Prints one JSON line on stdout when it is ready."""
     from xpl import _spec as spec
-    from xpl_cli.isolation.bounds import Bounds
+    from xpl_cli.isolation.isolation_settings import IsolationSettings
     from xpl_cli.isolation.sandbox import MemoryLimit
     from xpl_cli.packages import package
-    from xpl_cli.serving.run import Options, run_server
+    from xpl_cli.serving.run import ServeOptions, run_server
 
     overrides = package.parse_overrides(settings)
     if host is not None:
         overrides[spec.Deploy.HOST] = host
     if port is not None:
         overrides[spec.Deploy.PORT] = port
-    options = Options(
+    options = ServeOptions(
         python=python,
         env=policy_env,
         gpu=gpu,
@@ -141,7 +141,7 @@ def serve(
         shadow=shadow,
         working_directory=chdir,
         memory_limit=MemoryLimit.parse(memory_limit),
-        bounds=Bounds(isolate, apart, proven),
+        bounds=IsolationSettings(isolate, apart, proven),
         patience=patience,
         renew=renew,
         also=also,

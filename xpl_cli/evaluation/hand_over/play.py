@@ -188,11 +188,13 @@ def _address(request: Request, planned: Plan) -> Iterator[tuple[str, str]]:
     if request.connect is not None:
         yield _split(request.connect)
         return
-    from xpl_cli.serving.launch import serving
+    from xpl_cli.serving.launch import running_server
 
     overrides = {**request.overrides, sdk.Deploy.BENCH_NAME: planned.launcher.bench_name}
     overrides[sdk.Deploy.TASK_NAME] = planned.config[sdk.Deploy.TASK_NAME]
-    with serving(request.package.path, overrides, python=request.python, env=request.env, gpu=request.gpu) as server:
+    with running_server(
+        request.package.path, overrides, python=request.python, env=request.env, gpu=request.gpu
+    ) as server:
         yield _split(server.url)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from xpl_cli.basics.strangers import as_lines, in_markdown
+from xpl_cli.basics.untrusted import as_lines, in_markdown
 from xpl_cli.basics.words import amount
 from xpl_cli.evaluation.leaderboard.field import is_barrier
 from xpl_cli.evaluation.report import episodes, markdown

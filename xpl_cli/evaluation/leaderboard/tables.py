@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.basics.errors import UserError, one_of
-from xpl_cli.basics.strangers import as_lines, in_markdown
+from xpl_cli.basics.untrusted import as_lines, in_markdown
 from xpl_cli.evaluation.leaderboard.ranking import SCORE, SUCCESS
 from xpl_cli.evaluation.leaderboard.tally import OTHER, protocol
 from xpl_cli.evaluation.leaderboard.trees import ROBODOJO

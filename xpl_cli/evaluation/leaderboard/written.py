@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.basics import atomic, pages
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.strangers import harmless
+from xpl_cli.basics.untrusted import harmless
 from xpl_cli.evaluation.leaderboard import board
 from xpl_cli.evaluation.report import figures
 from xpl_cli.evaluation.statistics import wording

@@ -93,7 +93,7 @@ class Desk:
                 return [_without_secrets(told) for told in value] if operation == _RESULTS else value
             return getattr(self._client, operation)(*question.arguments, **question.options)
         except (ActionError, ClientError, ValueError, TypeError, AttributeError) as error:
-            if isinstance(error, ClientError) and error.spoils_trial:
+            if isinstance(error, ClientError) and error.is_infrastructure_error:
                 raise
             self.refused, self.is_untold = error, True
         except (EnvLostError, EnvRaisedError):

@@ -21,7 +21,7 @@ from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.evaluation.loop import messages
 from xpl_cli.evaluation.loop.desk import Desk, LoopError
 from xpl_cli.evaluation.loop.messages import OutOfStepError, Question, Raised
-from xpl_cli.isolation import family
+from xpl_cli.isolation import processes
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class _Process(Process):
 
     def kill(self) -> None:
         """End the process, its group, and what has left the group and is still its child."""
-        below = family.descendants(self.pid)
+        below = processes.descendants(self.pid)
         super().kill()
         for member in below:
             if member.lives:

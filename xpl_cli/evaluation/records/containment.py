@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from xpl.vector import INFRASTRUCTURE
-from xpl_cli.isolation.bounds import APART, ISOLATED, TRUSTED
+from xpl_cli.isolation.isolation_settings import APART, ISOLATED, TRUSTED
 
 if TYPE_CHECKING:
     from xpl_cli.evaluation.records.model import Episode

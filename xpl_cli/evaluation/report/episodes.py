@@ -8,7 +8,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli.basics.strangers import in_table
+from xpl_cli.basics.untrusted import in_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup, escape
 
-from xpl_cli.basics.strangers import harmless
+from xpl_cli.basics.untrusted import harmless
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

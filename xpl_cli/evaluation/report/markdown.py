@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from xpl_cli.basics.strangers import in_markdown
+from xpl_cli.basics.untrusted import in_markdown
 from xpl_cli.evaluation.report.view import view
 from xpl_cli.evaluation.statistics import wording
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli import __version__
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.strangers import harmless
+from xpl_cli.basics.untrusted import harmless
 from xpl_cli.evaluation.report import episodes, markdown, media, page
 from xpl_cli.evaluation.statistics import wording
 from xpl_cli.evaluation.statistics.summary import summarise

@@ -19,14 +19,14 @@ from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.environments import play
-from xpl_cli.evaluation.lanes import backends, recorder
-from xpl_cli.evaluation.lanes.backend import LOCAL, Room
-from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.rollout import backends, trajectory_recorder
+from xpl_cli.evaluation.rollout.backend import LOCAL, BackendConfig
+from xpl_cli.evaluation.rollout.config import Runtime
 from xpl_cli.evaluation.runs import evaluate, plan, runner
 from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.evaluation.runs.schedule import Schedule
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import environments, package
 
 if TYPE_CHECKING:
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
     from xpl.contract import Config
     from xpl_cli.basics.progress import Progress
-    from xpl_cli.evaluation.lanes.orders import Demos
     from xpl_cli.evaluation.records.model import Episode
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.rollout.config import RecordingConfig
     from xpl_cli.packages.package import Package
 
 RUN, SURPLUS = "run", ".surplus"
@@ -69,7 +69,7 @@ class Request:
     """
 
     environment: str
-    demos: Demos
+    demos: RecordingConfig
     tasks: str | None = None
     setting: str | None = None
     embodiment: str | None = None
@@ -157,7 +157,7 @@ def collect(request: Request, progress: Progress) -> Demonstrations:
         UserError: nobody can play, the request cannot be met, the set is another one or there although nobody said
             `resume`, or nothing can be played. What was recorded stays.
     """
-    recorder.require_library()
+    trajectory_recorder.require_library()
     adapter = _player(request)
     folder = Path(request.demos.folder)
     run = folder / RUN
@@ -168,7 +168,7 @@ def collect(request: Request, progress: Progress) -> Demonstrations:
     overrides, wishes = _asked(request)
     place = environments.find(request.environment)
     planned = plan.make(adapter, place, adapter.config(overrides), wishes).plan
-    bounds = Bounds.here(adapter.path.parent, isolate=request.runtime.isolate)
+    bounds = IsolationSettings.here(adapter.path.parent, isolate=request.runtime.isolate)
     lane_orders, server_orders = evaluate.orders(adapter, place, planned, request.runtime, bounds, demos=request.demos)
     wanted = request.size if request.size is not None else lane_orders.settings.cameras or True
     lane_orders = replace(lane_orders, settings=replace(lane_orders.settings, cameras=wanted))
@@ -181,12 +181,12 @@ def collect(request: Request, progress: Progress) -> Demonstrations:
             request.films,
             _enough(request.episodes),
             traced=False,
-            judge=lambda final: recorder.is_kept(final, keep),
+            judge=lambda final: trajectory_recorder.is_kept(final, keep),
         )
         before = sum(map(len, _kept(writer.run, request)))
         if not schedule.is_done:
-            room = Room(LOCAL, request.workers)
-            with contextlib.closing(backends.make(room, lane_orders, server_orders, schedule.left)) as backend:
+            room = BackendConfig(LOCAL, request.workers)
+            with contextlib.closing(backends.make_backend(room, lane_orders, server_orders, schedule.left)) as backend:
                 shown = _View(writer.run, request, before, progress)
                 runner.play(writer, backend, schedule, shown, ahead=False)
     return _summary(records.read(run), request, adapter.name, time.monotonic() - began)
@@ -255,7 +255,7 @@ def _kept(run: Run, request: Request) -> list[list[Episode]]:
     cells: list[list[Episode]] = []
     for cell in run.plan.cells:
         mine = [line for line in run.finals.values() if line.place == cell.place]
-        cells.append([line for line in mine if recorder.is_kept(line, request.demos.keep)])
+        cells.append([line for line in mine if trajectory_recorder.is_kept(line, request.demos.keep)])
     return cells
 
 
@@ -271,7 +271,7 @@ def _summary(run: Run, request: Request, player: str, seconds: float) -> Demonst
     tasks, files = [], []
     for cell, lines in zip(run.plan.cells, _kept(run, request), strict=True):
         for line in lines[request.episodes :]:
-            path = folder / recorder.file_of(line.index)
+            path = folder / trajectory_recorder.file_name(line.index)
             if path.exists():
                 (folder / SURPLUS).mkdir(exist_ok=True)
                 path.replace(folder / SURPLUS / path.name)
@@ -281,7 +281,7 @@ def _summary(run: Run, request: Request, player: str, seconds: float) -> Demonst
             line for line in run.finals.values() if line.place == cell.place and (last is None or line.index <= last)
         ]
         spoilt = sum(line.failure == INFRASTRUCTURE for line in tried)
-        files += [folder / recorder.file_of(line.index) for line in mine]
+        files += [folder / trajectory_recorder.file_name(line.index) for line in mine]
         tasks.append(
             TaskSet(
                 task=cell.task,

@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes import backends
-from xpl_cli.evaluation.lanes.backend import LOCAL, Room
-from xpl_cli.evaluation.lanes.here import Elsewhere, HereBackend
-from xpl_cli.evaluation.lanes.local import LocalBackend
-from xpl_cli.evaluation.lanes.orders import Access, Orders, Runtime
-from xpl_cli.evaluation.lanes.servers import Server, ServerOrders
 from xpl_cli.evaluation.records import manner, records
 from xpl_cli.evaluation.records.manner import Manner
+from xpl_cli.evaluation.rollout import backends
+from xpl_cli.evaluation.rollout.backend import LOCAL, BackendConfig
+from xpl_cli.evaluation.rollout.config import RolloutConfig, Runtime, ServerAccess
+from xpl_cli.evaluation.rollout.in_process_backend import ExternalServer, InProcessBackend
+from xpl_cli.evaluation.rollout.local_backend import LocalBackend
+from xpl_cli.evaluation.rollout.servers import ManagedServer, ServerConfig
 from xpl_cli.evaluation.runs import plan, runner, stopping
 from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.evaluation.runs.schedule import Schedule
 from xpl_cli.evaluation.runs.settings import environment_for, environment_settings
 from xpl_cli.evaluation.runs.view import view
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl.contract import Announcement, Config
-    from xpl_cli.evaluation.lanes.backend import Backend
-    from xpl_cli.evaluation.lanes.here import PolicyServer
-    from xpl_cli.evaluation.lanes.orders import Demos
     from xpl_cli.evaluation.records.model import Plan
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.rollout.backend import Backend
+    from xpl_cli.evaluation.rollout.config import RecordingConfig
+    from xpl_cli.evaluation.rollout.in_process_backend import ServerHandle
     from xpl_cli.evaluation.runs.remote import Remote
     from xpl_cli.packages.package import Package
 
@@ -65,7 +65,7 @@ class Request:
     out: Path
     wishes: Wishes | None
     resume: bool = False
-    room: Room = field(default_factory=Room)
+    room: BackendConfig = field(default_factory=BackendConfig)
     films: int = 1
     overrides: Config = field(default_factory=dict)
     runtime: Runtime = field(default_factory=Runtime)
@@ -73,7 +73,7 @@ class Request:
     announced: Announcement | None = None
     num_envs: int | None = None
     env_workers: int = 1
-    demos: Demos | None = None
+    demos: RecordingConfig | None = None
     instruction: str | None = None
 
 
@@ -84,7 +84,7 @@ def evaluate(request: Request) -> Run:
         UserError: the request cannot be met, the record is of another run or there although nobody said `resume`, or
             nothing can be played. What was recorded stays.
     """
-    backends.check(request.room)
+    backends.check_backend(request.room)
     if request.demos is not None and request.room.backend != LOCAL:
         raise UserError(f"--backend {request.room.backend} plays on other machines, and --record writes on this one")
     there = (request.out / records.FILE).exists()
@@ -147,7 +147,7 @@ def _enough(width: float | None) -> Callable[[Sequence[bool | None]], bool]:
     return enough
 
 
-def _backend(request: Request, lane_orders: Orders, server_orders: ServerOrders, episodes: int) -> Backend:
+def _backend(request: Request, lane_orders: RolloutConfig, server_orders: ServerConfig, episodes: int) -> Backend:
     """Return what plays a run.
 
     Raises:
@@ -155,17 +155,17 @@ def _backend(request: Request, lane_orders: Orders, server_orders: ServerOrders,
     """
     remote = request.remote
     if remote is None and lane_orders.num_envs == 1:
-        return backends.make(request.room, lane_orders, server_orders, episodes)
+        return backends.make_backend(request.room, lane_orders, server_orders, episodes)
     if request.room.backend != LOCAL:
         raise UserError(f"--backend {request.room.backend} starts its own servers, and plays each episode alone")
     server, access = reached(remote, server_orders)
     if lane_orders.num_envs > 1:
-        return HereBackend(lane_orders, server, access)
+        return InProcessBackend(lane_orders, server, access)
     lanes = min(request.room.lanes or 1, max(1, episodes))
     return LocalBackend(lane_orders, [(server, access)] * lanes)
 
 
-def reached(remote: Remote | None, server_orders: ServerOrders) -> tuple[PolicyServer, Access]:
+def reached(remote: Remote | None, server_orders: ServerConfig) -> tuple[ServerHandle, ServerAccess]:
     """Return who answers for the policy, and how it is reached.
 
     Args:
@@ -173,9 +173,9 @@ def reached(remote: Remote | None, server_orders: ServerOrders) -> tuple[PolicyS
         server_orders: how ours is started.
     """
     if remote is None:
-        server = Server(server_orders, 1)
-        return server, Access(server.token)
-    return Elsewhere(remote.url), Access(remote.token, is_patient=True, ca_file=remote.ca_file)
+        server = ManagedServer(server_orders, 1)
+        return server, ServerAccess(server.token)
+    return ExternalServer(remote.url), ServerAccess(remote.token, is_patient=True, ca_file=remote.ca_file)
 
 
 def orders(  # noqa: PLR0913 - all that travels with a run
@@ -183,11 +183,11 @@ def orders(  # noqa: PLR0913 - all that travels with a run
     folder: Path,
     planned: Plan,
     runtime: Runtime,
-    bounds: Bounds,
+    bounds: IsolationSettings,
     *,
     env_workers: int = 1,
-    demos: Demos | None = None,
-) -> tuple[Orders, ServerOrders]:
+    demos: RecordingConfig | None = None,
+) -> tuple[RolloutConfig, ServerConfig]:
     """Return what lanes and servers are told.
 
     Args:
@@ -205,7 +205,7 @@ def orders(  # noqa: PLR0913 - all that travels with a run
     config, how = manner.without(planned.policy.config), manner.of(planned)
     cell = planned.cells[0]
     settings = environment_settings(package, str(folder), config, task=cell.task, setting=cell.setting)
-    lane_orders = Orders(
+    lane_orders = RolloutConfig(
         policy=str(package.path),
         policy_digest=planned.policy.digest,
         environment=str(folder),
@@ -220,7 +220,7 @@ def orders(  # noqa: PLR0913 - all that travels with a run
         demos=demos,
         instruction=how.instruction,
     )
-    server_orders = ServerOrders(
+    server_orders = ServerConfig(
         policy=str(package.path),
         policy_digest=planned.policy.digest,
         checkpoint_digest=planned.policy.weights,
@@ -233,11 +233,11 @@ def orders(  # noqa: PLR0913 - all that travels with a run
     return lane_orders, server_orders
 
 
-def _bounds(request: Request) -> Bounds:
+def _bounds(request: Request) -> IsolationSettings:
     """Return what the adapter is kept from; on a cluster only what was asked for, for each machine has its own."""
     if request.room.backend != LOCAL:
-        return Bounds(isolate=request.runtime.isolate)
-    return Bounds.here(request.package.path.parent, isolate=request.runtime.isolate)
+        return IsolationSettings(isolate=request.runtime.isolate)
+    return IsolationSettings.here(request.package.path.parent, isolate=request.runtime.isolate)
 
 
 def check(run: Run) -> None:

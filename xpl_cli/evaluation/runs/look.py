@@ -17,20 +17,20 @@ from typing import TYPE_CHECKING, Any, cast
 from xpl import _spec as sdk
 from xpl import get_embodiment
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.here import HereBackend
-from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records.failures import POLICY_DIED, POLICY_ERROR
 from xpl_cli.evaluation.records.fingerprints import package_digest
 from xpl_cli.evaluation.records.manner import Manner
 from xpl_cli.evaluation.records.model import Control, Plan, PlannedCell, PlannedEnvironment, PlannedPolicy
 from xpl_cli.evaluation.records.records import Unwritten
+from xpl_cli.evaluation.rollout.config import Runtime
+from xpl_cli.evaluation.rollout.in_process_backend import InProcessBackend
 from xpl_cli.evaluation.runs import evaluate as suite
 from xpl_cli.evaluation.runs import outcome, runner
 from xpl_cli.evaluation.runs.outcome import Evaluation, Played
 from xpl_cli.evaluation.runs.plan import ALL, ATTEMPTS, tasks_of
 from xpl_cli.evaluation.runs.schedule import Schedule
 from xpl_cli.evaluation.runs.settings import environment_settings
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import environments
 from xpl_cli.standard import spec
 
@@ -44,9 +44,9 @@ if TYPE_CHECKING:
     from xpl.contract import Config
     from xpl.manifest import EnvManifest
     from xpl_cli.basics.progress import Progress
-    from xpl_cli.evaluation.lanes.orders import Demos, Settings
     from xpl_cli.evaluation.records.model import Episode, Place
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.rollout.config import EnvSettings, RecordingConfig
     from xpl_cli.evaluation.runs.remote import Remote
     from xpl_cli.packages.package import Package
 
@@ -81,7 +81,7 @@ class Request:
     overrides: Config = field(default_factory=dict)
     remote: Remote | None = None
     runtime: Runtime = field(default_factory=Runtime)
-    demos: Demos | None = None
+    demos: RecordingConfig | None = None
 
 
 def places(num_envs: int | None, workers: str) -> tuple[int, int]:
@@ -177,7 +177,7 @@ def _several(wanted: str | None, facts: EnvManifest, embodiment: str) -> list[st
     return tasks_of(facts, wanted, get_embodiment(embodiment).name)[0] if is_list else []
 
 
-def _plan(request: Request, folder: Path, config: Config, settings: Settings, places: Sequence[Place]) -> Plan:
+def _plan(request: Request, folder: Path, config: Config, settings: EnvSettings, places: Sequence[Place]) -> Plan:
     """Return the plan of what nobody writes down; it has digests where trajectories say who played."""
     policy = environment = ""
     if request.demos is not None:
@@ -195,13 +195,13 @@ def _plan(request: Request, folder: Path, config: Config, settings: Settings, pl
     )
 
 
-def _backend(request: Request, folder: Path, planned: Plan, progress: Progress) -> HereBackend:
+def _backend(request: Request, folder: Path, planned: Plan, progress: Progress) -> InProcessBackend:
     orders, ours = suite.orders(
         request.package,
         folder,
         planned,
         request.runtime,
-        Bounds.here(request.package.path.parent, isolate=request.runtime.isolate),
+        IsolationSettings.here(request.package.path.parent, isolate=request.runtime.isolate),
         env_workers=request.workers,
         demos=request.demos,
     )
@@ -210,4 +210,4 @@ def _backend(request: Request, folder: Path, planned: Plan, progress: Progress) 
     def on_loading(told: Mapping[str, Any]) -> None:
         progress.step(f"the model is loading: {told.get('seconds', 0):.0f} s")
 
-    return HereBackend(orders, server, replace(access, is_patient=True, on_loading=on_loading))
+    return InProcessBackend(orders, server, replace(access, is_patient=True, on_loading=on_loading))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from xpl import Client
 from xpl import _spec as sdk
 from xpl.client import ClientError
-from xpl.client.agreement import AnnouncementError, checked
+from xpl.client.agreement import AnnouncementError, validate_announcement
 from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.packages import package
@@ -54,7 +54,7 @@ def announced(remote: Remote, config: Config) -> Announcement:
     context = None if remote.ca_file is None else client_tls_context(remote.ca_file)
     try:
         with Client(remote.url, config=config, token=remote.token, ssl_context=context) as client:
-            told = {_POLICY: checked(client.policy)}
+            told = {_POLICY: validate_announcement(client.policy)}
             return {**told, "generation": 1 if client.server_instance_id is None else 2}
     except AnnouncementError as error:
         raise UserError(f"{remote.url}: what it announces of its policy cannot be understood: {error}") from None

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from xpl_cli.evaluation.lanes.backend import Backend, Job, Outcome
     from xpl_cli.evaluation.records.fingerprints import Facts
     from xpl_cli.evaluation.records.model import Plan
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.rollout.backend import Backend, RolloutJob, RolloutResult
     from xpl_cli.evaluation.runs.schedule import Schedule
 
 TRACES, FILMS = "traces", "films"
@@ -90,10 +90,10 @@ def play(writer: Sink, backend: Backend, schedule: Schedule, view: View, *, ahea
             )
 
 
-def replay(plan: Plan, jobs: Sequence[Job], backend: Backend) -> Iterator[Episode]:
+def replay(plan: Plan, jobs: Sequence[RolloutJob], backend: Backend) -> Iterator[Episode]:
     """Play episodes and yield their lines, as they would be recorded but for machine and files; nothing is written."""
     waiting = list(reversed(jobs))
-    playing: set[Job] = set()
+    playing: set[RolloutJob] = set()
     while waiting or playing:
         while waiting and backend.free() > 0:
             playing.add(waiting[-1])
@@ -120,7 +120,7 @@ class _Outage:
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._open: dict[Job, int] = {}
+        self._open: dict[RolloutJob, int] = {}
         self._begun = self._sound = 0
         self.spoilt, self.error = 0, ""
 
@@ -129,12 +129,12 @@ class _Outage:
         """Whether there is no sense in going on."""
         return self.spoilt >= self._most
 
-    def began(self, job: Job) -> None:
+    def began(self, job: RolloutJob) -> None:
         """Note that an attempt begins."""
         self._begun += 1
         self._open[job] = self._begun
 
-    def ended(self, job: Job, line: Episode) -> None:
+    def ended(self, job: RolloutJob, line: Episode) -> None:
         """Note how an attempt ended."""
         begun = self._open.pop(job)
         if line.failure != INFRASTRUCTURE:
@@ -143,7 +143,7 @@ class _Outage:
             self.spoilt, self.error = self.spoilt + 1, str(line.error)
 
 
-def _record(writer: Sink, outcome: Outcome, attempts: int) -> Episode:
+def _record(writer: Sink, outcome: RolloutResult, attempts: int) -> Episode:
     """Write an attempt down, its files first, and return its line."""
     job, plan, folder = outcome.job, writer.run.plan, writer.run.folder
     found = replace(
@@ -156,7 +156,7 @@ def _record(writer: Sink, outcome: Outcome, attempts: int) -> Episode:
     return found
 
 
-def _episode(plan: Plan, outcome: Outcome, *, final: bool) -> Episode:
+def _episode(plan: Plan, outcome: RolloutResult, *, final: bool) -> Episode:
     """Return an attempt as it is recorded, but for machine and files."""
     job = outcome.job
     return Episode(

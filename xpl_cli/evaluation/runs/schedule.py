@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter, deque
 from typing import TYPE_CHECKING
 
-from xpl_cli.evaluation.lanes.backend import Job
 from xpl_cli.evaluation.records.cells import certainly, survivors
+from xpl_cli.evaluation.rollout.backend import RolloutJob
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -65,7 +65,7 @@ class Schedule:
         """Number of episodes that are not final yet, as far as is known."""
         return len(self._playing) + sum(map(len, self._waiting))
 
-    def next(self) -> Job | None:
+    def next(self) -> RolloutJob | None:
         """Return what is played next; None where nothing waits."""
         queue = next(filter(None, self._waiting), None)
         if queue is None:
@@ -74,9 +74,9 @@ class Schedule:
         self._playing.add(slot.index)
         attempt = self._attempts[slot.index] + 1
         is_filmed = slot.index in self._filmed
-        return Job(slot.index, attempt, slot.task, slot.setting, slot.seed, trace=self._traced, film=is_filmed)
+        return RolloutJob(slot.index, attempt, slot.task, slot.setting, slot.seed, trace=self._traced, film=is_filmed)
 
-    def is_expected(self, job: Job) -> bool:
+    def is_expected(self, job: RolloutJob) -> bool:
         """Tell whether this attempt is being played, as far as this side knows."""
         return job.index in self._playing and job.attempt == self._attempts[job.index] + 1
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl import get_embodiment, robots
 from xpl_cli.basics.errors import NotFoundError, UserError
-from xpl_cli.evaluation.lanes.orders import Settings
+from xpl_cli.evaluation.rollout.config import EnvSettings
 from xpl_cli.packages import environments
 from xpl_cli.standard import spec
 
@@ -81,7 +81,7 @@ def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs f
     task: str | None = None,
     setting: str | None = None,
     num_envs: int = 1,
-) -> Settings:
+) -> EnvSettings:
     """Return the settings of the environment for an adapter.
 
     Args:
@@ -113,7 +113,7 @@ def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs f
         raise NotFoundError(f"{environment} has no setting {setting!r}; it has {', '.join(offered)}")
     inputs = package.manifest.inputs
     wanted = None if inputs is None else inputs.read
-    return Settings(
+    return EnvSettings(
         task=task,
         embodiment=robot,
         action_type=config[sdk.Deploy.ACTION_TYPE],

@@ -9,7 +9,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics import console
-from xpl_cli.basics.strangers import one_line
+from xpl_cli.basics.untrusted import one_line
 from xpl_cli.evaluation.statistics import wording
 from xpl_cli.evaluation.statistics.intervals import wilson
 

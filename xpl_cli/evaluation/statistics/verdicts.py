@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.basics.strangers import as_lines
+from xpl_cli.basics.untrusted import as_lines
 from xpl_cli.basics.words import amount
 from xpl_cli.evaluation.statistics import cautions
 from xpl_cli.evaluation.statistics.wording import NOTHING, aligned, percent, points, were

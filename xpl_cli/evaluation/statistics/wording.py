@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Protocol
 
-from xpl_cli.basics.strangers import as_lines
+from xpl_cli.basics.untrusted import as_lines
 from xpl_cli.basics.words import amount
 
 if TYPE_CHECKING:

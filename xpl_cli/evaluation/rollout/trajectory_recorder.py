@@ -15,21 +15,21 @@ from xpl import trajectory
 from xpl_cli import __version__
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.environments.play import chosen
-from xpl_cli.evaluation.lanes.around import Around
-from xpl_cli.evaluation.lanes.orders import ALL, KEEP, Demos
 from xpl_cli.evaluation.records.model import now
+from xpl_cli.evaluation.rollout.config import ALL, KEEP, RecordingConfig
+from xpl_cli.evaluation.rollout.env_wrapper import TaskEnvWrapper
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from xpl.contract import Action, ObservationDict
     from xpl.environment import TaskEnv
-    from xpl_cli.evaluation.lanes.backend import Job
-    from xpl_cli.evaluation.lanes.orders import Orders
     from xpl_cli.evaluation.records.model import Ending
+    from xpl_cli.evaluation.rollout.backend import RolloutJob
+    from xpl_cli.evaluation.rollout.config import RolloutConfig
 
 
-def file_of(index: int) -> str:
+def file_name(index: int) -> str:
     """Return the name of an episode's file, by its place in the plan."""
     return f"episode_{index:07d}.hdf5"
 
@@ -40,7 +40,9 @@ def is_kept(ending: Ending, keep: str) -> bool:
 
 
 @contextlib.contextmanager
-def recorded(task_env: TaskEnv, orders: Orders, jobs: Sequence[Job], frequency: float) -> Iterator[Recorder | None]:
+def recording(
+    task_env: TaskEnv, orders: RolloutConfig, jobs: Sequence[RolloutJob], frequency: float
+) -> Iterator[TrajectoryRecorder | None]:
     """Yield what stands before an environment and keeps its episodes; None where nobody wants that.
 
     Args:
@@ -52,17 +54,17 @@ def recorded(task_env: TaskEnv, orders: Orders, jobs: Sequence[Job], frequency: 
     if orders.demos is None:
         yield None
         return
-    recorder = Recorder(task_env, orders, jobs, frequency)
+    recorder = TrajectoryRecorder(task_env, orders, jobs, frequency)
     try:
         yield recorder
     finally:
         recorder.close()
 
 
-class Recorder(Around):
+class TrajectoryRecorder(TaskEnvWrapper):
     """A task environment whose episodes are kept; see `recorded`."""
 
-    def __init__(self, task_env: TaskEnv, orders: Orders, jobs: Sequence[Job], frequency: float) -> None:
+    def __init__(self, task_env: TaskEnv, orders: RolloutConfig, jobs: Sequence[RolloutJob], frequency: float) -> None:
         assert orders.demos is not None  # noqa: S101 - for the type checker: `recorded` looks
         super().__init__(task_env)
         self._orders, self._demos, self._jobs = orders, orders.demos, list(jobs)
@@ -100,17 +102,17 @@ class Recorder(Around):
             writer.discard()
         self._writers = {}
 
-    def _shown(self, env: int, obs: ObservationDict) -> ObservationDict:
+    def _on_observation(self, env: int, obs: ObservationDict) -> ObservationDict:
         """Return an observation as the policy gets it: what only the file is told is not in it."""
         self._seen[env] = obs
         return {key: value for key, value in obs.items() if key != sdk.Obs.PRIVILEGED} if self._hides else obs
 
-    def _before(self, actions: Sequence[Action], envs: Sequence[int]) -> None:
+    def _before_step(self, actions: Sequence[Action], envs: Sequence[int]) -> None:
         for env, action in zip(envs, actions, strict=False):
             self._add(env, action)
         self._is_asked = False
 
-    def _asked(self, seconds: float) -> None:  # noqa: ARG002 - a file tells when, not how long
+    def _on_inference(self, seconds: float) -> None:  # noqa: ARG002 - a file tells when, not how long
         self._is_asked = True
 
     def _add(self, env: int, action: Action) -> None:
@@ -128,8 +130,8 @@ class Recorder(Around):
         except (trajectory.TrajectoryError, ImportError) as error:
             self._failed = error
 
-    def _writer(self, job: Job) -> trajectory.Writer:
-        path = Path(self._demos.folder) / file_of(job.index)
+    def _writer(self, job: RolloutJob) -> trajectory.Writer:
+        path = Path(self._demos.folder) / file_name(job.index)
         demos = self._demos
         return trajectory.Writer(
             path,
@@ -139,7 +141,7 @@ class Recorder(Around):
             privileged=demos.privileged,
         )
 
-    def _facts(self, job: Job, ending: Ending) -> dict[str, Any]:
+    def _facts(self, job: RolloutJob, ending: Ending) -> dict[str, Any]:
         """Return what is told of an episode: what was played by whom, and how it went."""
         orders = self._orders
         return {
@@ -169,7 +171,9 @@ def _without_depth(obs: ObservationDict) -> ObservationDict:
     return {**obs, sdk.Obs.VISION: vision}
 
 
-def wanted(folder: Path | None, keep: str | None, *, resume: bool, privileged: bool) -> Demos | None:
+def recording_config(
+    folder: Path | None, keep: str | None, *, resume: bool, privileged: bool
+) -> RecordingConfig | None:
     """Return where an evaluation keeps its episodes; None where nobody asked for that.
 
     Args:
@@ -190,7 +194,9 @@ def wanted(folder: Path | None, keep: str | None, *, resume: bool, privileged: b
     require_library()
     if not resume and next(folder.glob("*.hdf5"), None) is not None:
         raise UserError(f"{folder} holds trajectories already", hint="choose another --record, or go on with --resume")
-    return Demos(str(folder.absolute()), chosen("choice for --keep", keep or ALL, KEEP), privileged=privileged)
+    return RecordingConfig(
+        str(folder.absolute()), chosen("choice for --keep", keep or ALL, KEEP), privileged=privileged
+    )
 
 
 def require_library() -> None:

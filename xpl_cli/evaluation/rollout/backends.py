@@ -6,15 +6,15 @@ import os
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import UserError
-from xpl_cli.evaluation.lanes.backend import NAMES, RAY
+from xpl_cli.evaluation.rollout.backend import NAMES, RAY
 
 if TYPE_CHECKING:
-    from xpl_cli.evaluation.lanes.backend import Backend, Room
-    from xpl_cli.evaluation.lanes.orders import Orders
-    from xpl_cli.evaluation.lanes.servers import ServerOrders
+    from xpl_cli.evaluation.rollout.backend import Backend, BackendConfig
+    from xpl_cli.evaluation.rollout.config import RolloutConfig
+    from xpl_cli.evaluation.rollout.servers import ServerConfig
 
 
-def lanes_of(workers: str) -> int | None:
+def parse_workers(workers: str) -> int | None:
     """Return the number of lanes that `--workers` asks for; None for `auto`.
 
     Raises:
@@ -27,13 +27,13 @@ def lanes_of(workers: str) -> int | None:
     return int(workers)
 
 
-def check(room: Room) -> None:
+def check_backend(room: BackendConfig) -> None:
     """Raise a UserError for a backend that there is not."""
     if room.backend not in NAMES:
         raise UserError(f"there is no backend {room.backend!r}; there are: {', '.join(NAMES)}")
 
 
-def make(room: Room, orders: Orders, server_orders: ServerOrders, episodes: int) -> Backend:
+def make_backend(room: BackendConfig, orders: RolloutConfig, server_orders: ServerConfig, episodes: int) -> Backend:
     """Return the backend of a run.
 
     Args:
@@ -46,12 +46,12 @@ def make(room: Room, orders: Orders, server_orders: ServerOrders, episodes: int)
         UserError: it cannot be had here.
     """
     if room.backend == RAY:
-        from xpl_cli.evaluation.lanes.ray_backend import RayBackend
+        from xpl_cli.evaluation.rollout.ray_backend import RayBackend
 
         return RayBackend(orders, server_orders, room, episodes)
-    from xpl_cli.evaluation.lanes.local import LocalBackend, shared
+    from xpl_cli.evaluation.rollout.local_backend import LocalBackend, assign_servers
 
     lanes = min(room.lanes or len(os.sched_getaffinity(0)), max(1, episodes))
     # A model on a GPU takes room there: it is loaded once, unless somebody says otherwise.
     servers = room.servers or (lanes if server_orders.gpu is None else 1)
-    return LocalBackend(orders, shared(server_orders, lanes, min(servers, lanes)))
+    return LocalBackend(orders, assign_servers(server_orders, lanes, min(servers, lanes)))

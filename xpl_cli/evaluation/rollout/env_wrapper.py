@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _ASKS = (sdk.Method.GET_ACTION, sdk.Method.GET_ACTION_BATCH, sdk.Method.INFER)
 
 
-class Around:
+class TaskEnvWrapper:
     """A task environment that passes everything on; kinds of it override what they look at.
 
     Args:
@@ -32,7 +32,7 @@ class Around:
 
     def get_obs(self) -> ObservationDict:
         """Return the observation of the environment."""
-        return self._shown(0, self._env.get_obs())
+        return self._on_observation(0, self._env.get_obs())
 
     def get_obs_batch(
         self,
@@ -42,42 +42,42 @@ class Around:
         """Return the observations of some environments, of all running ones by default."""
         wanted = list(self._env.get_running_env_idx_list() if env_idx_list is None else env_idx_list)
         observations = self._env.get_obs_batch(env_idx_list, last_frame)
-        return [self._shown(env, obs) for env, obs in zip(wanted, observations, strict=False)]
+        return [self._on_observation(env, obs) for env, obs in zip(wanted, observations, strict=False)]
 
     def take_action(self, action: Action) -> Any:
         """Execute an action step."""
-        self._before([action], [0])
+        self._before_step([action], [0])
         report = self._env.take_action(action)
-        self._after([action])
+        self._after_step([action])
         return report
 
     def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> Any:
         """Execute an action step of each environment in the list."""
-        self._before(actions, env_idx_list)
+        self._before_step(actions, env_idx_list)
         reports = self._env.take_action_batch(actions, env_idx_list)
-        self._after(actions)
+        self._after_step(actions)
         return reports
 
     def listen(self, client: Any) -> Any:
         """Return the client, listened to, by whoever guards the environment too."""
         inner = getattr(self._env, "listen", None)
-        return Listener(client if inner is None else inner(client), self._asked)
+        return TimedClient(client if inner is None else inner(client), self._on_inference)
 
-    def _shown(self, _env: int, obs: ObservationDict) -> ObservationDict:
+    def _on_observation(self, _env: int, obs: ObservationDict) -> ObservationDict:
         """Return an observation of an environment as the loop gets it."""
         return obs
 
-    def _before(self, actions: Sequence[Action], envs: Sequence[int]) -> None:
+    def _before_step(self, actions: Sequence[Action], envs: Sequence[int]) -> None:
         """See, or refuse, the actions that environments are about to execute."""
 
-    def _after(self, actions: Sequence[Action]) -> None:
+    def _after_step(self, actions: Sequence[Action]) -> None:
         """See the actions that were executed."""
 
-    def _asked(self, seconds: float) -> None:
+    def _on_inference(self, seconds: float) -> None:
         """Hear that the policy was asked, and how long it took."""
 
 
-class Listener:
+class TimedClient:
     """A client whose answers with actions are timed; everything else passes."""
 
     def __init__(self, client: Any, asked: Callable[[float], None]) -> None:

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
     from xpl.contract import Config
     from xpl.environment import TaskEnv
-    from xpl_cli.evaluation.lanes.backend import Job
+    from xpl_cli.evaluation.rollout.backend import RolloutJob
 
 _CONNECT_S, _AGAIN_S = 5.0, 0.2
 
 
 @dataclass
-class Scene:
+class RolloutScene:
     """What is being played: a task in a setting, and who answers for the policy.
 
     Attributes:
@@ -41,11 +41,11 @@ class Scene:
     client: tuple[str, Client] | None = field(default=None)
 
 
-class SpoiltError(Exception):
+class InfrastructureError(Exception):
     """The infrastructure broke an attempt off."""
 
 
-def impatient(config: Config) -> Config:
+def with_short_connect_timeout(config: Config) -> Config:
     """Return a configuration for a client that soon gives up on a server that is gone.
 
     Whoever leads the run starts servers before lanes need them, and again when they have ended. A lane waits as long
@@ -56,12 +56,12 @@ def impatient(config: Config) -> Config:
     return {**config, sdk.Deploy.MAX_CONNECT_SECONDS: kept + _CONNECT_S, sdk.Deploy.CONNECT_RETRY_DELAY_S: _AGAIN_S}
 
 
-def reset(env: TaskEnv, jobs: Sequence[Job], places: int) -> None:
+def reset_envs(env: TaskEnv, jobs: Sequence[RolloutJob], places: int) -> None:
     """Begin episodes; places that are left over get seeds that nobody asked for.
 
     Raises:
         UserError: the environment refuses a seed.
-        SpoiltError: it raised something else, or is lost.
+        InfrastructureError: it raised something else, or is lost.
     """
     seeds = [job.seed for job in jobs]
     beyond = max(seeds) + 1
@@ -70,12 +70,12 @@ def reset(env: TaskEnv, jobs: Sequence[Job], places: int) -> None:
     except ValueError as error:
         raise UserError(f"{jobs[0].task}, {jobs[0].setting}, seeds {seeds}: {error}") from None
     except EnvRaisedError as error:
-        raise SpoiltError(f"the environment raised {error}") from None
+        raise InfrastructureError(f"the environment raised {error}") from None
     except EnvLostError as error:
-        raise SpoiltError(str(error)) from None
+        raise InfrastructureError(str(error)) from None
 
 
-def hang_up(scene: Scene) -> None:
+def disconnect(scene: RolloutScene) -> None:
     """End the connection of a scene, if it has one."""
     if scene.client is not None:
         with contextlib.suppress(ClientError, OSError):

@@ -17,7 +17,7 @@ NAMES = (LOCAL, RAY)
 
 
 @dataclass(frozen=True)
-class Room:
+class BackendConfig:
     """Where a run is played, and how much of it at a time.
 
     Attributes:
@@ -34,7 +34,7 @@ class Room:
 
 
 @dataclass(frozen=True)
-class Job:
+class RolloutJob:
     """One attempt at one episode.
 
     Attributes:
@@ -55,7 +55,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RolloutResult:
     """What came of a job.
 
     Attributes:
@@ -68,7 +68,7 @@ class Outcome:
         is_server_suspect: whether the policy server may be why it broke off.
     """
 
-    job: Job
+    job: RolloutJob
     ending: Ending
     conduct: Conduct
     facts: Facts = field(default_factory=dict)
@@ -83,10 +83,10 @@ class Backend(Protocol):
     def free(self) -> int:
         """Return how many more jobs can be played at once now."""
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: RolloutJob) -> None:
         """Take a job; returns at once."""
 
-    def wait(self) -> list[Outcome]:
+    def wait(self) -> list[RolloutResult]:
         """Wait for outcomes, at least one; each job has at most one.
 
         Raises:
@@ -97,7 +97,7 @@ class Backend(Protocol):
         """End everything, also what is being played."""
 
 
-def lost(job: Job, reason: str, worker: str | None = None, facts: Facts | None = None) -> Outcome:
+def lost_rollout(job: RolloutJob, reason: str, worker: str | None = None, facts: Facts | None = None) -> RolloutResult:
     """Return the outcome of a job whose player is gone."""
     conduct = Conduct(started=now(), wall_seconds=0.0, worker=worker)
-    return Outcome(job, spoilt(reason), conduct, facts or {}, is_server_suspect=True)
+    return RolloutResult(job, spoilt(reason), conduct, facts or {}, is_server_suspect=True)

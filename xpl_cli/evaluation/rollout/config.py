@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import trajectory
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ KEEP: Final = (SUCCESS, ALL)
 
 
 @dataclass(frozen=True)
-class Demos:
+class RecordingConfig:
     """Where episodes are kept as trajectories, and how.
 
     Attributes:
@@ -58,7 +58,7 @@ class Runtime:
 
 
 @dataclass(frozen=True)
-class Settings:
+class EnvSettings:
     """How an environment is configured for an adapter.
 
     Attributes:
@@ -87,7 +87,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Orders:
+class RolloutConfig:
     """What all lanes of a run play; everything in it may travel to another machine.
 
     Attributes:
@@ -111,18 +111,18 @@ class Orders:
     environment: str
     environment_digest: str
     config: Config
-    settings: Settings
+    settings: EnvSettings
     horizon: int | None = None
     eval_env: str | None = None
     num_envs: int = 1
     env_workers: int = 1
-    bounds: Bounds = field(default_factory=Bounds)
-    demos: Demos | None = None
+    bounds: IsolationSettings = field(default_factory=IsolationSettings)
+    demos: RecordingConfig | None = None
     instruction: str | None = None
 
 
 @dataclass(frozen=True)
-class Access:
+class ServerAccess:
     """How a lane gets at policy servers.
 
     Attributes:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl_cli.evaluation.lanes.around import Around
 from xpl_cli.evaluation.records.model import Inference
+from xpl_cli.evaluation.rollout.env_wrapper import TaskEnvWrapper
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,7 +29,7 @@ _CURVES = (sdk.State.ARM_JOINT_STATE, sdk.State.EE_JOINT_STATE, sdk.State.EE_POS
 _BINS = 32
 
 
-class Watch(Around):
+class TelemetryWrapper(TaskEnvWrapper):
     """A task environment, of one environment, that is looked at.
 
     Args:
@@ -91,7 +91,7 @@ class Watch(Around):
         """Return the film as an animated WebP; None where there is none."""
         return None if self._reel is None else self._reel.encoded()
 
-    def _shown(self, _env: int, obs: ObservationDict) -> ObservationDict:
+    def _on_observation(self, _env: int, obs: ObservationDict) -> ObservationDict:
         if not self._steps and self._reel is not None and not self._reel.steps:
             self._look()
         state = obs.get(sdk.Obs.STATE) if self._names and isinstance(obs, Mapping) else None
@@ -99,7 +99,7 @@ class Watch(Around):
             self._states.append((self._steps, self._chosen(state)))
         return obs
 
-    def _after(self, actions: Sequence[Action]) -> None:
+    def _after_step(self, actions: Sequence[Action]) -> None:
         for action in actions:
             if self._names and isinstance(action, Mapping):
                 self._actions.append(self._chosen(action))
@@ -115,7 +115,7 @@ class Watch(Around):
         columns = zip(self._names, zip(*rows, strict=True), strict=False)
         return {f"{kind}.{name}": np.stack(column) for name, column in columns if all(e is not None for e in column)}
 
-    def _asked(self, seconds: float) -> None:
+    def _on_inference(self, seconds: float) -> None:
         self._chunks.append(self._steps)
         self._latencies.append(seconds)
 

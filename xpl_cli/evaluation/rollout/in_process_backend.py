@@ -6,15 +6,15 @@ import platform
 from typing import TYPE_CHECKING, Protocol
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.lane import Lane
-from xpl_cli.evaluation.lanes.servers import ServerLostError
+from xpl_cli.evaluation.rollout.servers import ServerLostError
+from xpl_cli.evaluation.rollout.worker import RolloutWorker
 
 if TYPE_CHECKING:
-    from xpl_cli.evaluation.lanes.backend import Job, Outcome
-    from xpl_cli.evaluation.lanes.orders import Access, Orders
+    from xpl_cli.evaluation.rollout.backend import RolloutJob, RolloutResult
+    from xpl_cli.evaluation.rollout.config import RolloutConfig, ServerAccess
 
 
-class PolicyServer(Protocol):
+class ServerHandle(Protocol):
     """A policy server that a lane talks to: one of ours (`servers.Server`), or one that runs already."""
 
     def url(self) -> str:
@@ -27,7 +27,7 @@ class PolicyServer(Protocol):
         """End it."""
 
 
-class Elsewhere:
+class ExternalServer:
     """A policy server that somebody else looks after.
 
     Args:
@@ -48,8 +48,8 @@ class Elsewhere:
         """Leave it as it is."""
 
 
-class HereBackend:
-    """Plays jobs in this process (see `xpl_cli.evaluation.lanes.backend.Backend`).
+class InProcessBackend:
+    """Plays jobs in this process (see `xpl_cli.evaluation.rollout.backend.Backend`).
 
     Args:
         orders: what is played; its environments are played in one batch.
@@ -57,11 +57,11 @@ class HereBackend:
         access: how it is reached.
     """
 
-    def __init__(self, orders: Orders, server: PolicyServer, access: Access) -> None:
-        self._lane = Lane(orders, f"{platform.node()}/0", access)
+    def __init__(self, orders: RolloutConfig, server: ServerHandle, access: ServerAccess) -> None:
+        self._lane = RolloutWorker(orders, f"{platform.node()}/0", access)
         self._places = orders.num_envs
         self._server = server
-        self._given: list[Job] = []
+        self._given: list[RolloutJob] = []
 
     def prepare(self, task: str, setting: str) -> None:
         """Make the environment before a server is started.
@@ -75,11 +75,11 @@ class HereBackend:
         """Return how many more jobs fit in the next batch."""
         return self._places - len(self._given)
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: RolloutJob) -> None:
         """Take a job for the next batch."""
         self._given.append(job)
 
-    def wait(self) -> list[Outcome]:
+    def wait(self) -> list[RolloutResult]:
         """Play the batch, and return its outcomes.
 
         Raises:

@@ -21,19 +21,25 @@ from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.environments.film import Reel
-from xpl_cli.evaluation.lanes import blame, trial
-from xpl_cli.evaluation.lanes.backend import Job, Outcome
-from xpl_cli.evaluation.lanes.fitting import Fitting
-from xpl_cli.evaluation.lanes.orders import Access, Orders, Settings
-from xpl_cli.evaluation.lanes.recorder import recorded
-from xpl_cli.evaluation.lanes.retold import retold
-from xpl_cli.evaluation.lanes.scene import Scene, SpoiltError, hang_up, impatient, reset
-from xpl_cli.evaluation.lanes.watch import Watch
 from xpl_cli.evaluation.loop.desk import LoopError
 from xpl_cli.evaluation.loop.process import Loop, LoopLostError
 from xpl_cli.evaluation.records import failures
 from xpl_cli.evaluation.records.fingerprints import machine_facts
 from xpl_cli.evaluation.records.model import Conduct, now
+from xpl_cli.evaluation.rollout import failure_attribution, trial
+from xpl_cli.evaluation.rollout.action_check import ActionCheckWrapper
+from xpl_cli.evaluation.rollout.backend import RolloutJob, RolloutResult
+from xpl_cli.evaluation.rollout.config import EnvSettings, RolloutConfig, ServerAccess
+from xpl_cli.evaluation.rollout.instruction import with_instruction
+from xpl_cli.evaluation.rollout.scene import (
+    InfrastructureError,
+    RolloutScene,
+    disconnect,
+    reset_envs,
+    with_short_connect_timeout,
+)
+from xpl_cli.evaluation.rollout.telemetry import TelemetryWrapper
+from xpl_cli.evaluation.rollout.trajectory_recorder import recording
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages import environments
 from xpl_cli.serving.secrets import client_tls_context
@@ -46,7 +52,7 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.model import Ending
 
 
-class Lane:
+class RolloutWorker:
     """Plays the jobs that it is given.
 
     Args:
@@ -55,17 +61,17 @@ class Lane:
         access: how it gets at policy servers.
     """
 
-    def __init__(self, orders: Orders, worker: str, access: Access | None = None) -> None:
+    def __init__(self, orders: RolloutConfig, worker: str, access: ServerAccess | None = None) -> None:
         self._orders = orders
         self._worker = worker
-        self._access = access or Access()
+        self._access = access or ServerAccess()
         self._tls = None if self._access.ca_file is None else client_tls_context(self._access.ca_file)
         self._facts = environments.manifest(environments.find(orders.environment))
         self._robot = get_embodiment(orders.settings.embodiment)
         self._machine = machine_facts()
         self._open = contextlib.ExitStack()
         self._own = None if orders.horizon is not None else self._own_loop()
-        self._scene: Scene | None = None
+        self._scene: RolloutScene | None = None
 
     def prepare(self, task: str, setting: str) -> None:
         """Make the environment of a task and setting, and import the adapter's loop, before the first job.
@@ -76,7 +82,7 @@ class Lane:
         self._load()
         self._set(task, setting)
 
-    def play(self, job: Job, url: str) -> Outcome:
+    def play(self, job: RolloutJob, url: str) -> RolloutResult:
         """Play an attempt at an episode.
 
         Args:
@@ -88,7 +94,7 @@ class Lane:
         """
         return self.play_batch([job], url)[0]
 
-    def play_batch(self, jobs: Sequence[Job], url: str) -> list[Outcome]:
+    def play_batch(self, jobs: Sequence[RolloutJob], url: str) -> list[RolloutResult]:
         """Play one attempt at each of some episodes, at once.
 
         Args:
@@ -109,11 +115,13 @@ class Lane:
         outcomes = []
         for job, ending in zip(jobs, endings, strict=True):
             if watch is None or ending.failure == INFRASTRUCTURE:
-                outcomes.append(Outcome(job, ending, conduct, self._machine, is_server_suspect=True))
+                outcomes.append(RolloutResult(job, ending, conduct, self._machine, is_server_suspect=True))
                 continue
             inference = watch.inference if job is jobs[0] else None  # a batch is answered once for all
             seen = replace(conduct, server=server, inference=inference)
-            outcomes.append(Outcome(job, ending, seen, self._machine, watch.trace(), watch.film(), server is None))
+            outcomes.append(
+                RolloutResult(job, ending, seen, self._machine, watch.trace(), watch.film(), server is None)
+            )
         return outcomes
 
     def close(self) -> None:
@@ -153,21 +161,21 @@ class Lane:
         """End the connection and the environment."""
         scene, self._scene = self._scene, None
         if scene is not None:
-            hang_up(scene)
+            disconnect(scene)
             scene.env.close()
 
-    def _played(self, jobs: Sequence[Job], url: str) -> tuple[Watch | None, list[Ending]]:
+    def _played(self, jobs: Sequence[RolloutJob], url: str) -> tuple[TelemetryWrapper | None, list[Ending]]:
         """Return who looked on, if it came to that, and what is recorded of each outcome."""
         watch = None
         try:
             scene = self._ready(jobs[0])
             reel = Reel(scene.frequency, scene.camera) if jobs[0].film and scene.camera is not None else None
-            env: TaskEnv = Fitting(scene.env, self._robot, self._orders.settings.action_type)
+            env: TaskEnv = ActionCheckWrapper(scene.env, self._robot, self._orders.settings.action_type)
             if self._orders.instruction is not None:
-                env = retold(env, self._orders.instruction, jobs, self._orders.num_envs)
-            with recorded(env, self._orders, jobs, scene.frequency) as recorder:
-                watch = Watch(recorder or env, self._robot, scene.frequency, traced=jobs[0].trace, reel=reel)
-                reset(scene.env, jobs, self._orders.num_envs)
+                env = with_instruction(env, self._orders.instruction, jobs, self._orders.num_envs)
+            with recording(env, self._orders, jobs, scene.frequency) as recorder:
+                watch = TelemetryWrapper(recorder or env, self._robot, scene.frequency, traced=jobs[0].trace, reel=reel)
+                reset_envs(scene.env, jobs, self._orders.num_envs)
                 try:
                     client = self._connected(scene, url)
                 except ServerFailedError as error:
@@ -176,28 +184,28 @@ class Lane:
                 if recorder is not None:
                     recorder.keep(endings)
                 return watch, endings
-        except SpoiltError as error:
+        except InfrastructureError as error:
             self._drop()
             return watch, [failures.spoilt(str(error))] * len(jobs)
 
-    def _tried(self, watch: Watch, client: Client, jobs: Sequence[Job]) -> list[Ending]:
+    def _tried(self, watch: TelemetryWrapper, client: Client, jobs: Sequence[RolloutJob]) -> list[Ending]:
         """Announce a trial, judge it, and tell the policy how it went.
 
         Raises:
-            SpoiltError: the infrastructure broke it off.
+            InfrastructureError: the infrastructure broke it off.
         """
-        told = trial.case(self._settings(jobs[0].task, jobs[0].setting))
+        told = trial.describe_case(self._settings(jobs[0].task, jobs[0].setting))
         endings = self._judged(watch, client, len(jobs), told)
         is_connected = self._scene is not None and self._scene.client is not None
         if is_connected and not trial.end(client, endings):
             self._drop()
         return endings
 
-    def _judged(self, watch: Watch, client: Client, count: int, told: Payload) -> list[Ending]:
+    def _judged(self, watch: TelemetryWrapper, client: Client, count: int, told: Payload) -> list[Ending]:
         """Run the loop and return how each episode went.
 
         Raises:
-            SpoiltError: the infrastructure broke them off.
+            InfrastructureError: the infrastructure broke them off.
         """
         orders, batch = self._orders, self._orders.num_envs > 1
         try:
@@ -216,39 +224,39 @@ class Lane:
                 raise  # a fault of our own loop
             broken = error
         except (EnvLostError, EnvRaisedError) as error:
-            raise SpoiltError(str(error)) from None
+            raise InfrastructureError(str(error)) from None
         return self._failed(watch, broken, count)
 
-    def _failed(self, watch: Watch, error: Exception, count: int) -> list[Ending]:
+    def _failed(self, watch: TelemetryWrapper, error: Exception, count: int) -> list[Ending]:
         """Return how episodes went that the policy's side broke off.
 
         Raises:
-            SpoiltError: it was not the policy's side.
+            InfrastructureError: it was not the policy's side.
         """
         scene, results = self._scene, watch.results()[:count]
         url = "" if scene is None or scene.client is None else scene.client[0]
-        if blame.is_death(error, url, self._tls):
+        if failure_attribution.is_policy_crash(error, url, self._tls):
             if not isinstance(error, LoopLostError):
                 self._drop()
             return [failures.died(result, str(error)) for result in results]
-        if isinstance(error, ClientError) and blame.is_outside(error):
-            raise SpoiltError(str(error))
+        if isinstance(error, ClientError) and failure_attribution.is_infrastructure_error(error):
+            raise InfrastructureError(str(error))
         return [failures.failed(result, str(error)) for result in results]
 
-    def _ready(self, job: Job) -> Scene:
+    def _ready(self, job: RolloutJob) -> RolloutScene:
         """Return the scene of a job.
 
         Raises:
-            SpoiltError: there is none now.
+            InfrastructureError: there is none now.
         """
         try:
             return self._set(job.task, job.setting)
         except UserError as error:
             if error.code != ExitCode.NOT_RUN:
                 raise
-            raise SpoiltError(str(error)) from None
+            raise InfrastructureError(str(error)) from None
 
-    def _set(self, task: str, setting: str) -> Scene:
+    def _set(self, task: str, setting: str) -> RolloutScene:
         """Return the scene with an environment for a task and setting; a new one where they have changed."""
         if self._scene is not None and self._scene.key == (task, setting):
             return self._scene
@@ -264,24 +272,24 @@ class Lane:
         env = environments.start(orders.environment, settings.as_config(), workers=orders.env_workers, python=python)
         names = list(self._facts.cameras)
         camera = next((name for name in sdk.OPTIONAL_CAMERAS if name in names), next(iter(names), None))
-        self._scene = Scene((task, setting), env, self._facts.frequency(task), camera)
+        self._scene = RolloutScene((task, setting), env, self._facts.frequency(task), camera)
         return self._scene
 
-    def _settings(self, task: str, setting: str) -> Settings:
+    def _settings(self, task: str, setting: str) -> EnvSettings:
         """Return the settings of the environment for a task and setting."""
         return replace(self._orders.settings, task=task, setting=setting, num_envs=self._orders.num_envs)
 
-    def _connected(self, scene: Scene, url: str) -> Client:
+    def _connected(self, scene: RolloutScene, url: str) -> Client:
         """Return a client of the policy server, connected for this scene.
 
         Raises:
             UserError: policy and environment do not fit.
             ServerFailedError: the policy's process ended.
-            SpoiltError: there is no connection.
+            InfrastructureError: there is no connection.
         """
         if scene.client is not None and scene.client[0] == url:
             return scene.client[1]
-        hang_up(scene)
+        disconnect(scene)
         settings = self._orders.settings
         offer = {
             "embodiment": settings.embodiment,
@@ -289,12 +297,12 @@ class Lane:
             "control_frequency": scene.frequency,
             **({REAL_TIME: True} if self._facts.real_time else {}),
         }
-        access, config = self._access, blame.outwaiting(self._orders.config)
+        access, config = self._access, failure_attribution.with_longer_timeout(self._orders.config)
         try:
             obs = scene.env.get_obs_batch([0])[0]
             client = Client(
                 url,
-                config=config if access.is_patient else impatient(config),
+                config=config if access.is_patient else with_short_connect_timeout(config),
                 token=access.token,
                 ssl_context=self._tls,
                 environment={
@@ -307,12 +315,12 @@ class Lane:
         except EnvironmentMismatchError as error:
             raise UserError(str(error), code=ExitCode.USAGE) from None
         except EnvLostError as error:
-            raise SpoiltError(str(error)) from None
+            raise InfrastructureError(str(error)) from None
         except ServerFailedError:
             raise
         except ClientError as error:
-            if error.spoils_trial:
-                raise SpoiltError(str(error)) from None
+            if error.is_infrastructure_error:
+                raise InfrastructureError(str(error)) from None
             raise UserError(str(error), code=ExitCode.NOT_RUN) from None
         scene.client = url, client
         return client
@@ -324,4 +332,4 @@ class Lane:
     def _drop(self) -> None:
         """Let go of a connection that may not be able to go on; an environment that was lost starts itself again."""
         if self._scene is not None:
-            hang_up(self._scene)
+            disconnect(self._scene)

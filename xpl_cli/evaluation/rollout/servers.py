@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from xpl_cli.isolation.bounds import Bounds
-from xpl_cli.serving.launch import ServerStartError, serving
+from xpl_cli.isolation.isolation_settings import IsolationSettings
+from xpl_cli.serving.launch import ServerStartError, running_server
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +27,7 @@ _STARTS = 3
 
 
 @dataclass(frozen=True)
-class ServerOrders:
+class ServerConfig:
     """How the policy of a run is served; everything in it may travel to another machine.
 
     Attributes:
@@ -46,7 +46,7 @@ class ServerOrders:
     python: str | None = None
     env: str | None = None
     gpu: str | None = None
-    bounds: Bounds = field(default_factory=Bounds)
+    bounds: IsolationSettings = field(default_factory=IsolationSettings)
 
     def start(self, options: Sequence[str] = (), token: str | None = None) -> AbstractContextManager[RunningServer]:
         """Return a server for the length of a `with` block (`xpl_cli.serving.launch.serving`).
@@ -55,7 +55,7 @@ class ServerOrders:
             options: further ones of `xpl serve`.
             token: what it asks clients for.
         """
-        return serving(
+        return running_server(
             Path(self.policy),
             self.overrides,
             python=self.python,
@@ -67,7 +67,7 @@ class ServerOrders:
         )
 
 
-class Server:
+class ManagedServer:
     """A policy server of this machine, for one lane or several. Its methods may be called from their threads.
 
     Args:
@@ -78,7 +78,7 @@ class Server:
     """
 
     def __init__(
-        self, orders: ServerOrders, clients: int, options: Sequence[str] = (), token: str | None = None
+        self, orders: ServerConfig, clients: int, options: Sequence[str] = (), token: str | None = None
     ) -> None:
         self._orders = orders
         self.token = token or secrets.token_urlsafe(32)

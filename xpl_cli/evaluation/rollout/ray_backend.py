@@ -22,15 +22,15 @@ import xpl_cli
 from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.extras import how_to_install
-from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
-from xpl_cli.evaluation.lanes.ray_actors import Player, PolicyServer, Post, Refusal, Unfit
+from xpl_cli.evaluation.rollout.backend import RolloutJob, RolloutResult, lost_rollout
+from xpl_cli.evaluation.rollout.ray_actors import ActorInfo, ActorUnavailable, PolicyServerActor, Refusal, RolloutActor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from xpl_cli.evaluation.lanes.backend import Room
-    from xpl_cli.evaluation.lanes.orders import Orders
-    from xpl_cli.evaluation.lanes.servers import ServerOrders
+    from xpl_cli.evaluation.rollout.backend import BackendConfig
+    from xpl_cli.evaluation.rollout.config import RolloutConfig
+    from xpl_cli.evaluation.rollout.servers import ServerConfig
 
 PATIENCE_S = 1200.0
 """How long there may be no lane at all; a model may take half of that to load."""
@@ -41,7 +41,7 @@ _AGAIN = -1
 
 
 @dataclass(eq=False)
-class _Server:
+class _RayServer:
     """A policy server of the cluster.
 
     Attributes:
@@ -54,7 +54,7 @@ class _Server:
 
 
 @dataclass(eq=False)
-class _Place:
+class _RayWorker:
     """A lane of the cluster.
 
     Attributes:
@@ -65,9 +65,9 @@ class _Place:
     """
 
     actor: Any
-    server: _Server | None
-    post: Post | None = None
-    job: Job | None = None
+    server: _RayServer | None
+    post: ActorInfo | None = None
+    job: RolloutJob | None = None
 
     @property
     def is_free(self) -> bool:
@@ -76,7 +76,7 @@ class _Place:
 
 
 class RayBackend:
-    """Plays jobs on a Ray cluster that runs already (see `xpl_cli.evaluation.lanes.backend.Backend`).
+    """Plays jobs on a Ray cluster that runs already (see `xpl_cli.evaluation.rollout.backend.Backend`).
 
     The cluster is the one that Ray itself finds: at `RAY_ADDRESS`, or started on this machine. As long as this object
     lives, nothing of this process reaches standard output: Ray writes its own notes there, which cannot be turned off.
@@ -92,20 +92,20 @@ class RayBackend:
         UserError: Ray is not installed, or there is no cluster.
     """
 
-    def __init__(self, orders: Orders, server_orders: ServerOrders, room: Room, episodes: int) -> None:
+    def __init__(self, orders: RolloutConfig, server_orders: ServerConfig, room: BackendConfig, episodes: int) -> None:
         self._resources = contextlib.ExitStack()
         self._ray = _connected(self._resources)
         self._gpus = room.gpus
         self._has_played = False
-        self._unplayed: list[Job] = []
-        self._awaited: dict[Any, Callable[[Any], list[Outcome]]] = {}
+        self._unplayed: list[RolloutJob] = []
+        self._awaited: dict[Any, Callable[[Any], list[RolloutResult]]] = {}
         servers = room.servers or (1 if room.gpus else 0)
         lanes = min(room.lanes or _processors(self._ray) - servers, episodes)
         token = secrets.token_urlsafe(32) if servers else None
         shared = self._serving(server_orders, min(servers, lanes), lanes, token)
         own = None if shared else server_orders
         self._places = [
-            _Place(self._actor(Player).remote(xpl_cli.__version__, orders, own, number, token), server)
+            _RayWorker(self._actor(RolloutActor).remote(xpl_cli.__version__, orders, own, number, token), server)
             for number, server in enumerate(shared or [None] * lanes)
         ]
         for server in dict.fromkeys(shared):
@@ -117,20 +117,20 @@ class RayBackend:
         """Return how many lanes could play now."""
         return max(0, sum(place.is_free for place in self._places) - len(self._unplayed))
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: RolloutJob) -> None:
         """Give a job to a lane that is free."""
         place = next(place for place in self._places if place.is_free)
         place.job = job
         url = None if place.server is None else place.server.url
         self._awaited[place.actor.play.remote(job, url)] = partial(self._played, place)
 
-    def wait(self) -> list[Outcome]:
+    def wait(self) -> list[RolloutResult]:
         """Wait for outcomes, or until more lanes are free.
 
         Raises:
             UserError: no job can be played, or the cluster has had no room for too long.
         """
-        free, found = self.free(), list[Outcome]()
+        free, found = self.free(), list[RolloutResult]()
         while not found and self.free() <= free:
             for ref in self._arrived():
                 found += self._awaited.pop(ref)(ref)
@@ -142,14 +142,14 @@ class RayBackend:
         """Leave the cluster, which ends all actors of this run and what they have started."""
         self._resources.close()
 
-    def _serving(self, orders: ServerOrders, servers: int, lanes: int, token: str | None) -> list[_Server]:
+    def _serving(self, orders: ServerConfig, servers: int, lanes: int, token: str | None) -> list[_RayServer]:
         """Return the server of each lane, or nothing where lanes have their own."""
-        found: list[_Server] = []
+        found: list[_RayServer] = []
         for number in range(servers):
             clients = lanes * (number + 1) // servers - lanes * number // servers
             # No processor of its own: a lane must not be able to take the last one from the server that it waits for.
-            actor = self._actor(PolicyServer, num_cpus=0, num_gpus=self._gpus)
-            found += [_Server(actor.remote(xpl_cli.__version__, orders, clients, token))] * clients
+            actor = self._actor(PolicyServerActor, num_cpus=0, num_gpus=self._gpus)
+            found += [_RayServer(actor.remote(xpl_cli.__version__, orders, clients, token))] * clients
         return found
 
     def _actor(self, kind: type, **needs: float) -> Any:
@@ -183,33 +183,33 @@ class RayBackend:
         found = ", ".join(f"{name} {count:g}" for name, count in sorted(left.items())) or "nothing"
         return f"it must have room for a lane (CPU 1){server}; left are: {found}"
 
-    def _prepare(self, place: _Place) -> None:
+    def _prepare(self, place: _RayWorker) -> None:
         """Let a lane tell when it can play; one that is being started again answers then."""
         place.post = None
         self._awaited[place.actor.ready.options(max_task_retries=_AGAIN).remote()] = partial(self._prepared, place)
 
-    def _prepared(self, place: _Place, ref: Any) -> list[Outcome]:
+    def _prepared(self, place: _RayWorker, ref: Any) -> list[RolloutResult]:
         told = self._begun(ref)
-        if isinstance(told, Unfit):
+        if isinstance(told, ActorUnavailable):
             self._give_up([place], told)
         else:
             place.post = told
         return []
 
-    def _locate(self, server: _Server, ask: Any) -> None:
+    def _locate(self, server: _RayServer, ask: Any) -> None:
         """Ask where a server answers, by one of its actor's methods; each starts it where it does not run."""
         server.url = None
         self._awaited[ask.options(max_task_retries=_AGAIN).remote()] = partial(self._located, server)
 
-    def _located(self, server: _Server, ref: Any) -> list[Outcome]:
+    def _located(self, server: _RayServer, ref: Any) -> list[RolloutResult]:
         told = self._begun(ref)
-        if isinstance(told, Unfit):
+        if isinstance(told, ActorUnavailable):
             self._give_up([place for place in self._places if place.server is server], told)
         else:
             server.url = told
         return []
 
-    def _played(self, place: _Place, ref: Any) -> list[Outcome]:
+    def _played(self, place: _RayWorker, ref: Any) -> list[RolloutResult]:
         """Return what became of a lane's job, and see to it that the lane can play again."""
         job, post = place.job, place.post
         assert job is not None and post is not None  # noqa: S101, PT018 - for the type checker: it was playing
@@ -219,14 +219,16 @@ class RayBackend:
         except self._ray.exceptions.RayTaskError:
             raise  # a fault of ours
         except self._ray.exceptions.RayError as error:
-            told = lost(job, f"the worker or its machine was lost ({type(error).__name__})", post.worker, post.facts)
+            told = lost_rollout(
+                job, f"the worker or its machine was lost ({type(error).__name__})", post.worker, post.facts
+            )
             if place in self._places:
                 self._prepare(place)
-        if isinstance(told, Unfit):
+        if isinstance(told, ActorUnavailable):
             self._give_up([place], told)
             self._unplayed.append(job)  # it had not begun
             return []
-        outcome: Outcome = told
+        outcome: RolloutResult = told
         self._has_played = True
         # What spoilt the attempt may have been the server: it says where it is now, or is, on another machine.
         if outcome.is_server_suspect and place.server is not None and place.server.url is not None:
@@ -251,7 +253,7 @@ class RayBackend:
             refusal = error
         if not self._has_played:
             raise refusal from None
-        return Unfit(str(refusal))
+        return ActorUnavailable(str(refusal))
 
     def _answer(self, ref: Any) -> Any:
         """Return what an actor answered.
@@ -264,7 +266,7 @@ class RayBackend:
             raise answer.error()
         return answer
 
-    def _give_up(self, places: list[_Place], why: Unfit) -> None:
+    def _give_up(self, places: list[_RayWorker], why: ActorUnavailable) -> None:
         """Do without lanes that would spoil whatever they are given.
 
         Raises:

@@ -27,7 +27,7 @@ _LONGER_S = 10.0
 """What a client waits beyond its server's own limit for a batch."""
 
 
-def is_death(error: Exception, url: str, ssl_context: ssl.SSLContext | None = None) -> bool:
+def is_policy_crash(error: Exception, url: str, ssl_context: ssl.SSLContext | None = None) -> bool:
     """Tell whether an error shows that a process which runs the adapter's code ended or hung.
 
     Args:
@@ -39,10 +39,10 @@ def is_death(error: Exception, url: str, ssl_context: ssl.SSLContext | None = No
         return True
     if isinstance(error, PolicyServerError):
         return error.code == sdk.ErrorCode.TIMEOUT or error.details.get("reason") == sdk.ErrorReason.WORKER_DIED
-    return isinstance(error, RequestTimeoutError) and answers(url, ssl_context)
+    return isinstance(error, RequestTimeoutError) and is_responding(url, ssl_context)
 
 
-def outwaiting(config: Config) -> dict[str, Any]:
+def with_longer_timeout(config: Config) -> dict[str, Any]:
     """Return a configuration by which a client waits a little longer than its server does.
 
     A server that ends a worker that hangs says so, if anybody still listens; then it may end itself, and nobody could
@@ -52,14 +52,14 @@ def outwaiting(config: Config) -> dict[str, Any]:
     return dict(config) if limit is None else {**config, sdk.Deploy.REQUEST_TIMEOUT_S: limit + _LONGER_S}
 
 
-def is_outside(error: ClientError) -> bool:
+def is_infrastructure_error(error: ClientError) -> bool:
     """Tell whether an error of a client, which is no death of the policy's, says nothing about the policy."""
     if isinstance(error, PolicyServerError):
         return error.details.get("reason") in _OUTSIDE
-    return error.spoils_trial
+    return error.is_infrastructure_error
 
 
-def answers(url: str, ssl_context: ssl.SSLContext | None = None) -> bool:
+def is_responding(url: str, ssl_context: ssl.SSLContext | None = None) -> bool:
     """Tell whether the front end of a server answers, whatever it says: then it is the model that hangs."""
     address = urlsplit(url)
     host, port = address.hostname or "", address.port

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl.action import check_form
-from xpl_cli.evaluation.lanes.around import Around
+from xpl_cli.evaluation.rollout.env_wrapper import TaskEnvWrapper
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from xpl.environment import TaskEnv
 
 
-class Fitting(Around):
+class ActionCheckWrapper(TaskEnvWrapper):
     """A task environment that is given nothing but actions of its robot, of whatever values.
 
     Args:
@@ -32,7 +32,7 @@ class Fitting(Around):
         super().__init__(task_env)
         self._robot = embodiment, action_type
 
-    def _before(self, actions: Sequence[Action], envs: Sequence[int]) -> None:  # noqa: ARG002 - all have the same robot
+    def _before_step(self, actions: Sequence[Action], envs: Sequence[int]) -> None:  # noqa: ARG002 - all have the same robot
         """Raise an ActionError for what is no action of this robot; no environment has seen any."""
         for action in actions:
             check_form(action, *self._robot)

@@ -12,22 +12,22 @@ from xpl import _spec as sdk
 from xpl.observation import get_instruction
 from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl_cli.basics.errors import UserError
-from xpl_cli.evaluation.lanes.around import Around
-from xpl_cli.evaluation.lanes.scene import SpoiltError, reset
 from xpl_cli.evaluation.records.manner import BLANK
+from xpl_cli.evaluation.rollout.env_wrapper import TaskEnvWrapper
+from xpl_cli.evaluation.rollout.scene import InfrastructureError, reset_envs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from xpl.contract import ObservationDict
     from xpl.environment import TaskEnv
-    from xpl_cli.evaluation.lanes.backend import Job
+    from xpl_cli.evaluation.rollout.backend import RolloutJob
 
 _TRIES = 30
 """Seeds that are looked at for one that is about something else."""
 
 
-def retold(env: TaskEnv, instead: str, jobs: Sequence[Job], places: int) -> Retold:
+def with_instruction(env: TaskEnv, instead: str, jobs: Sequence[RolloutJob], places: int) -> InstructionWrapper:
     """Return an environment whose observations hold other instructions; it has to be reset afterwards.
 
     Args:
@@ -39,34 +39,34 @@ def retold(env: TaskEnv, instead: str, jobs: Sequence[Job], places: int) -> Reto
 
     Raises:
         UserError: none of the next seeds is told anything else, or the environment refuses a seed.
-        SpoiltError: the environment is lost.
+        InfrastructureError: the environment is lost.
     """
     if instead == BLANK:
-        return Retold(env, [""] * places)
+        return InstructionWrapper(env, [""] * places)
     told: list[str | None] = [None] * len(jobs)
     own = _said(env, jobs, 0, places)
     for ahead in range(1, _TRIES + 1):
         others = _said(env, jobs, ahead, places)
         told = [text or (other if other != mine else None) for text, other, mine in zip(told, others, own, strict=True)]
         if all(told):
-            return Retold(env, [*(text or "" for text in told), *[""] * (places - len(jobs))])
+            return InstructionWrapper(env, [*(text or "" for text in told), *[""] * (places - len(jobs))])
     raise UserError(
         f"{jobs[0].task}, {jobs[0].setting}: episodes of the next {_TRIES} seeds are told nothing else; "
         "--instruction swap is for tasks whose instruction differs from episode to episode"
     )
 
 
-def _said(env: TaskEnv, jobs: Sequence[Job], ahead: int, places: int) -> list[str]:
+def _said(env: TaskEnv, jobs: Sequence[RolloutJob], ahead: int, places: int) -> list[str]:
     """Return what the episodes so many seeds ahead are told."""
-    reset(env, [replace(job, seed=job.seed + ahead) for job in jobs], places)
+    reset_envs(env, [replace(job, seed=job.seed + ahead) for job in jobs], places)
     try:
         seen = env.get_obs_batch(list(range(len(jobs))))
     except (EnvLostError, EnvRaisedError) as error:
-        raise SpoiltError(str(error)) from None
+        raise InfrastructureError(str(error)) from None
     return [get_instruction(obs) or "" for obs in seen]
 
 
-class Retold(Around):
+class InstructionWrapper(TaskEnvWrapper):
     """A task environment that tells something else in each place.
 
     Args:
@@ -78,6 +78,6 @@ class Retold(Around):
         super().__init__(task_env)
         self._texts = list(texts)
 
-    def _shown(self, env: int, obs: ObservationDict) -> ObservationDict:
+    def _on_observation(self, env: int, obs: ObservationDict) -> ObservationDict:
         kept = {key: value for key, value in obs.items() if key not in (sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS)}
         return {**kept, sdk.Obs.INSTRUCTION: self._texts[env]}

@@ -18,21 +18,21 @@ from typing import TYPE_CHECKING, Any
 from xpl.process import spawn
 from xpl_cli.basics import again
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
-from xpl_cli.evaluation.lanes.orders import Access, Orders
-from xpl_cli.evaluation.lanes.servers import Server, ServerLostError, ServerOrders
+from xpl_cli.evaluation.rollout.backend import RolloutJob, RolloutResult, lost_rollout
+from xpl_cli.evaluation.rollout.config import RolloutConfig, ServerAccess
+from xpl_cli.evaluation.rollout.servers import ManagedServer, ServerConfig, ServerLostError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.evaluation.lanes.here import PolicyServer
+    from xpl_cli.evaluation.rollout.in_process_backend import ServerHandle
 
-    _Done = queue.SimpleQueue[tuple["_LaneThread", Outcome | Exception]]
+    _Done = queue.SimpleQueue[tuple["_WorkerThread", RolloutResult | Exception]]
 
 _GRACE_S = 10.0
 
 
-def shared(server_orders: ServerOrders, lanes: int, servers: int) -> list[tuple[PolicyServer, Access]]:
+def assign_servers(server_orders: ServerConfig, lanes: int, servers: int) -> list[tuple[ServerHandle, ServerAccess]]:
     """Return the servers that lanes share as evenly as may be, one for each lane, and how each is reached.
 
     Args:
@@ -41,24 +41,24 @@ def shared(server_orders: ServerOrders, lanes: int, servers: int) -> list[tuple[
         servers: how many there are.
     """
     shares = [lanes * (number + 1) // servers - lanes * number // servers for number in range(servers)]
-    owned = [(Server(server_orders, share), share) for share in shares]
-    return [(server, Access(server.token)) for server, share in owned for _ in range(share)]
+    owned = [(ManagedServer(server_orders, share), share) for share in shares]
+    return [(server, ServerAccess(server.token)) for server, share in owned for _ in range(share)]
 
 
 class LocalBackend:
-    """Plays jobs on this machine (see `xpl_cli.evaluation.lanes.backend.Backend`).
+    """Plays jobs on this machine (see `xpl_cli.evaluation.rollout.backend.Backend`).
 
     Args:
         orders: what lanes play.
         reached: for each lane its policy server, and how it is reached.
     """
 
-    def __init__(self, orders: Orders, reached: Sequence[tuple[PolicyServer, Access]]) -> None:
+    def __init__(self, orders: RolloutConfig, reached: Sequence[tuple[ServerHandle, ServerAccess]]) -> None:
         self._servers = list(dict.fromkeys(server for server, _ in reached))
         self._done: _Done = queue.SimpleQueue()
-        self._lanes = [_LaneThread(orders, number, *each, self._done) for number, each in enumerate(reached)]
+        self._lanes = [_WorkerThread(orders, number, *each, self._done) for number, each in enumerate(reached)]
         self._idle = list(self._lanes)
-        self._returned: list[Job] = []
+        self._returned: list[RolloutJob] = []
         for lane in self._lanes:
             lane.start()
 
@@ -66,11 +66,11 @@ class LocalBackend:
         """Return how many lanes have nothing to do; none while a job waits that was given back."""
         return 0 if self._returned else len(self._idle)
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: RolloutJob) -> None:
         """Give a job to the lane that has waited longest."""
         self._idle.pop(0).jobs.put(job)
 
-    def wait(self) -> list[Outcome]:
+    def wait(self) -> list[RolloutResult]:
         """Wait for the next outcome; none where a lane has given its job back.
 
         Raises:
@@ -87,7 +87,7 @@ class LocalBackend:
             self.submit(self._returned.pop(0))
         return [told] if lane.is_sound else []
 
-    def _dismiss(self, lane: _LaneThread, told: Outcome) -> None:
+    def _dismiss(self, lane: _WorkerThread, told: RolloutResult) -> None:
         """Do without a lane that can play no more: it would spoil job after job, and faster than others play them."""
         self._lanes.remove(lane)
         lane.end()
@@ -106,7 +106,7 @@ class LocalBackend:
             server.close()
 
 
-class _LaneThread(threading.Thread):
+class _WorkerThread(threading.Thread):
     """Looks after one lane: its process, and the server that it talks to.
 
     Attributes:
@@ -116,17 +116,17 @@ class _LaneThread(threading.Thread):
 
     def __init__(
         self,
-        orders: Orders,
+        orders: RolloutConfig,
         number: int,
-        server: PolicyServer,
-        access: Access,
+        server: ServerHandle,
+        access: ServerAccess,
         done: _Done,
     ) -> None:
         # A daemon: it may wait for a model to load, and must not keep a run that was interrupted from ending.
         super().__init__(daemon=True)
-        self.jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self.jobs: queue.SimpleQueue[RolloutJob | None] = queue.SimpleQueue()
         self._worker = f"{platform.node()}/{number}"
-        self._process = _LaneProcess(orders, self._worker, access)
+        self._process = _WorkerProcess(orders, self._worker, access)
         self._server = server
         self._done = done
         self._is_busy = False
@@ -137,7 +137,7 @@ class _LaneThread(threading.Thread):
         while (job := self.jobs.get()) is not None:
             self._is_busy = True
             try:
-                told: Outcome | Exception = self._play(job)
+                told: RolloutResult | Exception = self._play(job)
             except Exception as error:  # noqa: BLE001 - raised where the run is led
                 told = error
             self._is_busy = False
@@ -150,46 +150,46 @@ class _LaneThread(threading.Thread):
         if self._is_busy:
             self._process.kill()
 
-    def _play(self, job: Job) -> Outcome:
+    def _play(self, job: RolloutJob) -> RolloutResult:
         try:
             url = self._server.url()
         except ServerLostError as error:
             self.is_sound = False
-            return lost(job, f"the policy server does not start any more: {error}", self._worker)
+            return lost_rollout(job, f"the policy server does not start any more: {error}", self._worker)
         try:
             outcome = self._process.play(job, url)
-        except LaneLostError as error:
-            outcome = lost(job, str(error), self._worker)
+        except WorkerLostError as error:
+            outcome = lost_rollout(job, str(error), self._worker)
         if outcome.is_server_suspect:
             self._server.drop()
         return outcome
 
 
-class LaneLostError(RuntimeError):
+class WorkerLostError(RuntimeError):
     """The process of a lane has ended."""
 
 
-class _LaneProcess:
-    """A lane in a process of its own (`xpl_cli.evaluation.lanes.process`), which is started when it is needed."""
+class _WorkerProcess:
+    """A worker in a process of its own (`worker_process`), which is started when it is needed."""
 
-    def __init__(self, orders: Orders, worker: str, access: Access) -> None:
+    def __init__(self, orders: RolloutConfig, worker: str, access: ServerAccess) -> None:
         self._given = orders, worker, access
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: Connection[Any, Any] | None = None
 
-    def play(self, job: Job, url: str) -> Outcome:
+    def play(self, job: RolloutJob, url: str) -> RolloutResult:
         """Play a job.
 
         Raises:
             UserError: no job can be played.
-            LaneLostError: the process ended.
+            WorkerLostError: the process ended.
         """
         try:
             channel = self._channel or self._started()
             channel.send((job, url))
-            told: Outcome | Exception = channel.recv()
+            told: RolloutResult | Exception = channel.recv()
         except (EOFError, OSError):
-            raise LaneLostError(self._ended()) from None
+            raise WorkerLostError(self._ended()) from None
         if isinstance(told, Exception):
             raise told
         return told
@@ -212,7 +212,7 @@ class _LaneProcess:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [*again.command("xpl_cli.evaluation.lanes.process"), str(theirs.fileno())],
+                [*again.command("xpl_cli.evaluation.rollout.worker_process"), str(theirs.fileno())],
                 stdin=subprocess.PIPE,  # ends with this process, and the lane with it
                 stdout=2,  # what an adapter's loop prints is no data
                 pass_fds=[theirs.fileno()],

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
     from xpl import Client
     from xpl.contract import Payload
-    from xpl_cli.evaluation.lanes.orders import Settings
     from xpl_cli.evaluation.records.model import Ending
+    from xpl_cli.evaluation.rollout.config import EnvSettings
 
 _TOLD = ("success", "score", "steps", "end_reason")
 _UNKNOWN = (sdk.ErrorCode.UNKNOWN_MESSAGE_TYPE, sdk.ErrorCode.INVALID_FRAME)
 
 
-def case(settings: Settings) -> Payload:
+def describe_case(settings: EnvSettings) -> Payload:
     """Return what is told of a case, its name among it; `settings` are those of the environment."""
     return {
         sdk.Payload.ACTION_CASE_ID: f"{settings.task}/{settings.setting}",
@@ -36,7 +36,7 @@ def case(settings: Settings) -> Payload:
     }
 
 
-def outcome(endings: Sequence[Ending]) -> Payload:
+def describe_outcome(endings: Sequence[Ending]) -> Payload:
     """Return what is told of how a trial went: of one episode as it is, of several as a list."""
     told = [{name: getattr(ending, name) for name in _TOLD} for ending in endings]
     return told[0] if len(told) == 1 else {"results": told}
@@ -62,11 +62,11 @@ def end(client: Client, endings: Sequence[Ending]) -> bool:
     The verdict stands whatever the policy's hook does: what it raises is told to whoever watches.
     """
     try:
-        client.trial_end(outcome(endings))
+        client.trial_end(describe_outcome(endings))
     except PolicyServerError as error:
         if error.code not in _UNKNOWN:
             console.note(f"the policy's on_trial_end failed: {error}")
-        return not error.spoils_trial
+        return not error.is_infrastructure_error
     except ClientError:
         return False
     return True

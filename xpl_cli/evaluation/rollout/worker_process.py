@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any, NoReturn
 
 from xpl_cli.basics.errors import UserError
-from xpl_cli.evaluation.lanes.lane import Lane
+from xpl_cli.evaluation.rollout.worker import RolloutWorker
 
 
 def main(descriptor: int) -> None:
@@ -27,7 +27,7 @@ def main(descriptor: int) -> None:
         given = channel.recv()
         while (asked := channel.recv()) is not None:
             try:
-                lane = lane or Lane(*given)
+                lane = lane or RolloutWorker(*given)
                 channel.send(lane.play(*asked))
             except UserError as error:
                 channel.send(error)

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING
 
 import xpl_cli
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.lane import Lane
-from xpl_cli.evaluation.lanes.orders import Access, Orders
-from xpl_cli.evaluation.lanes.servers import Server, ServerLostError, ServerOrders
 from xpl_cli.evaluation.records.fingerprints import checkpoint_of, machine_facts, package_digest
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.evaluation.rollout.config import RolloutConfig, ServerAccess
+from xpl_cli.evaluation.rollout.servers import ManagedServer, ServerConfig, ServerLostError
+from xpl_cli.evaluation.rollout.worker import RolloutWorker
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
-    from xpl_cli.evaluation.lanes.backend import Job, Outcome
     from xpl_cli.evaluation.records.fingerprints import Facts
+    from xpl_cli.evaluation.rollout.backend import RolloutJob, RolloutResult
 
 _SAME_PLACE = "the same files must lie at the same place on every machine: a shared folder, or the same image"
 
@@ -45,14 +45,14 @@ class Refusal:
 
 
 @dataclass(frozen=True)
-class Unfit:
+class ActorUnavailable:
     """Why an actor can play no more, although it could; what it was asked to play has not begun."""
 
     reason: str
 
 
 @dataclass(frozen=True)
-class Post:
+class ActorInfo:
     """Where a lane is.
 
     Attributes:
@@ -64,7 +64,7 @@ class Post:
     facts: Facts
 
 
-class PolicyServer:
+class PolicyServerActor:
     """A policy server: for lanes on other machines, or for one in the same process.
 
     Args:
@@ -77,14 +77,14 @@ class PolicyServer:
         token: what it asks for.
     """
 
-    def __init__(self, version: str, orders: ServerOrders, clients: int, token: str | None) -> None:
+    def __init__(self, version: str, orders: ServerConfig, clients: int, token: str | None) -> None:
         self._version = version
         self._orders = orders = replace(orders, bounds=_kept(orders))
-        self._server = Server(orders, clients, () if token is None else ("--host", _address()), token)
+        self._server = ManagedServer(orders, clients, () if token is None else ("--host", _address()), token)
         self.token = self._server.token
         self._is_checked = False
 
-    def url(self) -> str | Refusal | Unfit:
+    def url(self) -> str | Refusal | ActorUnavailable:
         """Return where it answers; starts it where it does not run (any more)."""
         try:
             self._check()
@@ -92,9 +92,9 @@ class PolicyServer:
         except UserError as error:
             return Refusal.of(error)
         except ServerLostError as error:
-            return Unfit(f"the policy server does not start any more: {error}")
+            return ActorUnavailable(f"the policy server does not start any more: {error}")
 
-    def url_after_failure(self) -> str | Refusal | Unfit:
+    def url_after_failure(self) -> str | Refusal | ActorUnavailable:
         """Return where it answers, after an attempt that it may have spoilt."""
         self.suspect()
         return self.url()
@@ -112,7 +112,7 @@ class PolicyServer:
             self._is_checked = True
 
 
-class Player:
+class RolloutActor:
     """A lane and, where it has one of its own, the policy server that it talks to.
 
     Args:
@@ -124,34 +124,34 @@ class Player:
     """
 
     def __init__(
-        self, version: str, orders: Orders, own_server: ServerOrders | None, number: int, token: str | None
+        self, version: str, orders: RolloutConfig, own_server: ServerConfig | None, number: int, token: str | None
     ) -> None:
         self._version = version
         self._orders = orders = replace(orders, bounds=_kept(orders))
         self._worker = f"{platform.node()}/{number}"
-        self._server = None if own_server is None else PolicyServer(version, own_server, 1, None)
+        self._server = None if own_server is None else PolicyServerActor(version, own_server, 1, None)
         self._token = token if self._server is None else self._server.token
-        self._lane: Lane | None = None
+        self._lane: RolloutWorker | None = None
 
-    def ready(self) -> Post | Refusal | Unfit:
+    def ready(self) -> ActorInfo | Refusal | ActorUnavailable:
         """Prepare for playing and return where that is; doing so again changes nothing."""
         try:
             _check_version(self._version)
             _check_files("adapter", self._orders.policy, self._orders.policy_digest)
             _check_files("environment", self._orders.environment, self._orders.environment_digest)
             if self._lane is None:
-                self._lane = Lane(self._orders, self._worker, Access(self._token))
+                self._lane = RolloutWorker(self._orders, self._worker, ServerAccess(self._token))
         except UserError as error:
             return Refusal.of(error)
         url = None if self._server is None else self._server.url()
-        return url if isinstance(url, (Refusal, Unfit)) else Post(self._worker, machine_facts())
+        return url if isinstance(url, (Refusal, ActorUnavailable)) else ActorInfo(self._worker, machine_facts())
 
-    def play(self, job: Job, url: str | None) -> Outcome | Refusal | Unfit:
+    def play(self, job: RolloutJob, url: str | None) -> RolloutResult | Refusal | ActorUnavailable:
         """Play an attempt at an episode, with the policy server at an address, or with its own."""
         assert self._lane is not None  # noqa: S101 - for the type checker: nobody plays who is not ready
         asked = url if self._server is None else self._server.url()
         if not isinstance(asked, str):
-            return asked or Unfit("the lane has no policy server")
+            return asked or ActorUnavailable("the lane has no policy server")
         try:
             outcome = self._lane.play(job, asked)
         except UserError as error:
@@ -178,13 +178,13 @@ def _check_files(what: str, folder: str, digest: str) -> None:
         )
 
 
-def _kept(orders: Orders | ServerOrders) -> Bounds:
+def _kept(orders: RolloutConfig | ServerConfig) -> IsolationSettings:
     """Return what the adapter is kept from on this machine."""
     asked = orders.bounds
-    return asked if asked.isolate else Bounds.here(Path(orders.policy).parent, isolate=False)
+    return asked if asked.isolate else IsolationSettings.here(Path(orders.policy).parent, isolate=False)
 
 
-def _check_checkpoint(orders: ServerOrders) -> None:
+def _check_checkpoint(orders: ServerConfig) -> None:
     found = checkpoint_of(package.load(orders.policy, orders.overrides), orders.overrides)
     if (None if found is None else found.digest) != orders.checkpoint_digest:
         raise UserError(
