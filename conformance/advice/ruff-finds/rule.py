@@ -1,4 +1,4 @@
-"""XPL601: ruff has nothing to say about the adapter's own files."""
+"""XPL601: ruff reports no likely bugs in the adapter's own files."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from xpl_cli.audit.static.source import Source
 
 @rule(code="XPL601", requirement="XPL-ADV-1")
 def ruff_finds(source: Source, ruff: tuple[Remark, ...]) -> Iterator[Finding]:
-    """The adapter's own files hold a likely bug, ruff says.
+    """The adapter's own files have likely bugs, reported by ruff.
 
     ## What it does
-    Runs `ruff check` on a copy of the adapter's own Python files, with a selection of its rules that find bugs and not
-    style: F, B, PLE, NPY and the loading of pickles and YAML. Configuration of the adapter's folder is not
-    read; `# noqa` in the code is. It runs only where it is selected, `xpl audit --select advice`.
+    Runs `ruff check` on a copy of the adapter's own Python files, with those of its rules that find bugs and not style:
+    F, B, PLE, NPY and unsafe loading of pickles and YAML. Configuration in the adapter's folder is not read; `# noqa`
+    in the code is. It runs only if it is selected, `xpl audit --select advice`.
 
     ## Why it matters
-    A name that is not defined is a NameError in the first episode that reaches it. A mutable default is shared by all
-    instances. These are no faults of the interface, so they warn.
+    An undefined name is a NameError in the first episode that reaches it. A mutable default is shared by all instances.
+    Such bugs do not violate the interface, so they are warnings.
 
     ## Example
     `def encode(self, obs, cache={})`.
 
     ## Use instead
-    What the finding's own explanation says: `ruff rule B006`.
+    What ruff recommends: `ruff rule B006`.
 
     ## Fix safety
     Edits that ruff calls safe are safe here, those that it calls unsafe need `--unsafe-fixes`.

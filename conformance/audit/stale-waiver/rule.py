@@ -1,4 +1,4 @@
-"""XPL501: A waiver still covers a finding."""
+"""XPL501: Every waiver matches a finding."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ _DELETE = Fix("advice", "delete the waiver; the history of the file keeps its re
 
 @rule(code="XPL501", gate="static", requirement="XPL-AUD-1")
 def stale_waiver(source: Source, waivers: tuple[Waiver, ...], checks: Checks, gate: Gate) -> Iterator[Finding]:
-    """A waiver covers nothing any more.
+    """A waiver no longer matches a finding.
 
     ## What it does
-    Runs the rules that policy.yml waives, in every gate those of that gate, and asks for each waiver whether it covers
-    one of their findings: of its rule, with a message that begins as the waiver says. A rule that could not run judges
-    no waiver, and one that names a retired rule is no finding: `xpl audit` says in a note that it may go.
+    Runs the rules that policy.yml waives, in every gate those of that gate, and checks that each waiver matches one of
+    their findings: of its rule, with a message that starts as the waiver says. The waiver of a rule that could not run
+    is not judged, and one that names a retired rule is not a finding: `xpl audit` prints a note that it may be deleted.
 
     ## Why it matters
-    What is waived is not looked at. A waiver that outlives its reason hides the next fault of the same kind, which may
-    be another one.
+    Waived findings are ignored. A waiver that outlives its reason hides the next finding of the same kind, which may be
+    another bug.
 
     ## Example
-    `waivers: [{rule: bare-except, reason: ...}]` after the `except:` has gone.
+    `waivers: [{rule: bare-except, reason: ...}]` after the `except:` was removed.
 
     ## Use instead
-    Delete the waiver. One that is to cover a single finding gives the beginning of its `message`.
+    Delete the waiver. To waive a single finding, give the start of its `message`.
 
     ## Fix safety
-    No automatic fix: that the finding is gone may itself be the surprise.
+    No automatic fix: that the finding is gone may itself be unexpected.
     """
     line = key_line(source, sdk.File.POLICY_YML, "waivers") if waivers else 1
     judged = False

@@ -1,4 +1,4 @@
-"""XPL270: Demonstrations fit another convention than the declared one."""
+"""XPL270: Demonstrations match another convention than the declared one."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ _WITHOUT = {"instruction": "blank", "history": "with the newest observation only
 
 @rule(code="XPL270", requirement="XPL-ACT-12", after=("serves",))
 def demonstrations_fit(demonstrations: Demonstrated) -> Iterator[Finding | Proof]:
-    """Demonstrations fit another convention than the declared one.
+    """Demonstrations match another convention than the declared one.
 
     ## What it does
-    Shows the served policy observations of recorded episodes (`--demos PATH`, or what `demonstrations.yml` names), and
-    compares the actions that it predicts with those that were commanded, part by part over its horizon. Then every
-    single change that is known is tried: other words of the `model_io` block; of an adapter that converts in code,
-    changes of what it is shown and commands; and for all, other histories, instructions and rates. A change that leaves
-    80 % of the error or less, with 99 % certainty 92 % (paired bootstrap over episodes), is a finding. So is a camera,
-    the instruction or the history where the block hands it over, and without it all commands are exactly the same.
+    Sends the served policy observations of recorded demonstrations (`--demos PATH`, or those of `demonstrations.yml`),
+    and compares the predicted actions with the recorded ones, part by part over the action horizon. Then every known
+    perturbation is tried: other values of the `model_io` block; for an adapter that converts in code, changes of its
+    observations and actions; and for all adapters, other histories, instructions and rates. A perturbation that reduces
+    the error to 80 % or less, with 99 % certainty to 92 % (paired bootstrap over episodes), is a finding. So is a
+    camera, the instruction or the history, if the block passes it on and all actions are exactly the same without it.
 
     ## Why it matters
-    Wherever red and blue, two cameras, the gripper's ends or the reference of a command are exchanged, the policy was
-    trained on something else than it gets. Interfaces agree, the robot moves, and nothing succeeds.
+    If red and blue, two cameras, the gripper's ends or the reference of an action are swapped, the policy gets other
+    inputs than in training. The interfaces conform, the robot moves, and no episode succeeds.
 
     ## Example
     `reference: absolute` for a model that was trained on `delta_state`.
 
     ## Use instead
-    What the finding names, if the code that trained the model says so, too.
+    What the finding names, if the training code confirms it.
 
     ## Fix safety
     No automatic fix.

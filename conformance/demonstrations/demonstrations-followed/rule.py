@@ -1,4 +1,4 @@
-"""XPL271: The policy is no nearer to demonstrations than holding the pose."""
+"""XPL271: The policy predicts demonstrations no better than holding the pose."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL271", requirement="XPL-OBS-7", after=("serves",))
 def demonstrations_followed(demonstrations: Demonstrated) -> Iterator[Finding]:
-    """The policy is no nearer to demonstrations than holding the pose.
+    """The policy predicts demonstrations no better than holding the pose.
 
     ## What it does
-    Compares, over the same questions as XPL270, the error of the policy with that of a witness that needs no model: the
-    observed pose, held over the whole horizon. It warns where the witness is nearer, and the episodes leave no doubt of
-    that (99 %, paired bootstrap).
+    Compares, for the same inferences as XPL270, the error of the policy with that of a baseline without a model: the
+    observed pose, held over the whole action horizon. It warns if the baseline's error is smaller with 99 % certainty
+    (paired bootstrap over episodes).
 
     ## Why it matters
-    A policy that is farther from its own demonstrations than standing still was not trained on them, or gets or answers
-    something else than in training. Of its conventions such demonstrations tell nothing.
+    A policy whose error is larger than that of holding the pose was not trained on these demonstrations, or its inputs
+    or outputs differ from those of training. Such demonstrations cannot verify its conventions.
 
     ## Example
     Actions that are denormalised with the statistics of another robot.
 
     ## Use instead
-    If XPL270 names a convention, that one first. Otherwise look whether the demonstrations are of the data that the
-    weights were trained on, and whether statistics and checkpoint belong together.
+    If XPL270 names a convention, fix that one first. Otherwise check that the weights were trained on data like these
+    demonstrations, and that statistics and checkpoint belong together.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL411: The environments of a batch are as if each ran alone."""
+"""XPL411: Environments of a batch are independent of each other."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ TOLERANCE = 1e-5
 
 @rule(code="XPL411", gate="offline", requirement="XPL-ENV-10", after=("env-plays",))
 def env_batch(stage: Stage) -> Iterator[Finding]:
-    """What an environment does depends on its neighbours in a batch.
+    """The episode of an environment depends on the others in its batch.
 
     ## What it does
-    Plays two environments at once, and each seed of theirs alone. Observations have to agree to a hundred thousandth,
-    besides `env_idx`, which has to be right; batched simulators may round differently. A robot is alone: there the rule
-    does not apply.
+    Runs two environments in one batch, and each seed alone. Observations have to agree within 1e-5, except for
+    `env_idx`, which has to be right; batched simulators may round differently. It does not apply to a robot, which has
+    no batches.
 
     ## Why it matters
-    A success rate would depend on how many environments run at once, and a mix-up between neighbours shows up in
-    batches only.
+    A success rate would depend on how many environments run at once, and mistakes in their assignment show only in
+    batches.
 
     ## Example
     All environments draw from one generator, one after the other.
 
     ## Use instead
-    `xpl.environment.Environment`, which does this for an author's `Episode`.
+    `xpl.environment.Environment`, which implements this for an author's `Episode`.
 
     ## Fix safety
     No automatic fix.

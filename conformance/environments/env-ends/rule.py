@@ -1,4 +1,4 @@
-"""XPL406: Episodes end when they are to, with one result each."""
+"""XPL406: Episodes end at their step limit, with one result each."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ LIMIT, SEED = 5, 3
 
 @rule(code="XPL406", gate="offline", requirement="XPL-ENV-13", after=("env-plays",))
 def env_ends(stage: Stage) -> Iterator[Finding]:
-    """An episode goes on beyond its step limit, or has no usable result.
+    """An episode continues beyond its step limit, or has no valid result.
 
     ## What it does
-    Plays an episode of five control steps in each task, counts its steps, and reads the result: success, score from 0
-    to 1, steps, seed and the reason of its end. Compares the step limits of env.yml with the one that counts.
+    Runs an episode of five control steps in each task, counts its steps, and reads the result: success, score from 0 to
+    1, steps, seed and the reason of its end. Compares the step limits of env.yml with the one that is applied.
 
     ## Why it matters
-    An evaluation waits for the end of an episode, and averages scores. A wrong count of steps or a score above 1 goes
-    into a table.
+    An evaluation waits for the end of an episode, and averages scores. A wrong number of steps or a score above 1 ends
+    up in published results.
 
     ## Example
-    `max_steps` of the configuration is ignored, and each episode takes what env.yml says.
+    The environment ignores `max_steps` of the configuration, and each episode takes as many steps as env.yml says.
 
     ## Use instead
-    `xpl.environment.Environment`, which does this for an author's `Episode`.
+    `xpl.environment.Environment`, which implements this for an author's `Episode`.
 
     ## Fix safety
     No automatic fix.

@@ -11,20 +11,20 @@ from xpl_cli.audit.environments.trial import Trial, difference
 
 @rule(code="XPL414", gate="offline", requirement="XPL-ENV-14", after=("env-plays",))
 def env_last_frame(stage: Stage) -> Iterator[Finding]:
-    """`get_obs_batch(last_frame=True)` does not return the observation that was returned last.
+    """`get_obs_batch(last_frame=True)` does not return the previous observation.
 
     ## What it does
     Observes, and observes again with `last_frame`, after a reset and after a step.
 
     ## Why it matters
-    Loops of the field ask for the last frame where they have acted and want no new picture; some take it for what the
-    policy has seen.
+    Some evaluation loops request the last frame after acting, when they need no new image; some expect it to be the
+    policy's latest observation.
 
     ## Example
-    `last_frame` is ignored, and a noisy camera gives another picture.
+    The environment ignores `last_frame`, and a camera with noise returns another image.
 
     ## Use instead
-    `xpl.environment.Environment`, which does this for an author's `Episode`.
+    `xpl.environment.Environment`, which implements this for an author's `Episode`.
 
     ## Fix safety
     No automatic fix.

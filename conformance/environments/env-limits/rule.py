@@ -1,4 +1,4 @@
-"""XPL413: Commands beyond the robot's limits are bounded and reported."""
+"""XPL413: Actions beyond the robot's limits are clamped and reported."""
 
 from __future__ import annotations
 
@@ -17,24 +17,23 @@ GIVE = 0.05  # rad, and part of the gripper's range: what a simulated joint may 
 
 @rule(code="XPL413", gate="offline", requirement="XPL-ENV-12", after=("env-plays",))
 def env_limits(stage: Stage) -> Iterator[Finding]:
-    """A guarded environment executes a command beyond its robot's limits, or silently something else.
+    """A guarded environment executes an action beyond its robot's limits, or silently another action.
 
     ## What it does
     In an environment that declares `guarded`: commands joints one radian beyond their limits, a gripper at 2 and a
-    quaternion of length 3. Each has to be refused, or reported in what `take_action_batch` returns, and the state has
-    to stay within limits. Then sends NaN: the episode ends, or the action is refused, and nothing of it gets into the
-    state.
+    quaternion of length 3. Each has to be refused, or reported in the result of `take_action_batch`, and the state has
+    to stay within limits. Then sends NaN: the episode ends, or the action is refused, and the state stays finite.
 
     ## Why it matters
-    Evaluation puts no supervisor of its own in front of an environment that says it is guarded. What is clamped
-    silently hides a policy whose units are wrong.
+    Evaluation does not supervise an environment that declares itself guarded. Silent clamping hides a policy whose
+    units are wrong.
 
     ## Example
     `guarded = True` on a simulator that clamps nothing.
 
     ## Use instead
-    Report in `corrections`, by arm prefix, what had to be changed; or leave `guarded` out, and `xpl eval` supervises.
-    `xpl.environment.Environment`, which does this for an author's `Episode`.
+    Report in `corrections`, by arm prefix, what was changed; or leave `guarded` out, and `xpl eval` supervises.
+    `xpl.environment.Environment`, which implements this for an author's `Episode`.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL401: env.yml validates against its schema and names the folder it lies in."""
+"""XPL401: env.yml validates against its schema and has the folder's name."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _NAME = "env.yml"
 
 @rule(code="XPL401", gate="static", requirement="XPL-ENV-1")
 def env_manifest(source: Source) -> Iterator[Finding]:
-    """env.yml does not say what the standard asks of it.
+    """env.yml does not conform to the environment schema of the standard.
 
     ## What it does
     Validates `env.yml` against the environment schema and compares its name with the folder's.
 
     ## Why it matters
     Evaluation and audit read tasks, embodiments and step limits from it. An environment is found by its folder; a
-    result that bears another name is not found again.
+    result with another name cannot be assigned to it.
 
     ## Example
     A task without `max_steps`: its episodes have no end.
@@ -29,7 +29,7 @@ def env_manifest(source: Source) -> Iterator[Finding]:
     `xpl spec show env` lists every key.
 
     ## Fix safety
-    Only the name is corrected, to that of the folder.
+    Safe for the name, which has to be the folder's. The author has to fix everything else.
     """
     values = source.yaml(_NAME)
     yield from schema_findings(source, _NAME, "env", "{} is not understood")

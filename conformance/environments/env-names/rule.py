@@ -1,4 +1,4 @@
-"""XPL403: What env.yml offers is known to the standard."""
+"""XPL403: Robots, cameras and action types of env.yml are in the standard."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ _NAME = "env.yml"
 
 @rule(code="XPL403", gate="static", requirement="XPL-ENV-5")
 def env_names(source: Source) -> Iterator[Finding]:
-    """env.yml names a robot, a camera or a kind of action that the standard does not know.
+    """env.yml names a robot, a camera or an action type that is not in the standard.
 
     ## What it does
-    Compares embodiments, cameras and action types with the names of the standard, and the stages of each task with a
-    score of 1: their parts add up to it.
+    Compares embodiments, cameras and action types with those of the standard, and checks that the stages of each task
+    add up to a score of 1.
 
     ## Why it matters
-    Policies ask for cameras and robots by these names. An environment that calls its camera `head_cam` offers, to every
-    policy, no camera at all.
+    Policies request cameras and robots by these names. An environment that calls its camera `head_cam` provides, for
+    every policy, no camera at all.
 
     ## Example
-    `cameras: {head_cam: {}}`; the standard calls it cam_head.
+    `cameras: {head_cam: {}}`; the standard's name is cam_head.
 
     ## Use instead
     `xpl spec show embodiments` and `xpl spec show observation` list the names.

@@ -1,4 +1,4 @@
-"""XPL405: Observations are those of the standard."""
+"""XPL405: Observations conform to the standard."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from xpl_cli.audit.environments.stage import Offer, Stage, motion
 
 @rule(code="XPL405", gate="offline", requirement="XPL-ENV-3", after=("env-plays",))
 def env_observations(stage: Stage) -> Iterator[Finding]:
-    """An observation is not what the standard says: a value is missing, or has another shape, type, unit or range.
+    """An observation does not conform to the standard: a value is missing, or has another shape, type, unit or range.
 
     ## What it does
-    Looks at the first observation and at one after a step, for every task and for every robot with every action
-    type: schema, dimensions of the robot, finite values, unit quaternions, gripper range, RGB pictures, cameras,
-    instruction and index.
+    Checks the first observation and one after a step, for every task and for every robot with every action type:
+    schema, dimensions of the robot, finite values, unit quaternions, gripper range, RGB images, cameras, instruction
+    and index.
 
     ## Why it matters
-    Policies read observations by these names and units. A gripper in metres, or a picture in BGR, is no error anywhere:
-    it is a success rate that nobody can explain.
+    Policies rely on these names and units. A gripper in metres, or an image in BGR, causes no error, but a success rate
+    that is hard to explain.
 
     ## Example
-    The state has `ee_pose` with the quaternion's real part last.
+    The state has `ee_pose` with a quaternion in the order xyzw.
 
     ## Use instead
     `xpl spec show observation` lists every key with its shape and unit.

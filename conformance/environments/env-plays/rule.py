@@ -1,4 +1,4 @@
-"""XPL404: What env.yml offers can be played."""
+"""XPL404: Everything that env.yml declares can run."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from xpl_cli.audit.environments.stage import Offer, Stage, motion
 
 @rule(code="XPL404", gate="offline", requirement="XPL-ENV-6")
 def env_plays(stage: Stage) -> Iterator[Finding]:
-    """The environment cannot be made, reset or stepped in something that env.yml offers.
+    """The environment cannot be created, reset or stepped in a combination that env.yml declares.
 
     ## What it does
-    Makes the environment in a process of its own, for every task and for every robot with every action type, begins an
-    episode and executes a step that holds the pose.
+    Creates the environment in a separate process, for every task and for every robot with every action type, resets it
+    and executes a step that holds the pose.
 
     ## Why it matters
-    env.yml is what evaluations are planned with. What it offers and does not have shows up hours later, on another
-    machine.
+    Evaluations are planned with env.yml. A combination that is declared but does not run is noticed hours later, on
+    another machine.
 
     ## Example
-    A robot is added to env.yml, and the simulator has no start pose for it.
+    A robot is added to env.yml, but the simulator has no start pose for it.
 
     ## Use instead
-    Offer less, or note in `unsupported` which robots a task is not offered with, and why.
+    Remove it from env.yml, or list in `unsupported` with which robots a task does not run, and why.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL415: Simulator truth is shown to those only who asked for it."""
+"""XPL415: Observations contain simulator ground truth only on request."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from xpl_cli.audit.environments.stage import Offer, Stage
 
 @rule(code="XPL415", gate="offline", requirement="XPL-ENV-15", after=("env-plays",))
 def env_privileged(stage: Stage) -> Iterator[Finding]:
-    """Observations hold simulator truth that nobody asked for, or lack what env.yml promises.
+    """Observations contain simulator ground truth that was not requested, or lack what env.yml declares.
 
     ## What it does
-    Observes with and without `privileged` in the configuration, as far as env.yml says that the environment can show
-    the truth.
+    Observes with and without `privileged` in the configuration, as far as env.yml declares that the environment can
+    provide the ground truth.
 
     ## Why it matters
-    A policy that sees where things are is not evaluated on seeing. Nobody notices: its success rate is high.
+    An evaluation of a policy that gets object poses does not measure perception. It goes unnoticed: the success rate is
+    high.
 
     ## Example
     `privileged` is always in the observation, since most policies ignore it.
 
     ## Use instead
-    `xpl.environment.Environment`, which does this for an author's `Episode`.
+    `xpl.environment.Environment`, which implements this for an author's `Episode`.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL412: What is not offered is refused."""
+"""XPL412: Invalid requests are refused with an error of the environment."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ ACCIDENTS = frozenset(
 
 @rule(code="XPL412", gate="offline", requirement="XPL-ENV-11", after=("env-plays",))
 def env_refuses(stage: Stage) -> Iterator[Finding]:
-    """A mistake of a caller is not refused, or refused by an accident of the code.
+    """An invalid request is accepted, or refused only by an accidental exception.
 
     ## What it does
-    Asks for a task, a robot and an action type that are not offered, and sends actions that lack a key, have one too
-    many, or have another dimension, and one for an environment that is not there. Each has to raise an error of the
-    environment's own (no KeyError or IndexError that merely happened), and the robot has to stay where it was.
+    Requests a task, a robot and an action type that env.yml does not declare, and sends actions that lack a key, have
+    an additional one, or have another dimension, and one for an environment that does not exist. Each has to raise an
+    error of the environment's own (no accidental KeyError or IndexError), and the robot has to stay where it was.
 
     ## Why it matters
-    An action that lacks the right gripper and is executed all the same moves a robot with half a command. An accident
-    says nothing to whoever made the mistake.
+    An action without the right gripper that is executed all the same moves a robot with half a command. An accidental
+    exception does not tell the caller what was wrong.
 
     ## Example
-    A misspelt task silently plays the first one.
+    A misspelt task silently runs the first one.
 
     ## Use instead
-    `xpl.action.ActionError` for actions, `ValueError` with the names that are offered for the rest.
-    `xpl.environment.Environment`, which does this for an author's `Episode`.
+    `xpl.action.ActionError` for actions, `ValueError` with the declared names for the rest.
+    `xpl.environment.Environment`, which implements this for an author's `Episode`.
 
     ## Fix safety
     No automatic fix.

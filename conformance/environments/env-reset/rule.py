@@ -1,4 +1,4 @@
-"""XPL410: A reset leaves nothing of the episode before."""
+"""XPL410: A reset clears all state of the previous episode."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ SEED = 3
 
 @rule(code="XPL410", gate="offline", requirement="XPL-ENV-9", after=("env-plays",))
 def env_reset(stage: Stage) -> Iterator[Finding]:
-    """An episode depends on the one before it.
+    """An episode depends on the previous one.
 
     ## What it does
-    Plays a seed, another seed that is broken off in the middle, and the first one again in the same environment; the
-    first and the last have to be equal. A robot repeats nothing: there the rule does not apply.
+    Runs a seed, another seed that is interrupted in the middle, and the first one again in the same environment; the
+    first and the last episode have to be equal. It does not apply to a robot, whose episodes are not repeatable.
 
     ## Why it matters
-    Episodes that depend on their order cannot be repeated one by one, nor shared out to several machines.
+    Episodes that depend on their order cannot be repeated one by one, nor distributed over several machines.
 
     ## Example
-    The simulator keeps the velocities of the episode before.
+    The simulator keeps the velocities of the previous episode.
 
     ## Use instead
-    Put every part of the simulator's state back in `reset`, counters and filters too.
+    Restore every part of the simulator's state in `reset`, counters and filters too.
 
     ## Fix safety
     No automatic fix.

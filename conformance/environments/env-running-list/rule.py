@@ -18,18 +18,18 @@ def env_running_list(stage: Stage) -> Iterator[Finding]:
     """An environment whose episode has ended stays in the running list, or still moves.
 
     ## What it does
-    Ends one of two episodes by an action that is not a number, or both by their step limit, and then acts on the ended
-    ones again. A robot is alone, and so is one episode.
+    Ends one of two episodes by an action that is NaN, or both by their step limit, and then acts on the ended ones
+    again. It does not apply to a robot, or to an environment without batches.
 
     ## Why it matters
-    Benchmarks loop while the running list is not empty, and send actions to what is in it. A list that never shrinks is
-    an evaluation without an end; an ended environment that moves spoils its result.
+    Benchmarks loop while the running list is not empty, and send actions to its environments. If the list never
+    shrinks, the evaluation never ends; an ended environment that moves changes its result.
 
     ## Example
-    `get_running_env_idx_list` returns all indices as long as one of them runs.
+    `get_running_env_idx_list` returns all indices as long as one of them is running.
 
     ## Use instead
-    `xpl.environment.Environment`, which does this for an author's `Episode`.
+    `xpl.environment.Environment`, which implements this for an author's `Episode`.
 
     ## Fix safety
     No automatic fix.

@@ -16,18 +16,18 @@ def env_same_seed(stage: Stage) -> Iterator[Finding]:
     """The same seed and the same actions do not give the same episode.
 
     ## What it does
-    Plays the same short episode of each task twice, that of the first task in two new processes, and compares all
-    observations, pictures included where there are any, and the results, bit by bit. A robot repeats nothing: there the
-    rule does not apply.
+    Runs the same short episode of each task twice, that of the first task in two new processes, and compares all
+    observations, images included if there are any, and the results, bit by bit. It does not apply to a robot, whose
+    episodes are not repeatable.
 
     ## Why it matters
-    Who cannot play an episode again cannot tell a better policy from luck, and cannot find out what went wrong in one.
+    Without repeatable episodes a better policy cannot be distinguished from luck, and a failure cannot be debugged.
 
     ## Example
-    The layout is drawn from numpy's global generator, which nobody seeded.
+    The layout is drawn from numpy's global generator, which is not seeded.
 
     ## Use instead
-    Make one generator from the seed in `reset`, and draw everything from that one.
+    Create one generator from the seed in `reset`, and draw everything from it.
 
     ## Fix safety
     No automatic fix.

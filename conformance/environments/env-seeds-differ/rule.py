@@ -16,19 +16,19 @@ def env_seeds_differ(stage: Stage) -> Iterator[Finding]:
     """All seeds give the same episode.
 
     ## What it does
-    Plays each task with four seeds and the same motion. At least one episode has to differ from the first; simulator
-    truth is looked at, too, where the environment can show it. What a robot finds is up to people: there the rule does
-    not apply.
+    Runs each task with four seeds and the same motion. At least one episode has to differ from the first; simulator
+    ground truth is compared, too, if the environment provides it. It does not apply to a robot, whose scene people
+    arrange.
 
     ## Why it matters
     A hundred episodes are then one episode, counted a hundred times.
 
     ## Example
-    `reset` takes the seed and does nothing with it.
+    `reset` ignores the seed.
 
     ## Use instead
-    Vary what a policy should cope with: positions, orientations, colors. An environment that follows a script on
-    purpose says so: `scripted: true` in env.yml.
+    Vary what a policy should cope with: positions, orientations, colours. An environment that follows a script on
+    purpose declares `scripted: true` in env.yml.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL402: The environment client offers the task-environment surface."""
+"""XPL402: The environment client implements the task-environment interface."""
 
 from __future__ import annotations
 
@@ -21,22 +21,21 @@ _SURFACE: dict[str, int] = _TASK_ENV["operations"]
 
 @rule(code="XPL402", gate="static", requirement="XPL-ENV-2")
 def env_surface(source: Source) -> Iterator[Finding]:
-    """The client has no make(config), or what it makes lacks an operation that evaluation loops call.
+    """The client has no make(config), or the class that it returns lacks an operation that evaluation loops call.
 
     ## What it does
-    Looks in the client file for `make`, finds the class of what it returns, and compares that class's methods,
-    inherited ones included, with the operations of a task environment. Where the class cannot be told, nothing is
-    reported.
+    Looks in the client file for `make`, finds the class that it returns, and compares that class's methods, inherited
+    ones included, with the operations of a task environment. If the class cannot be determined, nothing is reported.
 
     ## Why it matters
-    An evaluation loop calls these by name. What is missing shows up at the first episode, or, as with
+    An evaluation loop calls these by name. A missing one is noticed at the first episode or, as with
     `get_running_env_idx_list`, only in batches.
 
     ## Example
-    A client that calls its stepping method `step` and not `take_action`.
+    A client whose method is called `step` and not `take_action`.
 
     ## Use instead
-    The surface of `envs/offline/client.py`, the smallest environment there is.
+    The interface of `envs/offline/client.py`, the smallest environment.
 
     ## Fix safety
     No automatic fix.

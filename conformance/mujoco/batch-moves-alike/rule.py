@@ -1,4 +1,4 @@
-"""XPL305: Two environments in one batch move differently than one by one."""
+"""XPL305: Two environments in one batch move differently from single ones."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ TOLERANCE = 1e-5  # float32 commands
 
 @rule(code="XPL305", requirement="XPL-SIM-5")
 def batch_moves_alike(simulation: Simulation) -> Iterator[Finding]:
-    """Two environments in one batch move differently than one by one.
+    """Two environments in one batch move differently from single ones.
 
     ## What it does
-    Drives two seeds in one batch. Then each is moved by itself as it was there, and the answers are compared: what is
-    seen is the same, so that rounding does not add up. Where they differ, it is asked once more in a batch as large
-    that shows the same everywhere. A difference to that is another environment's doing, and counts. What remains is the
-    size of the batch: rounding, up to 2 % of what the answers span or half a percent of the largest number.
+    Runs two seeds in one batch. Then each environment repeats its motion alone, and the policy's actions are compared:
+    the observations are the same, so rounding does not accumulate. Where actions differ, the same observation is sent
+    in every slot of a batch of that size. A difference to that is an effect of another environment, and counts. What
+    remains is batch-size-dependent floating-point error: up to 2 % of the range of the actions or half a percent of the
+    largest number.
 
     ## Why it matters
-    Batched evaluation is how benchmarks save hours. It counts only if it measures the same policy.
+    Batched evaluation saves benchmarks hours. It is valid only if it measures the same policy.
 
     ## Example
     The second environment of a batch continues the action queue of the first.

@@ -1,4 +1,4 @@
-"""XPL304: Commands jump where one chunk ends and the next begins."""
+"""XPL304: Commands jump between one action chunk and the next."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ RATIO = 5.0
 
 @rule(code="XPL304", requirement="XPL-SIM-4", profile="full")
 def chunk_seams(simulation: Simulation) -> Iterator[Finding]:
-    """Commands jump where one chunk ends and the next begins.
+    """Commands jump between one action chunk and the next.
 
     ## What it does
-    Compares the largest change between consecutive commands at chunk seams with the largest one inside chunks. A policy
-    that answers one step at a time has no inside: how fast it moves, `few-clamps` asks.
+    Compares the largest change between the last command of a chunk and the first of the next with the largest change
+    inside chunks. It does not apply to a policy with chunks of one step; `few-clamps` checks how fast that moves.
 
     ## Why it matters
-    A chunk that does not continue where the robot is makes the arm jerk at every inference: on hardware a safety stop.
+    If a chunk does not start at the robot's pose, the arm jerks at every inference: on hardware that is a safety stop.
 
     ## Example
     Actions are offset by one step, or normalised with the statistics of another robot.

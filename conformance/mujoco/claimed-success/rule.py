@@ -1,4 +1,4 @@
-"""XPL311: The manifest claims a success rate that is not what is measured."""
+"""XPL311: The manifest claims a success rate that differs from the measured one."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from xpl_cli.audit.rules.figures import ENVIRONMENT
 
 @rule(code="XPL311", requirement="XPL-SIM-11", profile="full")
 def claimed_success(simulation: Simulation) -> Iterator[Finding]:
-    """The manifest claims a success rate that is not what is measured.
+    """The manifest claims a success rate that differs from the measured one.
 
     ## What it does
-    Plays whole episodes on the frozen seeds of every task for which `policy.yml` claims a success rate in this
-    environment, and compares the claim with the 95 % confidence interval of what is measured. Where nothing is claimed
-    a few episodes are played for the report, and nothing is judged.
+    Runs whole episodes on the fixed seeds of every task for which `policy.yml` claims a success rate in this
+    environment, and compares the claim with the 95 % confidence interval of the measured rate. Without a claim a few
+    episodes run for the report, and nothing is judged.
 
     ## Why it matters
-    A figure in a manifest is read as one of this adapter: of this checkpoint, robot, kind of action and setting. If it
-    is another one's, comparisons rest on it all the same.
+    A success rate in a manifest is read as that of this adapter: of this checkpoint, robot, action type and setting. If
+    it is another one's, comparisons are wrong.
 
     ## Example
-    `success_rate: 0.92` from the paper, where the released checkpoint was trained for another robot.
+    `success_rate: 0.92` from the paper, although the released checkpoint was trained for another robot.
 
     ## Use instead
-    What `xpl eval` measures, and `episodes` that are enough: with 20 the interval is up to 40 % wide.
+    What `xpl eval` measures, with enough `episodes`: with 20 the interval is up to 40 % wide.
 
     ## Fix safety
     No automatic fix.

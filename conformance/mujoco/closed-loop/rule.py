@@ -1,4 +1,4 @@
-"""XPL301: A closed loop in physics breaks off."""
+"""XPL301: A rollout in physics ends with an error."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL301", requirement="XPL-SIM-1")
 def closed_loop(simulation: Simulation) -> Iterator[Finding]:
-    """A closed loop in physics breaks off.
+    """A rollout in physics ends with an error.
 
     ## What it does
-    Drives the adapter for some chunks with every robot and action type that its manifest declares and the environment
-    offers, with real observations of the simulator. Every loop has to come to its own end: by success or by the step
-    limit, not by an error, an action that is not finite or a state that explodes.
+    Runs the adapter for some chunks with every robot and action type that its manifest declares and the environment
+    supports, with real observations of the simulator. Every rollout has to end by success or by the step limit, not by
+    an error, an action that is not finite or a state that diverges.
 
     ## Why it matters
-    Scripted observations do not show everything: a loop meets grippers that never close fully, objects out of view, and
-    states that drift. What breaks here breaks every benchmark run.
+    Scripted observations do not cover everything: in a rollout grippers never close fully, objects leave the view, and
+    states drift. What fails here fails in every benchmark.
 
     ## Example
-    An action queue that is exhausted after its first chunk and then returns an empty list.
+    An action queue that is empty after its first chunk, so that `get_action` returns an empty list.
 
     ## Use instead
     Run the command of the finding; it shows the adapter's traceback.

@@ -1,4 +1,4 @@
-"""XPL302: The environment keeps clamping the commands."""
+"""XPL302: The environment clamps many of the commands."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ TOLERATED = 0.05
 
 @rule(code="XPL302", requirement="XPL-SIM-2", profile="full")
 def few_clamps(simulation: Simulation) -> Iterator[Finding]:
-    """The environment keeps clamping the commands.
+    """The environment clamps many of the commands.
 
     ## What it does
-    Counts, in a closed loop of every declared robot and action type, the control steps in which a command lay beyond a
-    joint limit, a speed limit or the gripper's range.
+    Counts, in a rollout of every declared robot and action type, the control steps in which a command exceeded a joint
+    limit, a speed limit or the gripper's range.
 
     ## Why it matters
-    A clamped command is not executed as asked, and on a robot it means motion at the limit. Many of them point to wrong
-    units, a wrong normalisation or deltas taken for absolute values.
+    A clamped command is not executed as commanded, and on a robot it means motion at the limit. Many of them indicate
+    wrong units, a wrong normalisation or delta actions treated as absolute ones.
 
     ## Example
-    Joint angles in degrees: every command is beyond the limits.
+    Joint angles in degrees: every command exceeds the limits.
 
     ## Use instead
     Compare the first action with the observed state; they should be close.

@@ -1,4 +1,4 @@
-"""XPL307: The gripper does other than the policy seems to mean."""
+"""XPL307: The gripper moves against the policy's apparent intention."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ _COMPARE = "compare what the model is told of the gripper, and what its answer m
 
 @rule(code="XPL307", requirement="XPL-SIM-7", profile="full")
 def gripper_reversed(simulation: Simulation) -> Iterator[Finding]:
-    """The gripper does other than the policy seems to mean.
+    """The gripper moves against the policy's apparent intention.
 
     ## What it does
-    Looks in every closed loop for a gripper that contradicts itself: at every question the policy commands the side
-    of the stroke on which the gripper is not, so that it swings to and fro, or comes to rest half open. And it measures
-    the success rate that the manifest claims. Where one or the other is found, it plays the same in environments in
-    which one thing is exchanged: red and blue of the pictures, then the pictures of two cameras, then gripper commands,
-    gripper observations or both. A finding says what was measured, and where the policy does better. The cause is where
-    the adapter differs from the authors' own code.
+    Looks in every rollout for a gripper that contradicts itself: at every inference the policy commands the side of the
+    stroke opposite to the observed one, so that the gripper oscillates, or stops half open. It also measures the
+    success rate that the manifest claims. If it finds either, it repeats the rollout in environments with one thing
+    swapped: red and blue of the images, the images of two cameras, gripper commands, gripper observations or both. A
+    finding says what was measured, and with which swap the policy does better. The cause is where the adapter differs
+    from the authors' own code.
 
     ## Why it matters
-    A policy that holds an object open-handed fails every task, and its arm moves just as it should.
+    A policy that opens the gripper on a grasped object fails every task, although its arm moves correctly.
 
     ## Example
-    A model trained with 1 for closed, behind an adapter that hands its output on as it is. Pictures in BGR may look the
-    same in a loop: what is to be grasped is not recognised, and the hand opens.
+    A model trained with 1 for closed, in an adapter that returns its output unchanged. Images in BGR may have the same
+    effect in a rollout: the object is not recognised, and the gripper opens.
 
     ## Use instead
-    0 for closed and 1 for open, in the state that is encoded and in the action that is decoded, where the authors' own
-    code has it the other way round.
+    0 for closed and 1 for open, in the encoded state and in the decoded action, if the authors' own code has it the
+    other way round.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL310: In a closed loop the robot waits for the policy."""
+"""XPL310: In a rollout the robot waits for the policy."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ _RATE = "control_frequency"
 
 @rule(code="XPL310", requirement="XPL-SIM-10", profile="full")
 def loop_keeps_up(simulation: Simulation) -> Iterator[Finding]:
-    """In a closed loop the robot waits for the policy.
+    """In a rollout the robot waits for the policy.
 
     ## What it does
-    Adds up, for each chunk of a closed loop, the time in which the policy is shown observations of the simulator,
-    between the steps too, and asked. The middle one of each loop is held against the time that the chunk lasts: at the
+    Adds up, for each chunk of a rollout, the time of `update_obs`, between the control steps too, and of `get_action`,
+    with observations of the simulator. The median of each rollout is compared with the duration of the chunk at the
     control frequency that the manifest declares, or else at that of the environment.
 
     ## Why it matters
-    `keeps-the-rate` times one question. In a loop every step is shown, in pictures of their real size, and a policy
-    whose memory grows takes longer with every step. On hardware the arm stands still in the meantime.
+    `keeps-the-rate` measures one inference. In a rollout the policy gets an observation at every step, with images of
+    their real size, and a policy whose memory grows takes longer with every step. On hardware the arm stands still
+    meanwhile.
 
     ## Example
     A vision encoder in `update_obs`, which runs sixteen times for each chunk of sixteen steps.
 
     ## Use instead
-    Keep what is shown as it is and encode what an answer needs, or declare the rate that can be kept.
+    Store observations unchanged in `update_obs` and encode in `get_action` what it needs, or declare the rate that the
+    policy can keep.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL309: The policy answers an observation before the newest."""
+"""XPL309: The policy acts on an older observation than the newest one."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL309", requirement="XPL-SIM-9")
 def newest_observation(simulation: Simulation) -> Iterator[Finding]:
-    """The policy answers an observation before the newest.
+    """The policy acts on an older observation than the newest one.
 
     ## What it does
-    Plays a closed loop, then shows its observations again with a single one changed: the newest at a question, or the
-    one a step before, by as much. How far answers move is compared, not measured in radians: an answer lags if the
-    change of the older one, or that of the newest one question later, moves it more than four times as far, at several
-    questions.
+    Runs a rollout, then sends its observations again with a single one changed: the newest at an inference, or the one
+    a step before, by the same amount. Only the relative change of actions counts: an action lags if changing the older
+    observation, or the newest one with the action of the next inference, has more than four times the effect, at
+    several inferences.
 
     ## Why it matters
-    A delay of one step hides well: slow tasks still succeed. Where contact counts the arm overshoots, and feedback
-    begins to swing.
+    A delay of one step is hard to notice: slow tasks still succeed. In contact the arm overshoots, and the control loop
+    oscillates.
 
     ## Example
     `self.window[-2]`, or a thread that encodes the observation for the next call.
 
     ## Use instead
-    Answer from what `update_obs` brought last. What is computed ahead on purpose belongs into a waiver.
+    Compute actions from the latest `update_obs`. If the delay is intended, waive the rule.
 
     ## Fix safety
     No automatic fix.

@@ -1,4 +1,4 @@
-"""XPL312: The adapter's own evaluation loop does not play an episode to its end."""
+"""XPL312: The adapter's own evaluation loop does not run an episode to its end."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from xpl_cli.standard import spec
 
 @rule(code="XPL312", requirement="XPL-SIM-12")
 def own_loop(simulation: Simulation) -> Iterator[Finding]:
-    """The adapter's own evaluation loop does not play an episode to its end.
+    """The adapter's own evaluation loop does not run an episode to its end.
 
     ## What it does
-    Runs the loops of `deploy.py` against physics: one episode that ends in the middle of a chunk, and a batch of two
-    that end one after the other. Each has to be played until the environment says that it has ended, and no further.
+    Runs the loops of `deploy.py` in physics: one episode that ends in the middle of a chunk, and a batch of two that
+    end one after the other. Each loop has to run until the environment reports the end of the episode, and no further.
 
     ## Why it matters
-    Benchmarks run these loops. One that returns early measures unfinished episodes; one that goes on commands a robot
-    whose episode is over, or never comes back.
+    Benchmarks run these loops. One that returns early measures unfinished episodes; one that continues commands a robot
+    whose episode has ended, or never returns.
 
     ## Example
-    `for _ in range(100): ...` in place of asking `is_episode_end()`.
+    `for _ in range(100): ...` in place of a check of `is_episode_end()`.
 
     ## Use instead
     The loops that `xpl new-policy` writes.

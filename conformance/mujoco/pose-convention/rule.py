@@ -1,4 +1,4 @@
-"""XPL308: Commands are in another convention than observations."""
+"""XPL308: Actions and observations use different conventions."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from xpl_cli.audit.served.probe import blame
 
 @rule(code="XPL308", requirement="XPL-SIM-8", profile="full")
 def pose_convention(simulation: Simulation) -> Iterator[Finding]:
-    """Commands are in another convention than observations.
+    """Actions and observations use different conventions.
 
     ## What it does
-    Compares, in a closed loop of every declared robot and action type, the first action of each chunk with where the
-    robot is observed then. It should be near. Where it never is, and every time near the same place expressed
-    otherwise, that is reported: the point between the fingertips for the flange, the frame of the arm's base for the
-    world, the quaternion's real part last, millimetres, degrees, the other arm.
+    Compares, in a rollout of every declared robot and action type, the first action of each chunk with the robot's
+    observed pose. They should be close. It is reported if they never are, but always agree after one conversion: the
+    TCP between the fingertips for the flange, the frame of the arm's base for the world frame, a quaternion in the
+    order xyzw, millimetres, degrees, the other arm.
 
     ## Why it matters
-    The arm creeps, leaps or stops at the edge of its workspace, and every check of keys, dimensions and norms passes.
-    Only where the robot follows commands and reports where it is do the two conventions meet.
+    The arm creeps, leaps or stops at the edge of its workspace, although keys, dimensions and norms are valid. Only if
+    the robot executes actions and reports its pose, the two conventions can be compared.
 
     ## Example
-    A model trained on poses of the fingertips, whose output goes out as `ee_pose`: the arm moves ahead by the length of
-    the gripper, again and again.
+    A model trained on TCP poses, whose output is returned as `ee_pose`: the arm moves ahead by the length of the
+    gripper, again and again.
 
     ## Use instead
     `[x, y, z, qw, qx, qy, qz]` of the flange in the world frame, metres; joint angles in radians; left before right.

@@ -17,15 +17,15 @@ def reachable(simulation: Simulation) -> Iterator[Finding]:
     """End-effector targets are out of reach.
 
     ## What it does
-    Counts, in a closed loop of every declared robot, the control steps whose commanded flange pose the inverse
-    kinematics could not reach.
+    Counts, in a rollout of every declared robot, the control steps whose commanded flange pose the inverse kinematics
+    could not reach.
 
     ## Why it matters
-    The arm goes to the nearest pose it can take and waits there. Usually the frame, the unit or the order of the
-    quaternion is another one than the standard's.
+    The arm moves to the nearest pose that it can reach and waits there. Usually the frame, the unit or the quaternion
+    order differs from the standard's.
 
     ## Example
-    Poses relative to the arm's base in a scene where the base stands elsewhere, or quaternions as [x, y, z, w].
+    Poses relative to the arm's base in a scene with the base elsewhere, or quaternions as [x, y, z, w].
 
     ## Use instead
     Compare the first target with the observed `ee_pose`: they have the same meaning.

@@ -1,4 +1,4 @@
-"""XPL303: Equal seeds do not give equal motion."""
+"""XPL303: Equal seeds give different motion."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ _SEED = 1
 
 @rule(code="XPL303", requirement="XPL-SIM-3")
 def same_seed_same_motion(simulation: Simulation) -> Iterator[Finding]:
-    """Equal seeds do not give equal motion.
+    """Equal seeds give different motion.
 
     ## What it does
-    Plays the same task with the same seed against two fresh servers and compares the digests of the trajectories.
+    Runs the same task with the same seed with two fresh servers and compares the digests of the trajectories.
 
     ## Why it matters
-    Paired comparisons between policies, and every claim about a difference of a few percent, rest on runs that repeat.
+    Paired comparisons between policies, and every claim about a difference of a few percent, require runs that are
+    repeatable.
 
     ## Example
     Sampling noise from an unseeded generator.
 
     ## Use instead
-    `self.rng(env)`, or `deterministic: false` in the manifest where the framework cannot be seeded.
+    `self.rng(env)`, or `deterministic: false` in the manifest if the framework cannot be seeded.
 
     ## Fix safety
     No automatic fix.
