@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from xpl.client.agreement import differences, needs, sentence
+from xpl.client.agreement import differences, format_differences, policy_announcement
 from xpl.manifest import Manifest
 
 POLICY = {
@@ -42,7 +42,7 @@ def test_an_environment_that_offers_what_is_needed_fits() -> None:
 def test_each_difference_has_both_sides(field: str, offered: Any, wanted: Any) -> None:
     (found,) = differences(POLICY, {**ENVIRONMENT, field: offered})
     assert (found["field"], found["policy"], found["environment"]) == (field, wanted, offered)
-    assert sentence([found]) == f"policy and environment do not fit: {found['message']}"
+    assert format_differences([found]) == f"policy and environment do not fit: {found['message']}"
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_an_embodiment_has_one_name_behind_its_aliases(chosen: Any, declared: An
     """Whoever uses which; also a policy that was announced by another implementation."""
     announced = {**POLICY, "embodiment": chosen, "embodiments": declared}
     assert differences(announced, {**ENVIRONMENT, "embodiment": offered}) == []
-    told = needs(Manifest.parse({"embodiments": declared}), {"env_cfg_type": chosen})
+    told = policy_announcement(Manifest.parse({"embodiments": declared}), {"env_cfg_type": chosen})
     assert differences(told, {**ENVIRONMENT, "embodiment": offered}) == []
 
 
@@ -110,13 +110,13 @@ def test_needs_are_read_from_manifest_and_configuration() -> None:
         "cameras": {"cam_head": {"width": 64, "height": 48}},
     }
     config = {"policy_name": "Subject", "env_cfg_type": "dual_x5", "action_type": "joint", "seed": 0}
-    assert needs(Manifest.parse(manifest), config) == {
+    assert policy_announcement(Manifest.parse(manifest), config) == {
         "name": "Subject", "embodiments": ["arx_x5"], "embodiment": "arx_x5", "action_types": ["joint"],
         "action_type": "joint", "control_frequency": 20, "inputs": ["state"],
         "cameras": {"cam_head": {"width": 64, "height": 48}},
     }  # fmt: skip
-    assert set(needs(Manifest(), {}).values()) == {None}
-    assert needs(Manifest(), {"env_cfg_type": "my_robot"})["embodiment"] is None
+    assert set(policy_announcement(Manifest(), {}).values()) == {None}
+    assert policy_announcement(Manifest(), {"env_cfg_type": "my_robot"})["embodiment"] is None
 
 
 @pytest.mark.parametrize("noise", [3, "text", [["arx_x5"]], {"a": 1}, True])

@@ -28,7 +28,7 @@ from xpl.client import (
 )
 from xpl.observation import ObservationError
 from xpl.wire.codec import Frame, WireError
-from xpl_cli.serving.launch import RunningServer, serving
+from xpl_cli.serving.launch import RunningServer, running_server
 
 StandIn = Callable[[Callable[[Frame], Any]], tuple[str, list[Frame]]]
 HASTE: dict[str, Any] = {
@@ -71,7 +71,7 @@ def adapter(write_adapter: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="module")
 def shared(adapter: Path) -> Iterator[RunningServer]:
-    with serving(adapter) as server:
+    with running_server(adapter) as server:
         yield server
 
 
@@ -436,7 +436,7 @@ def test_nothing_is_sent_again_to_an_old_server(stand_in: StandIn) -> None:
     """It has no memory of answers: a second infer would run the model twice."""
     url, requests = stand_in(lambda frame: (1011, "cut") if frame.message_type == "infer" else first_generation(frame))
     client = Client(url)
-    with pytest.raises(ServerConnectionError, match="first generation must not be asked twice"):
+    with pytest.raises(ServerConnectionError, match="first generation must not be sent twice"):
         client.infer({})
     assert [frame.message_type for frame in requests] == ["hello", "infer"]
     with pytest.raises(ServerConnectionError, match="closed"):

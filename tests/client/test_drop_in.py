@@ -134,7 +134,7 @@ def test_limits_by_name_go_before_those_of_a_configuration(server: Start) -> Non
     url, _ = server()
     config = {"request_timeout_s": 7, "close_timeout_s": 8, "ws_ping_interval_s": 9, "ws_ping_timeout_s": 10}
     with Client(url, config=config, close_timeout_s=1, request_timeout_s=None, ws_ping_interval_s=None) as client:
-        used = client._talk._exchange._config
+        used = client._conversation._exchange._config
         assert [used[name] for name in config] == [7, 1, None, 10]
 
 

@@ -309,7 +309,7 @@ def test_an_environment_renders_what_the_policy_declares(write_adapter: Callable
     (adapter / "policy.yml").write_text(json.dumps(manifest), encoding="utf-8")
     done = xpl("eval", str(adapter), *options, cwd=tmp_path)
     assert done.returncode == ExitCode.USAGE
-    assert "the policy needs cam_head 128 x 96, the environment shows 256 x 96" in done.stderr
+    assert "the policy needs cam_head 128 x 96, the environment has 256 x 96" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from xpl.client import ClientError, NoOperationError, PolicyServerError, Request
 from xpl.observation import ObservationError
 from xpl.policy import ConfigError, PolicyStateError
 from xpl_cli.scaffold import adapter as scaffold
-from xpl_cli.serving.launch import serving
+from xpl_cli.serving.launch import running_server
 
 ONCE: dict[str, Any] = {"max_connect_attempts": 1, "handshake_timeout_s": DEADLINE_S, "request_timeout_s": DEADLINE_S}
 CONFIG: dict[str, Any] = {
@@ -185,7 +185,7 @@ def test_a_remote_adapter_speaks_openpi(url: str, tmp_path: Path) -> None:
     answers = {"name": "Far", **scaffold.defaults(), "kind": "remote", "embodiment": "franka_single", "chunk": 3}
     scaffold.write(scaffold.render(scaffold.answers_of(**answers)), adapter)
     told = {"server": url, "wire": "openpi", "openpi": {"style": "libero"}}
-    with serving(adapter, told) as far, Client(far.url, config=told) as policy:
+    with running_server(adapter, told) as far, Client(far.url, config=told) as policy:
         assert [first_joint([step]) for step in _ask(policy, observation(0.25))] == [0.25] * 3
         policy.reset()
         policy.update_obs_batch([observation(0.1 * env, env) for env in (1, 2)])
@@ -213,7 +213,7 @@ def test_what_is_neither_is_told_with_what_is_spoken(hello: bytes) -> None:
     with policy_server(lambda obs: obs, hello) as url:
         for refused in (lambda: Client(url, config=ONCE), lambda: Client(f"openpi+{url}", config=CONFIG)):
             with pytest.raises(
-                ClientError, match="GR00T's ZeroMQ, LeRobot's gRPC and JSON over HTTP are not spoken yet"
+                ClientError, match="GR00T's ZeroMQ, LeRobot's gRPC and JSON over HTTP are not supported yet"
             ):
                 refused()
 
@@ -238,7 +238,7 @@ def test_a_server_that_waits_for_hello_is_told_apart() -> None:
     with (
         standing_in(lambda _: None) as (address, _),
         pytest.raises(
-            ServerConnectionError, match=r"said nothing in time .*one of xpl waits for hello \(`wire: xpl`\)"
+            ServerConnectionError, match=r"sent nothing in time .*one of xpl waits for hello \(`wire: xpl`\)"
         ),
     ):
         Client(f"openpi+{address}", config={**CONFIG, "handshake_timeout_s": 0.05, "max_connect_attempts": 9})

@@ -24,7 +24,7 @@ from xpl import _spec as spec
 from xpl.client import AsyncClient, PolicyServerError, ServerConnectionError
 from xpl.wire import codec, packed
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.serving.launch import RunningServer, serving
+from xpl_cli.serving.launch import RunningServer, running_server
 from xpl_cli.serving.secrets import read_token, server_tls_context
 
 # Remembers which methods ran, so that a refused one shows.
@@ -75,7 +75,7 @@ def subject(write_adapter: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="module")
 def shared(subject: Path) -> Iterator[RunningServer]:
-    with serving(subject) as server:
+    with running_server(subject) as server:
         yield server
 
 
@@ -121,7 +121,7 @@ def secret(path: Path, text: str, mode: int = 0o600) -> Path:
 @pytest.fixture(scope="module")
 def guarded(subject: Path, token_file: Path) -> Iterator[RunningServer]:
     """Serve the adapter to whoever knows the token, on every address."""
-    with serving(subject, options=["--token-file", str(token_file), "--host", "0.0.0.0"]) as server:  # noqa: S104
+    with running_server(subject, options=["--token-file", str(token_file), "--host", "0.0.0.0"]) as server:  # noqa: S104
         yield server
 
 
@@ -135,9 +135,9 @@ def test_the_token_lets_in(guarded: RunningServer) -> None:
 @pytest.mark.parametrize("token", [None, "wrong", TOKEN[:-1], TOKEN + "x", TOKEN.upper()])
 def test_no_token_or_another_one_is_refused_for_good(guarded: RunningServer, token: str | None) -> None:
     """With one sentence and without trying again, although the limits for connecting would allow it."""
-    with pytest.raises(ServerConnectionError, match=r"wants another bearer token \(HTTP 401\)"):
+    with pytest.raises(ServerConnectionError, match=r"requires another bearer token \(HTTP 401\)"):
         Client(guarded.url, token=token)
-    with pytest.raises(ServerConnectionError, match=r"wants another bearer token \(HTTP 401\)"):
+    with pytest.raises(ServerConnectionError, match=r"requires another bearer token \(HTTP 401\)"):
         asyncio.run(heartbeat(guarded.url, token=token))
 
 
@@ -226,7 +226,7 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def encrypted(subject: Path, certificate: tuple[Path, Path], token_file: Path) -> Iterator[RunningServer]:
     """Serve the adapter over TLS to whoever knows the token."""
     options = ["--tls-cert", str(certificate[0]), "--tls-key", str(certificate[1]), "--token-file", str(token_file)]
-    with serving(subject, options=options) as server:
+    with running_server(subject, options=options) as server:
         yield server
 
 
@@ -278,7 +278,7 @@ def test_files_that_make_no_pair_are_refused(certificate: tuple[Path, Path], tmp
 
 @pytest.fixture(scope="module")
 def hasty(subject: Path) -> Iterator[RunningServer]:
-    with serving(subject, SHORT) as server:
+    with running_server(subject, SHORT) as server:
         yield server
 
 

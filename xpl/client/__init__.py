@@ -1,6 +1,6 @@
-"""The environment side of the wire: clients that block or are awaited, and what they raise.
+"""Clients of a policy server, blocking and for asyncio, and their errors.
 
-A client's module is imported when it is first used, so that who needs only the errors needs no websockets.
+A client's module is imported when it is first used: the errors alone need no websockets.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Do a policy and an environment fit? What both announce in hello is compared before the first step.
+"""Compatibility of policy and environment: what both announce in hello is compared before the first step.
 
 A policy announces `{name, embodiments, embodiment, action_types, action_type, control_frequency, inputs, cameras}`
 (inputs: those it needs; cameras: the images it needs, as in policy.yml), an environment `{embodiment, action_type,
-control_frequency, inputs, cameras}` (inputs: those it offers; cameras: width and height of its images). What one side
-does not say, or says is null, is not compared.
+control_frequency, inputs, cameras}` (inputs: those it offers; cameras: width and height of its images). An entry that
+one side leaves out, or gives as null, is not compared.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 _EMBODIMENT, _EMBODIMENTS, _ACTION_TYPES, _INPUTS = "embodiment", "embodiments", "action_types", "inputs"
 _ACTION_TYPE, _FREQUENCY, _CAMERAS = spec.Deploy.ACTION_TYPE, "control_frequency", "cameras"
 REAL_TIME = "real_time"
-"""Whether an environment goes on while the policy thinks, as a robot does; its servers ask for a token."""
+"""Whether the environment keeps moving during inference, as a robot does; its servers require a token."""
 _SIDES, _EXACT = ("width", "height"), "exact"
 
 
 class AnnouncementError(ValueError):
-    """What one side announced is not what it should be.
+    """An announcement is malformed.
 
     Attributes:
-        field: where.
+        field: the entry, None where the announcement is no map.
     """
 
     def __init__(self, message: str, field: str | None = None) -> None:
@@ -38,8 +38,8 @@ class AnnouncementError(ValueError):
         self.field = field
 
 
-def needs(manifest: Manifest, config: Config) -> Announcement:
-    """Return what a policy announces.
+def policy_announcement(manifest: Manifest, config: Config) -> Announcement:
+    """Return the announcement of a policy.
 
     Args:
         manifest: its policy.yml.
@@ -57,43 +57,46 @@ def needs(manifest: Manifest, config: Config) -> Announcement:
     }
 
 
-def checked(announced: object) -> dict[str, Any]:
-    """Return what a side announced of what is compared, in plain Python; who announced it may have sent anything.
+def validate_announcement(announced: object) -> dict[str, Any]:
+    """Return the entries that are compared, as plain Python values.
+
+    Args:
+        announced: what a client or a server sent: untrusted input.
 
     Raises:
-        AnnouncementError: if it is no map, or an entry is of another kind than it should be.
+        AnnouncementError: it is no map, or an entry has the wrong type.
     """
     if announced is None:
         return {}
     if not isinstance(announced, Mapping):
         raise AnnouncementError(f"it must be a map, got {type(announced).__name__}")
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for name, (kind, read) in _ENTRIES.items():
-        given = announced.get(name)
-        if given is not None:
+        value = announced.get(name)
+        if value is not None:
             try:
-                found[name] = read(given)
+                entries[name] = read(value)
             except TypeError:
-                raise AnnouncementError(f"{name} must be {kind}, got {type(given).__name__}", name) from None
-    return found
+                raise AnnouncementError(f"{name} must be {kind}, got {type(value).__name__}", name) from None
+    return entries
 
 
 def differences(policy: Announcement, environment: Announcement) -> list[dict[str, Any]]:
-    """Return where policy and environment do not fit: maps with `field`, `policy`, `environment` and a `message`."""
-    checks = (_choices, _rates, _missing, _images)
+    """Return the mismatches of policy and environment: maps with `field`, `policy`, `environment` and `message`."""
+    checks = (_compare_choices, _compare_rates, _compare_inputs, _compare_images)
     return [
-        {"field": field, "policy": wanted, "environment": offered, "message": message}
+        {"field": field, "policy": required, "environment": offered, "message": message}
         for check in checks
-        for field, wanted, offered, message in check(policy, environment)
+        for field, required, offered, message in check(policy, environment)
     ]
 
 
 _Difference = tuple[str, Any, Any, str]
-"""Field, what the policy says of it, what the environment says, and both in a sentence."""
+"""Field, value of the policy, value of the environment, message."""
 
 
-def _choices(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
-    """Compare the robot and the kind of action with what the policy was started for, or declares."""
+def _compare_choices(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
+    """Compare embodiment and action type with the policy's configuration and manifest."""
     for one, many in ((_EMBODIMENT, _EMBODIMENTS), (_ACTION_TYPE, _ACTION_TYPES)):
         offered, configured, declared = environment.get(one), policy.get(one), policy.get(many)
         if one == _EMBODIMENT:
@@ -112,82 +115,84 @@ def _choices(policy: Announcement, environment: Announcement) -> Iterator[_Diffe
             yield one, declared, offered, f"the policy takes {one} {' or '.join(map(str, declared))}, not {offered}"
 
 
-def _rates(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
-    wanted, offered = policy.get(_FREQUENCY), environment.get(_FREQUENCY)
-    if None not in (wanted, offered) and wanted != offered:
-        text = f"the policy's actions are meant for {wanted} Hz, the environment executes them at {offered} Hz"
-        yield _FREQUENCY, wanted, offered, text
+def _compare_rates(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
+    required, offered = policy.get(_FREQUENCY), environment.get(_FREQUENCY)
+    if None not in (required, offered) and required != offered:
+        text = f"the policy's actions are meant for {required} Hz, the environment executes them at {offered} Hz"
+        yield _FREQUENCY, required, offered, text
 
 
-def _missing(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
-    wanted, offered = policy.get(_INPUTS), environment.get(_INPUTS)
-    if isinstance(wanted, list) and isinstance(offered, list):
-        missing = [name for name in wanted if name not in offered]
+def _compare_inputs(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
+    required, offered = policy.get(_INPUTS), environment.get(_INPUTS)
+    if isinstance(required, list) and isinstance(offered, list):
+        missing = [name for name in required if name not in offered]
         if missing:
-            yield _INPUTS, wanted, offered, f"the environment does not offer {', '.join(map(str, missing))}"
+            yield _INPUTS, required, offered, f"the environment does not offer {', '.join(map(str, missing))}"
 
 
-def _images(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
-    """Compare the images that the environment shows with those that the policy needs."""
-    needed, shown = policy.get(_CAMERAS), environment.get(_CAMERAS)
-    if not isinstance(needed, Mapping) or not isinstance(shown, Mapping):
+def _compare_images(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
+    """Compare the image sizes of the environment with those that the policy needs."""
+    needed, provided = policy.get(_CAMERAS), environment.get(_CAMERAS)
+    if not isinstance(needed, Mapping) or not isinstance(provided, Mapping):
         return
     for camera, need in needed.items():
-        image = shown.get(camera)
-        if isinstance(need, Mapping) and isinstance(image, Mapping) and not _will_do(need, image):
+        image = provided.get(camera)
+        if isinstance(need, Mapping) and isinstance(image, Mapping) and not _is_large_enough(need, image):
             size = " x ".join(str(need.get(side) or "any") for side in _SIDES)
             least = "" if need.get(_EXACT) else " or larger"
             got = " x ".join(str(image.get(side)) for side in _SIDES)
-            yield _CAMERAS, needed, shown, f"the policy needs {camera} {size}{least}, the environment shows {got}"
+            yield _CAMERAS, needed, provided, f"the policy needs {camera} {size}{least}, the environment has {got}"
 
 
-def _will_do(need: Mapping[str, Any], image: Mapping[str, Any]) -> bool:
-    """Tell whether an image has a size that a policy can work with."""
+def _is_large_enough(need: Mapping[str, Any], image: Mapping[str, Any]) -> bool:
+    """Return whether an image has a size that the policy accepts."""
     sizes = [(need.get(side), image.get(side)) for side in _SIDES]
-    said = [(wanted, offered) for wanted, offered in sizes if isinstance(wanted, int) and isinstance(offered, int)]
-    return all(offered == wanted if need.get(_EXACT) else offered >= wanted for wanted, offered in said)
+    comparable = [
+        (required, offered) for required, offered in sizes if isinstance(required, int) and isinstance(offered, int)
+    ]
+    return all(offered == required if need.get(_EXACT) else offered >= required for required, offered in comparable)
 
 
-def sentence(found: list[dict[str, Any]]) -> str:
-    """Return one sentence about the differences."""
-    return "policy and environment do not fit: " + "; ".join(str(one["message"]) for one in found)
+def format_differences(mismatches: list[dict[str, Any]]) -> str:
+    """Return the mismatches as one sentence."""
+    return "policy and environment do not fit: " + "; ".join(str(one["message"]) for one in mismatches)
 
 
-def _text(given: object) -> str:
-    if not isinstance(given, str):
+def _text(value: object) -> str:
+    if not isinstance(value, str):
         raise TypeError
-    return str(given)
+    return str(value)
 
 
-def _number(given: object) -> float | int:
-    if isinstance(given, bool) or not isinstance(given, numbers.Real):
+def _number(value: object) -> float | int:
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
         raise TypeError
-    return int(given) if isinstance(given, numbers.Integral) else float(given)
+    return int(value) if isinstance(value, numbers.Integral) else float(value)
 
 
-def _flag(given: object) -> bool:
-    if type(given) is not bool:
+def _flag(value: object) -> bool:
+    if type(value) is not bool:
         raise TypeError
-    return given
+    return value
 
 
-def _texts(given: object) -> list[str]:
-    if not isinstance(given, (list, tuple)):
+def _texts(value: object) -> list[str]:
+    if not isinstance(value, (list, tuple)):
         raise TypeError
-    return [_text(item) for item in given]
+    return [_text(item) for item in value]
 
 
-def _sizes(given: object) -> dict[str, dict[str, Any]]:
-    if not isinstance(given, Mapping):
+def _sizes(value: object) -> dict[str, dict[str, Any]]:
+    if not isinstance(value, Mapping):
         raise TypeError
-    return {_text(camera): _size(image) for camera, image in given.items()}
+    return {_text(camera): _size(image) for camera, image in value.items()}
 
 
-def _size(given: object) -> dict[str, Any]:
-    if not isinstance(given, Mapping):
+def _size(value: object) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
         raise TypeError
-    sides = {side: _number(given[side]) for side in _SIDES if given.get(side) is not None}
-    return {**sides, **({_EXACT: True} if given.get(_EXACT) is True else {})}
+    sides = {side: _number(value[side]) for side in _SIDES if value.get(side) is not None}
+    return {**sides, **({_EXACT: True} if value.get(_EXACT) is True else {})}
 
 
 _ENTRIES: dict[str, tuple[str, Callable[[Any], Any]]] = {

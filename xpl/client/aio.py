@@ -1,4 +1,4 @@
-"""The environment side of the wire for asyncio (extra `client`: websockets >= 12, msgpack).
+"""Client of a policy server for asyncio (extra `client`: websockets >= 12, msgpack).
 
 async with AsyncClient("ws://localhost:8000") as policy:
     await policy.reset()
@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from xpl import _spec as spec
 from xpl.client.base import ClientBase
-from xpl.client.connection import ended, parsed, refused_handshake
+from xpl.client.connection import closed_error, handshake_error, parse_url
 from xpl.client.errors import ServerConnectionError
 
 if TYPE_CHECKING:
-    from xpl.client.transport import Address, Transport
+    from xpl.client.transport import Endpoint, Transport
     from xpl.contract import Observation, Payload
 
 _Value = TypeVar("_Value")
@@ -31,70 +31,70 @@ _GOODBYE_S = 0.2
 class AsyncClient(ClientBase):
     """A connection to a policy server; see `xpl.client.Client` for arguments and errors.
 
-    Nothing is connected before `connect()` or `async with`. Tasks that share a client take turns.
+    The client connects in `connect()` or `async with`. Requests of concurrent tasks run one after the other.
     """
 
-    def _transport(self, there: Address) -> Transport:
-        return _Suspending(there)
+    def _transport(self, endpoint: Endpoint) -> Transport:
+        return _AsyncTransport(endpoint)
 
-    def _made(self) -> None:
+    def _create_lock(self) -> None:
         self._turn = asyncio.Lock()
 
     async def connect(self) -> None:
         """Connect and exchange hellos."""
-        await self._run(self._talk.connect())
+        await self._run(self._conversation.connect())
 
     async def reset(self) -> None:
         """Start a new episode."""
-        await self._run(self._talk.reset())
+        await self._run(self._conversation.reset())
 
     async def update_obs(self, obs: Observation) -> None:
-        """Show the policy the newest observation of one environment."""
-        await self._run(self._talk.update_obs(obs))
+        """Send the newest observation of one environment to the policy."""
+        await self._run(self._conversation.update_obs(obs))
 
     async def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
-        """Show the policy the newest observation of several environments."""
-        await self._run(self._talk.update_obs_batch(obs_list))
+        """Send the newest observations of several environments to the policy."""
+        await self._run(self._conversation.update_obs_batch(obs_list))
 
     async def get_action(self, obs: Observation | None = None) -> Any:
-        """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
-        return await self._run(self._talk.get_action(obs))
+        """Return an action chunk, for `obs` if it is passed and for the last observation otherwise."""
+        return await self._run(self._conversation.get_action(obs))
 
     async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
-        """Return one action chunk per environment of the list; None means the last batch."""
-        return await self._run(self._talk.get_action_batch(env_idx_list))
+        """Return one action chunk per environment of the list; None means the environments of the last batch."""
+        return await self._run(self._conversation.get_action_batch(env_idx_list))
 
     async def infer(self, obs: Observation) -> Any:
-        """Return the action chunk for one observation: update_obs and get_action as one unit."""
-        return await self._run(self._talk.infer(obs))
+        """Return the action chunk for one observation: update_obs and get_action in one request."""
+        return await self._run(self._conversation.infer(obs))
 
     async def prepare_case(self, action_case_id: str, **meta: Any) -> Any:
-        """Announce a case to the adapter's hook."""
-        return await self._run(self._talk.prepare_case(action_case_id, meta))
+        """Call the adapter's hook prepare_case."""
+        return await self._run(self._conversation.prepare_case(action_case_id, meta))
 
     async def trial_end(self, result: Mapping[str, Any] | None = None) -> Any:
-        """Tell the adapter's hook how the trial ended."""
-        return await self._run(self._talk.trial_end(result))
+        """Call the adapter's hook trial_end with the result of the trial."""
+        return await self._run(self._conversation.trial_end(result))
 
     async def heartbeat(self) -> None:
-        """Ask for a sign of life; answered while the model thinks, too."""
-        await self._run(self._talk.health())
+        """Check that the server is alive; answered during inference, too."""
+        await self._run(self._conversation.health())
 
     async def health(self) -> Payload:
         """Return the server's state: `state` is loading, ready or draining."""
-        return await self._run(self._talk.health())
+        return await self._run(self._conversation.health())
 
     async def call(self, func_name: str | None = None, obs: Any = None) -> Any:
         """Call an operation by name, as benchmarks do; see `xpl.client.Client.call`."""
-        return await self._run(self._talk.call(func_name, obs))
+        return await self._run(self._conversation.call(func_name, obs))
 
     async def settle(self) -> None:
-        """Wait until every update that was sent ahead is answered, and raise what went wrong with one."""
-        await self._run(self._talk.settle())
+        """Wait for the answers to all pipelined updates, and raise the error of one that failed."""
+        await self._run(self._conversation.settle())
 
     async def close(self) -> None:
-        """Say goodbye and close the connection; closing twice is fine."""
-        await self._run(self._talk.close())
+        """Send a close message and close the connection; closing twice is fine."""
+        await self._run(self._conversation.close())
 
     async def __aenter__(self) -> AsyncClient:  # noqa: PYI034 - Self is not in the typing module of Python 3.9
         await self.connect()
@@ -108,23 +108,23 @@ class AsyncClient(ClientBase):
             async with self._turn:
                 return await talk
         finally:
-            talk.close()  # one that never began: the task was cancelled while it waited for its turn
+            talk.close()  # if it never began: the task was cancelled while it waited for the lock
 
 
-class _Suspending:
+class _AsyncTransport:
     """A WebSocket connection whose methods suspend."""
 
-    def __init__(self, there: Address) -> None:
-        self._there = there
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
         self._socket: Any = None
 
     async def open(self, timeout: float | None) -> None:
         connect = _connect()
-        parsed(self._there.url)
+        parse_url(self._endpoint.url)
         try:
-            self._socket = await connect(self._there.url, **_options(connect, self._there, timeout))
+            self._socket = await connect(self._endpoint.url, **_options(connect, self._endpoint, timeout))
         except Exception as error:  # noqa: BLE001 - mapped
-            raise _connection_problem(error, self._there.url) from None
+            raise _connection_problem(error, self._endpoint.url) from None
 
     async def send(self, data: bytes | str, timeout: float | None) -> None:
         try:
@@ -155,7 +155,7 @@ class _Suspending:
         opened, self._socket = self._socket, None
         if opened is not None:
             with contextlib.suppress(Exception):
-                # Said, but not waited for: the other side may be the one that does not answer.
+                # Not waited for longer: the server may be the side that does not answer.
                 closing = asyncio.ensure_future(opened.close())
                 await asyncio.wait({closing}, timeout=_GOODBYE_S)
                 if not closing.done():
@@ -166,7 +166,7 @@ class _Suspending:
 
 
 def _connect() -> Any:
-    """Return the connect function of websockets: its place is another one since version 13."""
+    """Return the connect function of websockets, which moved in version 13."""
     try:
         from websockets.asyncio.client import connect
     except ImportError:
@@ -174,24 +174,24 @@ def _connect() -> Any:
     return connect
 
 
-def _options(connect: Any, there: Address, timeout: float | None) -> dict[str, Any]:
+def _options(connect: Any, endpoint: Endpoint, timeout: float | None) -> dict[str, Any]:
     """Return the options for `connect` of any version of websockets from 12 on."""
     options: dict[str, Any] = {
         "compression": None,
         "max_size": spec.LIMITS["frame_bytes"],
         "open_timeout": timeout,
-        "close_timeout": there.config[spec.Deploy.CLOSE_TIMEOUT_S],
-        "ping_interval": there.config[spec.Deploy.WS_PING_INTERVAL_S],
-        "ping_timeout": None,  # a loop that is kept busy must not be taken for a lost connection
+        "close_timeout": endpoint.config[spec.Deploy.CLOSE_TIMEOUT_S],
+        "ping_interval": endpoint.config[spec.Deploy.WS_PING_INTERVAL_S],
+        "ping_timeout": None,  # a busy event loop must not be taken for a lost connection
     }
-    known = inspect.signature(connect).parameters
-    if "proxy" in known:
+    parameters = inspect.signature(connect).parameters
+    if "proxy" in parameters:
         options["proxy"] = None  # straight to the server, whatever proxy the environment names
-    if there.ssl_context is not None:
-        options["ssl"] = there.ssl_context
-    if there.authorization is not None:
-        name = "additional_headers" if "additional_headers" in known else "extra_headers"
-        options[name] = {"Authorization": there.authorization}
+    if endpoint.ssl_context is not None:
+        options["ssl"] = endpoint.ssl_context
+    if endpoint.authorization is not None:
+        name = "additional_headers" if "additional_headers" in parameters else "extra_headers"
+        options[name] = {"Authorization": endpoint.authorization}
     return options
 
 
@@ -200,12 +200,12 @@ def _connection_problem(error: Exception, url: str) -> Exception:
 
     if isinstance(error, ssl.SSLError):
         return ServerConnectionError(f"no secure connection to {url}: {error}")
-    return refused_handshake(error, url) if isinstance(error, WebSocketException) else error
+    return handshake_error(error, url) if isinstance(error, WebSocketException) else error
 
 
 def _lost_connection(error: Exception) -> Exception:
     from websockets.exceptions import ConnectionClosed, WebSocketException
 
     if isinstance(error, WebSocketException):
-        return ended(error.rcvd if isinstance(error, ConnectionClosed) else None)
+        return closed_error(error.rcvd if isinstance(error, ConnectionClosed) else None)
     return error

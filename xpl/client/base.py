@@ -1,4 +1,4 @@
-"""What the two clients have in common: how they are made, and what they tell about the server."""
+"""Base of the blocking and the asyncio client: construction, and what the server announced."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Callable
 
 from xpl import _spec as spec
 from xpl.client import wires
-from xpl.client.labels import UNSAID, Labels, Unsaid, timing
-from xpl.client.transport import Address, Setup, Transport, Wishes
+from xpl.client.labels import UNSET, Labels, Unset, timing_overrides
+from xpl.client.transport import ConnectionOptions, ConversationSetup, Endpoint, Transport
 
 if TYPE_CHECKING:
     import ssl
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class ClientBase:
-    """A client before it is connected; `xpl.client.Client` documents the arguments."""
+    """A client that is not connected yet; `xpl.client.Client` documents the arguments."""
 
     def __init__(  # noqa: PLR0913 - keywords only
         self,
@@ -38,8 +38,8 @@ class ClientBase:
         shared_memory: bool = True,
         packed: bool = True,
         on_loading: Callable[[Mapping[str, Any]], None] | None = None,
-        ws_ping_interval_s: float | Unsaid | None = UNSAID,
-        ws_ping_timeout_s: float | Unsaid | None = UNSAID,
+        ws_ping_interval_s: float | Unset | None = UNSET,
+        ws_ping_timeout_s: float | Unset | None = UNSET,
         connect_timeout_s: float | None = None,
         handshake_timeout_s: float | None = None,
         request_timeout_s: float | None = None,
@@ -52,7 +52,7 @@ class ClientBase:
         if client is not None:
             self._share(client)
             return
-        wishes = Wishes(
+        options = ConnectionOptions(
             packed=packed,
             shared_memory=shared_memory,
             pipelined=pipelined,
@@ -60,7 +60,7 @@ class ClientBase:
             environment=environment,
             on_loading=on_loading,
         )
-        limits = timing(
+        limits = timing_overrides(
             {
                 spec.Deploy.CONNECT_TIMEOUT_S: connect_timeout_s,
                 spec.Deploy.HANDSHAKE_TIMEOUT_S: handshake_timeout_s,
@@ -76,46 +76,46 @@ class ClientBase:
             },
         )
         settings = {**spec.DEPLOY_DEFAULTS, **(config or {}), **limits}
-        name, wire, address = wires.of(url, settings)
+        name, wire, address = wires.resolve(url, settings)
         self._labels = Labels(evaluation_id or uuid.uuid4().hex, trial_id, action_case_id, repeat_index)
-        self._made()
-        there = Address(address, settings, None if token is None else f"{wire.scheme} {token}", ssl_context)
-        setup = Setup(name, address, settings, self._labels, wishes, lambda: self._transport(there))
-        self._talk: Conversation = _conversation(wire, setup)
+        self._create_lock()
+        endpoint = Endpoint(address, settings, None if token is None else f"{wire.scheme} {token}", ssl_context)
+        setup = ConversationSetup(name, address, settings, self._labels, options, lambda: self._transport(endpoint))
+        self._conversation: Conversation = _make_conversation(wire, setup)
         self._begin()
 
     def _share(self, client: Any) -> None:
-        """Use the connection of another client, with its names; closing either one closes it.
+        """Use the connection of another client, with its labels; closing either one closes it.
 
         Raises:
             TypeError: it is no client of this class.
         """
         if not isinstance(client, type(self)):
             raise TypeError(
-                f"client must be an xpl.{type(self).__name__} that is connected, got {type(client).__name__}: "
-                "inner clients of other packages speak for themselves"
+                f"client must be a connected xpl.{type(self).__name__}, got {type(client).__name__}: "
+                "the clients of other packages cannot be wrapped"
             )
         vars(self).update(vars(client))
 
-    def _made(self) -> None:
-        """Make what calls take turns with."""
+    def _create_lock(self) -> None:
+        """Create the lock that orders concurrent calls."""
         raise NotImplementedError
 
-    def _transport(self, there: Address) -> Transport:
-        """Return what carries the messages, not yet open."""
+    def _transport(self, endpoint: Endpoint) -> Transport:
+        """Return a transport that is not open yet."""
         raise NotImplementedError
 
     def _begin(self) -> None:
-        """Do what a new client does at once."""
+        """Connect, in a client that does so when it is made."""
 
     @property
     def evaluation_id(self) -> str:
-        """What the evaluation is called."""
+        """Name of the evaluation."""
         return self._labels.evaluation_id
 
     @property
     def trial_id(self) -> str | None:
-        """What the trial is called; it may be set before the next one begins."""
+        """Name of the trial; it may be set before the next one begins."""
         return self._labels.trial_id
 
     @trial_id.setter
@@ -124,7 +124,7 @@ class ClientBase:
 
     @property
     def action_case_id(self) -> str | None:
-        """What the case is called; it may be set before the next one."""
+        """Name of the case; it may be set before the next one."""
         return self._labels.action_case_id
 
     @action_case_id.setter
@@ -133,7 +133,7 @@ class ClientBase:
 
     @property
     def repeat_index(self) -> int | None:
-        """How often the case was tried before; it may be set before the next trial."""
+        """Number of earlier trials of the case; it may be set before the next trial."""
         return self._labels.repeat_index
 
     @repeat_index.setter
@@ -142,26 +142,26 @@ class ClientBase:
 
     @property
     def server_instance_id(self) -> str | None:
-        """What the server calls itself; None for one of the first generation, or of another wire."""
-        return self._talk.server_instance_id
+        """Id of the server instance; None for a server of the first generation, or of another wire."""
+        return self._conversation.server_instance_id
 
     @property
     def capabilities(self) -> Mapping[str, Any]:
-        """What the server announced that it can do."""
-        return self._talk.capabilities
+        """Capabilities that the server announced."""
+        return self._conversation.capabilities
 
     @property
     def policy(self) -> Announcement:
-        """What the policy needs, where the server said so."""
-        return self._talk.policy
+        """What the policy needs, as the server announced it; empty where it did not."""
+        return self._conversation.policy
 
     @property
     def metadata(self) -> Mapping[str, Any]:
-        """What a server of another wire said of itself first."""
-        return self._talk.metadata
+        """Greeting of a server of another wire, as a map."""
+        return self._conversation.metadata
 
 
-def _conversation(wire: wires.Wire, setup: Setup) -> Conversation:
+def _make_conversation(wire: wires.Wire, setup: ConversationSetup) -> Conversation:
     if wire.conversation is not None:
         return wire.conversation(setup)
     if wire.codec is None:

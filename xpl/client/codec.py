@@ -1,7 +1,7 @@
-"""What a wire of requests and replies is made of: events, and a codec between them and messages, without I/O.
+"""Events of a request-reply wire, and the codec between events and messages, without I/O.
 
 A codec serves both ends: `xpl.Client` sends what `encode_request` returns and reads the reply by `decode_reply`, and
-`xpl serve --also NAME` does the opposite. Connections, episodes, limits in time and batches are not its business.
+`xpl serve --also NAME` does the opposite. Connections, episodes, timeouts and batches are handled elsewhere.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Infer:
-    """A request: one observation of the standard, and an action chunk is expected."""
+    """A request: one observation of the standard, answered by an action chunk."""
 
     observation: Observation
 
@@ -32,7 +32,7 @@ class Actions:
 
     Attributes:
         steps: the action chunk, one map of the standard's action keys for each step.
-        latency_ms: what the policy took, ms, where the server says so.
+        latency_ms: inference time, ms; None where the server does not report it.
     """
 
     steps: Sequence[Action]
@@ -40,7 +40,7 @@ class Actions:
 
 
 @dataclass(frozen=True)
-class Done:
+class ResetDone:
     """A reply to `Reset`."""
 
 
@@ -50,7 +50,7 @@ class Failure:
 
     Attributes:
         message: one line.
-        details: what else is known, such as a `traceback`.
+        details: further entries, such as a `traceback`.
     """
 
     message: str
@@ -60,21 +60,21 @@ class Failure:
 Message = Union[bytes, str]
 """A whole message of a WebSocket, binary or text."""
 Request = Union[Infer, Reset]
-Reply = Union[Actions, Done, Failure]
+Reply = Union[Actions, ResetDone, Failure]
 
 
 class Codec:
-    """One wire: its messages, both ways. Made of a configuration, and then without state.
+    """Encodes and decodes the messages of one wire. Stateless.
 
     Args:
         config: values of deploy.yml, with `manifest`, the parsed policy.yml, where there is one.
 
     Attributes:
-        greets: a server says something first (`encode_greeting`, `decode_greeting`).
-        resets: there is a message by which a client begins an episode; otherwise each connection is one.
+        greets: a server sends a greeting first (`encode_greeting`, `decode_greeting`).
+        resets: the wire has a reset message; otherwise each connection is one episode.
 
     Raises:
-        ConfigError: a configuration says too little, or what is wrong.
+        ConfigError: the configuration lacks a value, or one is wrong.
     """
 
     greets = False
@@ -84,14 +84,14 @@ class Codec:
         self.config = config
 
     def encode_greeting(self, policy: Announcement) -> Message:
-        """Return what a server says first; `policy` is what is told of its policy (`xpl.client.agreement`)."""
+        """Return the greeting of a server; `policy` is the announcement of its policy (`xpl.client.agreement`)."""
         raise NotImplementedError
 
     def decode_greeting(self, message: Message) -> Mapping[str, Any]:
-        """Return what a server said first, as a map.
+        """Return the greeting of a server as a map.
 
         Raises:
-            WireError: it is no greeting of this wire.
+            WireError: the message is no greeting of this wire.
         """
         raise NotImplementedError
 
@@ -107,7 +107,7 @@ class Codec:
         """Return the request of a message.
 
         Raises:
-            WireError, ObservationError: it is none.
+            WireError, ObservationError: the message is no request.
         """
         raise NotImplementedError
 
@@ -115,7 +115,7 @@ class Codec:
         """Return the message of a reply.
 
         Raises:
-            ActionError, ValueError: what the policy returned has no form here.
+            ActionError, ValueError: this wire cannot express what the policy returned.
         """
         raise NotImplementedError
 
@@ -123,6 +123,6 @@ class Codec:
         """Return the reply of a message.
 
         Raises:
-            WireError, ActionError: it is none.
+            WireError, ActionError: the message is no reply.
         """
         raise NotImplementedError

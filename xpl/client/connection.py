@@ -1,8 +1,8 @@
-"""A WebSocket connection whose methods block; the protocol is that of `websockets` (>= 12), which does no I/O itself.
+"""A blocking WebSocket connection over the sans-I/O protocol of `websockets` (>= 12).
 
-Whoever waits for an answer reads the socket himself: handing it over from a thread that reads would cost as much as the
-answer's way over the network. A thread of its own looks after the connection while nobody asks anything: it answers
-pings and sends some, so that a simulator that computes for minutes keeps its connection.
+The calling thread reads the socket itself: handing an answer over from a reader thread would cost as much as its way
+over the network. A background thread serves the connection while it is idle: it answers pings and sends some, so that a
+simulator that computes for minutes keeps its connection.
 """
 
 from __future__ import annotations
@@ -22,71 +22,71 @@ from xpl.client import wires
 from xpl.client.errors import ServerConnectionError, ServerFailedError
 
 if TYPE_CHECKING:
-    from xpl.client.transport import Address
+    from xpl.client.transport import Endpoint
 
 _CHUNK = 1 << 18
 _NO_TOKEN, _REFUSED = 401, 403
 _LOOK_S = 0.5
-"""How often an idle connection is looked after."""
+"""Interval at which an idle connection is served, s."""
 
 
 class BlockingTransport:
     """A connection to one address.
 
     Args:
-        there: the address.
-        turn: held by whoever uses the connection.
+        endpoint: address and credentials.
+        turn: lock of the thread that uses the connection.
     """
 
-    def __init__(self, there: Address, turn: threading.Lock) -> None:
-        self._there = there
+    def __init__(self, endpoint: Endpoint, turn: threading.Lock) -> None:
+        self._endpoint = endpoint
         self._turn = turn
-        self._ping_interval = there.config[spec.Deploy.WS_PING_INTERVAL_S]
+        self._ping_interval = endpoint.config[spec.Deploy.WS_PING_INTERVAL_S]
         self._socket: socket.socket | None = None
         self._protocol: Any = None
         self._messages: list[bytes | str] = []
-        self._begun = bytearray()
+        self._fragments = bytearray()
         self._is_text = False
         self._open = False
         self._ended = False
-        self._seen = 0.0
+        self._last_ping = 0.0
 
     async def open(self, timeout: float | None) -> None:
         """Connect within `timeout` seconds."""
         from websockets.client import ClientProtocol
 
-        deadline, uri = _after(timeout), parsed(self._there.url)
+        deadline, uri = _after(timeout), parse_url(self._endpoint.url)
         try:
             raw = socket.create_connection((uri.host, uri.port), _left(deadline))
             raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._socket = raw
             if uri.secure:
-                context = self._there.ssl_context or ssl.create_default_context()
+                context = self._endpoint.ssl_context or ssl.create_default_context()
                 self._socket = context.wrap_socket(raw, server_hostname=uri.host)
-            self._open, self._ended, self._messages, self._begun = False, False, [], bytearray()
+            self._open, self._ended, self._messages, self._fragments = False, False, [], bytearray()
             self._protocol = ClientProtocol(uri, max_size=spec.LIMITS["frame_bytes"])
             request = self._protocol.connect()
-            if self._there.authorization is not None:
-                request.headers["Authorization"] = self._there.authorization
+            if self._endpoint.authorization is not None:
+                request.headers["Authorization"] = self._endpoint.authorization
             self._protocol.send_request(request)
             self._flush()
             while self._protocol.state.name == "CONNECTING" and self._protocol.handshake_exc is None:
                 self._read(deadline)
-            # The answer to the handshake; what a server says at once may have come with it.
+            # The answer to the handshake; the server's first message may have come with it.
             self._take(event for event in self._protocol.events_received() if hasattr(event, "opcode"))
         except ssl.SSLError as error:
             await self.close()
-            raise ServerConnectionError(f"no secure connection to {self._there.url}: {error}") from None
+            raise ServerConnectionError(f"no secure connection to {self._endpoint.url}: {error}") from None
         except BaseException:
             await self.close()
             raise
         if self._protocol.handshake_exc is not None:
-            problem = refused_handshake(self._protocol.handshake_exc, self._there.url)
+            problem = handshake_error(self._protocol.handshake_exc, self._endpoint.url)
             await self.close()
             raise problem
-        self._open, self._seen = True, time.monotonic()
+        self._open, self._last_ping = True, time.monotonic()
         # A daemon: it must not keep the interpreter alive for a script that forgets to close.
-        threading.Thread(target=_look_after, args=(weakref.ref(self), self._socket), daemon=True).start()
+        threading.Thread(target=_keep_alive, args=(weakref.ref(self), self._socket), daemon=True).start()
 
     async def send(self, data: bytes | str, timeout: float | None) -> None:
         """Send a message, binary or text, within `timeout` seconds."""
@@ -94,7 +94,7 @@ class BlockingTransport:
 
         connected = self._connected()
         connected.settimeout(timeout)
-        if self._ended:  # while nobody asked anything
+        if self._ended:  # while the connection was idle
             self._end()
         try:
             if isinstance(data, str):
@@ -106,7 +106,7 @@ class BlockingTransport:
         self._flush()
 
     async def receive(self, timeout: float | None) -> bytes:
-        """Return the next binary message: xpl's wire knows no text."""
+        """Return the next binary message; xpl's wire has no text messages."""
         deadline = _after(timeout)
         while True:
             message = self._next(deadline)
@@ -118,11 +118,11 @@ class BlockingTransport:
         return self._next(_after(timeout))
 
     async def close(self) -> None:
-        """Close the connection, if there is one; waits for nobody."""
+        """Close the connection, if there is one, without waiting for the server."""
         connected, self._socket = self._socket, None
         if connected is None:
             return
-        with contextlib.suppress(Exception):  # the other side may be gone already, which is what was wanted
+        with contextlib.suppress(Exception):  # the server may be gone already
             connected.settimeout(0.0)
             self._protocol.send_close(1000)
             for data in self._protocol.data_to_send():
@@ -133,13 +133,13 @@ class BlockingTransport:
         """Let time pass."""
         time.sleep(seconds)  # noqa: ASYNC251 - this transport is the one that blocks
 
-    def look(self) -> None:
-        """Answer pings that came, and send one if it is time; for an idle connection."""
+    def service_idle(self) -> None:
+        """Answer the pings received, and send one if it is due; for an idle connection."""
         connected = self._connected()
-        if self._ping_interval and time.monotonic() - self._seen > self._ping_interval:
-            self._seen = time.monotonic()
+        if self._ping_interval and time.monotonic() - self._last_ping > self._ping_interval:
+            self._last_ping = time.monotonic()
             self._protocol.send_ping(os.urandom(4))
-        # One piece a look: a server that never stops talking must not keep the turn, nor fill the memory.
+        # One read per call: a server that never stops sending must neither hold the lock nor fill the memory.
         connected.settimeout(0.0)
         with contextlib.suppress(BlockingIOError, ssl.SSLWantReadError):
             if len(self._messages) < spec.LIMITS["pipelined"]:
@@ -148,15 +148,15 @@ class BlockingTransport:
         self._flush()
 
     def is_at(self, connected: socket.socket) -> bool:
-        """Tell whether this is still the connection over a socket."""
+        """Return whether this transport still uses the socket `connected`."""
         return self._socket is connected
 
-    def take_turn(self) -> bool:
-        """Take the turn if nobody has it; `end_turn` gives it back."""
+    def try_acquire(self) -> bool:
+        """Acquire the lock if it is free; `release` releases it."""
         return self._turn.acquire(blocking=False)
 
-    def end_turn(self) -> None:
-        """Give the turn back."""
+    def release(self) -> None:
+        """Release the lock."""
         self._turn.release()
 
     def _connected(self) -> socket.socket:
@@ -210,20 +210,20 @@ class BlockingTransport:
                 if frame.fin and frame.opcode is not Opcode.CONT:  # the usual one, not copied
                     self._take_message(frame.data)
                     continue
-                self._begun += frame.data
+                self._fragments += frame.data
                 if frame.fin:
-                    self._take_message(bytes(self._begun))
-                    self._begun = bytearray()
+                    self._take_message(bytes(self._fragments))
+                    self._fragments = bytearray()
 
     def _take_message(self, whole: bytes) -> None:
         self._messages.append(bytes(whole).decode(errors="replace") if self._is_text else whole)
 
     def _end(self) -> NoReturn:
-        raise ended(self._protocol.close_rcvd)
+        raise closed_error(self._protocol.close_rcvd)
 
 
-def ended(received: Any) -> Exception:
-    """Return why a connection ended, by the close frame that came: the server's own reason, or that it was lost."""
+def closed_error(received: Any) -> Exception:
+    """Return the error of a closed connection by its close frame: the server's reason, or that it was lost."""
     if received is None:
         return ConnectionResetError("no close frame")
     reason = " ".join(received.reason.split())
@@ -232,11 +232,11 @@ def ended(received: Any) -> Exception:
     return ConnectionResetError(f"{received.code} {reason}")
 
 
-def parsed(url: str) -> Any:
-    """Return an address in its parts.
+def parse_url(url: str) -> Any:
+    """Return the parts of an address.
 
     Raises:
-        ServerConnectionError: it is none.
+        ServerConnectionError: it is no address.
     """
     from websockets.exceptions import InvalidURI
     from websockets.uri import parse_uri
@@ -247,16 +247,16 @@ def parsed(url: str) -> Any:
         raise ServerConnectionError(f"a policy server's address is ws://host:port, got {url!r}: {error}") from None
 
 
-def refused_handshake(error: Exception, url: str) -> Exception:
-    """Return how a refused handshake is reported: for good, or as an OSError that may be tried again."""
+def handshake_error(error: Exception, url: str) -> Exception:
+    """Return the error of a refused handshake: final, or an OSError after which connecting is tried again."""
     response = getattr(error, "response", None)
     status = getattr(response, "status_code", None) or getattr(error, "status_code", None)
     if status == _NO_TOKEN:
-        return ServerConnectionError(f"the policy server at {url} wants another bearer token (HTTP {status})")
+        return ServerConnectionError(f"the policy server at {url} requires another bearer token (HTTP {status})")
     if status == _REFUSED:
-        told = bytes(getattr(response, "body", None) or b"").decode(errors="replace").strip()
-        return ServerConnectionError(f"the policy server at {url} refuses this client (HTTP {status}): {told:.300}")
-    return ConnectionError(f"{error}; {wires.spoken()}")  # something answers there, but no policy server of ours
+        body = bytes(getattr(response, "body", None) or b"").decode(errors="replace").strip()
+        return ServerConnectionError(f"the policy server at {url} refuses this client (HTTP {status}): {body:.300}")
+    return ConnectionError(f"{error}; {wires.supported_wires()}")  # another kind of server
 
 
 def _after(timeout: float | None) -> float | None:
@@ -264,10 +264,10 @@ def _after(timeout: float | None) -> float | None:
 
 
 def _left(deadline: float | None) -> float | None:
-    """Return the seconds until a deadline, which holds whatever arrives; None without one.
+    """Return the seconds until a deadline, None without one.
 
     Raises:
-        TimeoutError: there are none.
+        TimeoutError: the deadline has passed.
     """
     if deadline is None:
         return None
@@ -277,18 +277,18 @@ def _left(deadline: float | None) -> float | None:
     return left
 
 
-def _look_after(reference: weakref.ref[BlockingTransport], connected: socket.socket) -> None:
-    """Look after a connection now and then, until it is closed or nobody holds it any more."""
+def _keep_alive(reference: weakref.ref[BlockingTransport], connected: socket.socket) -> None:
+    """Serve an idle connection at intervals, until it is closed or garbage-collected."""
     while True:
         time.sleep(_LOOK_S)
         transport = reference()
         if transport is None or not transport.is_at(connected):
             return
-        if transport.take_turn():  # otherwise someone is reading who answers pings himself
+        if transport.try_acquire():  # otherwise a caller is reading, which answers pings as well
             try:
-                transport.look()
-            except Exception:  # noqa: BLE001 - lost; whoever asks next is told
+                transport.service_idle()
+            except Exception:  # noqa: BLE001 - lost; the next operation raises it
                 return
             finally:
-                transport.end_turn()
+                transport.release()
         del transport

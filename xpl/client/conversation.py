@@ -1,4 +1,4 @@
-"""The client's side of a wire: the operations of the contract, and what wires do that know fewer of them."""
+"""The client's side of a wire: the operations of the contract; a wire may support fewer."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from xpl import _spec as spec
 from xpl.client.errors import NoOperationError
 
 if TYPE_CHECKING:
-    from xpl.client.transport import Setup
+    from xpl.client.transport import ConversationSetup
     from xpl.contract import Observation, Payload
 
 
 class Conversation:
-    """What clients hold. Written with `async`, and never suspended over a transport that blocks (`xpl.Client`).
+    """Base of the client protocols. Written with `async`; over a blocking transport (`xpl.Client`) never suspended.
 
     Args:
-        setup: the address, the configuration, and how a connection is made.
+        setup: address, configuration, labels, options, and a factory of transports.
 
     Attributes:
-        server_instance_id: what the server calls itself, None where it does not.
-        capabilities: what it announced that it can do.
-        policy: what its policy needs, where it said so (`xpl.client.agreement`).
-        metadata: what else it said of itself.
+        server_instance_id: id of the server instance, None where the wire has none.
+        capabilities: what the server announced.
+        policy: what its policy needs (`xpl.client.agreement`); empty where it announced nothing.
+        metadata: the server's greeting, where the wire has one.
     """
 
     server_instance_id: str | None = None
@@ -31,12 +31,12 @@ class Conversation:
     policy: Mapping[str, Any] = {}
     metadata: Mapping[str, Any] = {}
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: ConversationSetup) -> None:
         self._setup = setup
         self._labels = setup.labels
 
     async def connect(self) -> None:
-        """Connect, trying again while nobody listens."""
+        """Connect, and try again while no server listens."""
         raise NotImplementedError
 
     async def close(self) -> None:
@@ -46,59 +46,60 @@ class Conversation:
     # -- the operations of the contract --------------------------------------------------------------------------------
 
     async def reset(self, meta: Mapping[str, Any] | None = None) -> Any:
-        """Start a new episode; what is told besides reaches the server, and no adapter."""
+        """Start a new episode; `meta` reaches the server, not the adapter."""
         raise NotImplementedError
 
     async def update_obs(self, obs: Observation) -> None:
-        """Show the policy the newest observation of one environment."""
+        """Send the newest observation of one environment to the policy."""
         raise NotImplementedError
 
     async def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
-        """Show the policy the newest observation of several environments."""
+        """Send the newest observations of several environments to the policy."""
         raise NotImplementedError
 
     async def get_action(self, obs: Observation | None = None) -> Any:
-        """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
+        """Return an action chunk, for `obs` if it is passed and for the last observation otherwise."""
         raise NotImplementedError
 
     async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
-        """Return one action chunk per environment of the list; None means the last batch."""
+        """Return one action chunk per environment of the list; None means the environments of the last batch."""
         raise NotImplementedError
 
     async def infer(self, obs: Observation) -> Any:
-        """Return the action chunk for one observation: update_obs and get_action as one unit."""
+        """Return the action chunk for one observation: update_obs and get_action in one request."""
         return await self.get_action(obs)
 
     # -- the other requests --------------------------------------------------------------------------------------------
 
     async def prepare_case(self, action_case_id: str, meta: Mapping[str, Any]) -> Any:
-        """Announce a case to the adapter's hook; what follows is about this case."""
+        """Call the adapter's hook prepare_case; later requests belong to this case."""
         del action_case_id, meta
-        raise self._without(spec.Message.PREPARE_CASE)
+        raise self._unsupported(spec.Message.PREPARE_CASE)
 
     async def trial_end(self, result: Mapping[str, Any] | None) -> Any:
-        """Tell the adapter's hook how the trial ended."""
+        """Call the adapter's hook trial_end with the result of the trial."""
         del result
-        raise self._without(spec.Message.TRIAL_END)
+        raise self._unsupported(spec.Message.TRIAL_END)
 
     async def health(self) -> Payload:
-        """Return the server's state; answered while the model loads or thinks, too."""
-        raise self._without(spec.Message.HEARTBEAT)
+        """Return the server's state; answered while the model loads and during inference, too."""
+        raise self._unsupported(spec.Message.HEARTBEAT)
 
     async def settle(self) -> None:
-        """Wait until every update that was sent ahead is answered."""
+        """Wait for the answers to all pipelined updates."""
 
     async def call_method(self, name: str, obs: Any = None) -> Any:
         """Call a method that the adapter declares besides the contract."""
         del obs
-        raise self._without(name)
+        raise self._unsupported(name)
 
     async def call(self, func_name: str | None, obs: Any = None) -> Any:
-        """Call an operation by name, as benchmarks do; further names are methods the adapter declares.
+        """Call an operation by name, as benchmarks do; other names are methods that the adapter declares.
 
         Raises:
-            NoOperationError: the name is none of an operation that anybody may call, or that this wire knows.
-            ValueError, TypeError: prepare_case without a case, or something else than a map for what takes one.
+            NoOperationError: no client may call this name, or this wire has no such operation.
+            ValueError: prepare_case without a case.
+            TypeError: the operation takes a map or None, and got something else.
         """
         if not isinstance(func_name, str) or not func_name or func_name.startswith("_"):
             raise NoOperationError(f"call takes the name of an operation of the policy, got {func_name!r:.80}")
@@ -124,15 +125,15 @@ class Conversation:
         spec.Message.HEARTBEAT: lambda self, _: self.health(),
     }
 
-    def _without(self, name: str) -> NoOperationError:
+    def _unsupported(self, name: str) -> NoOperationError:
         return NoOperationError(f"the wire {self._setup.wire} has no {name}")
 
 
 def _map(operation: str, obs: object) -> Mapping[str, Any]:
-    """Return what is told with an operation that takes a map or nothing.
+    """Return the argument of an operation that takes a map or None.
 
     Raises:
-        TypeError: it is something else, which would be lost.
+        TypeError: it is something else.
     """
     if obs is not None and not isinstance(obs, Mapping):
         raise TypeError(f"{operation} takes a map or None, got {type(obs).__name__}")

@@ -1,6 +1,6 @@
-"""How a client puts requests into bytes: packed where the server takes that, in shared memory where both see it.
+"""Encoding of a client's requests: packed if the server supports it, arrays in shared memory on one host.
 
-Colour of chosen cameras can travel as JPEG; then the request is not packed, because the server has to decode it.
+Cameras may be sent as JPEG; such a request is not packed, because the server has to decode it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _PACKABLE = (spec.Message.INFER, spec.Message.CALL)
 
 
 class Encoder:
-    """Puts requests into bytes.
+    """Encodes requests.
 
     Args:
-        packed: pack payloads where the server takes that.
-        jpeg: quality (1..100) of the cameras whose colour is sent as JPEG.
+        packed: pack payloads if the server supports it.
+        jpeg: JPEG quality (1..100) by camera; the other cameras are sent lossless.
 
     Attributes:
         capabilities: what the server announced.
@@ -38,31 +38,31 @@ class Encoder:
         self.capabilities: Mapping[str, Any] = {}
 
     def share(self, offer: Mapping[str, Any]) -> str | None:
-        """Open the memory that a server offers; return the proof that we see it, or None if we do not."""
+        """Open the shared memory that a server offers; return the proof that it is visible here, or None."""
         try:
             from xpl.wire.segment import Arena
 
             self._arena = Arena(str(offer["path"]), int(offer["size"]))
         except (ImportError, OSError, LookupError, TypeError, ValueError):
-            return None  # another machine, another user, another system: arrays travel in the message
+            return None  # another host, user or operating system: arrays travel in the message
         return self._arena.token.hex()
 
     def confirm(self, proof: object) -> None:
-        """Use the memory if the server read there what we wrote; let go of it otherwise."""
+        """Keep the shared memory if the server read what this client wrote there; release it otherwise."""
         if self._arena is not None and proof != self._arena.answer.hex():
             self.forget()
 
     def forget(self) -> None:
-        """Let go of the memory that was shared over a connection."""
+        """Release the memory that was shared over a connection."""
         arena, self._arena = self._arena, None
         if arena is not None:
             arena.close()
 
     def encode(self, frame: codec.Frame) -> tuple[bytes, list[int]]:
-        """Return the bytes of a request, and what it uses of the shared memory until it is `answered`.
+        """Return the bytes of a request, and the blocks of shared memory that it uses until `release`.
 
         Raises:
-            WireError: if its payload cannot travel.
+            WireError: its payload cannot be encoded.
         """
         payload = frame.payload
         key = spec.Payload.OBSERVATION if spec.Payload.OBSERVATION in payload else spec.Payload.OBS
@@ -70,33 +70,33 @@ class Encoder:
         if value is None or frame.message_type not in _PACKABLE:
             return codec.encode(frame), []
         if self._jpeg and self.capabilities.get(spec.Capability.JPEG_MARKER):
-            value = _each(value, self._compressed)
+            value = _each(value, self._compress_images)
         packs = self._packs and bool(self.capabilities.get(spec.Capability.PACKED))
         if not packs or images.has_encoded(value):
             return codec.encode(_with(frame, {**payload, key: value})), []
-        pieces, blocks = self._pieces({key: value}, frame.message_type)
+        pieces, blocks = self._pack({key: value}, frame.message_type)
         if len(pieces[0]) > spec.LIMITS["packed_header"]:
-            self.answered(blocks)
+            self.release(blocks)
             return codec.encode(frame), []
         rest = {name: item for name, item in payload.items() if name != key}
         return codec.encode(_with(frame, rest), pieces), blocks
 
-    def answered(self, blocks: list[int]) -> None:
-        """Free what a request used, unless the worker has taken it."""
+    def release(self, blocks: list[int]) -> None:
+        """Free the blocks of a request, unless the worker has taken them."""
         if blocks and self._arena is not None:
             self._arena.answered(blocks)
 
-    def _pieces(self, entries: Mapping[str, Any], message_type: str) -> tuple[Sequence[Any], list[int]]:
+    def _pack(self, entries: Mapping[str, Any], message_type: str) -> tuple[Sequence[Any], list[int]]:
         if self._arena is None:
-            return _packed(entries, message_type, None), []
+            return _pack_entries(entries, message_type, None), []
         try:
-            return _packed(entries, message_type, self._arena.place), self._arena.written()
+            return _pack_entries(entries, message_type, self._arena.place), self._arena.written()
         except codec.WireError:
             self._arena.answered(self._arena.written())
             raise
 
-    def _compressed(self, obs: Observation) -> Mapping[str, Any]:
-        """Return an observation with the colour of the chosen cameras as marked JPEG."""
+    def _compress_images(self, obs: Observation) -> Mapping[str, Any]:
+        """Return the observation with the images of the JPEG cameras as marked JPEG."""
         vision = obs.get(spec.Obs.VISION)
         if not isinstance(vision, Mapping):
             return obs
@@ -110,7 +110,7 @@ class Encoder:
         return {**obs, spec.Obs.VISION: smaller}
 
 
-def _packed(entries: Mapping[str, Any], message_type: str, place: packed.Place | None) -> Sequence[Any]:
+def _pack_entries(entries: Mapping[str, Any], message_type: str, place: packed.Place | None) -> Sequence[Any]:
     try:
         return packed.encode(entries, place)
     except packed.PackingError as error:
@@ -123,7 +123,7 @@ def _with(frame: codec.Frame, payload: Payload) -> codec.Frame:
 
 
 def _each(value: object, change: Callable[[Mapping[str, Any]], Any]) -> Any:
-    """Return an observation, or each of a list of them, changed; anything else stays as it is."""
+    """Apply `change` to an observation, or to each of a list; return anything else as it is."""
     if isinstance(value, list):
         return [_each(item, change) for item in value]
     return change(value) if isinstance(value, Mapping) else value

@@ -1,4 +1,4 @@
-"""What can go wrong between an environment and a policy server."""
+"""Errors between an environment and a policy server."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from xpl.wire import codec, telling
 
 _CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
 
-_SPOILING = (
+_INFRASTRUCTURE_REASONS = (
     spec.ErrorReason.WORKER_DIED,
     spec.ErrorReason.SHUTTING_DOWN,
     spec.ErrorReason.NO_EPISODE,
@@ -20,38 +20,38 @@ _SPOILING = (
 
 
 class ClientError(RuntimeError):
-    """Base class of what can go wrong between an environment and a policy server.
+    """Base class of the errors between an environment and a policy server.
 
     Args:
-        text: what went wrong; whatever a server put into it steers no terminal and is bounded.
+        text: the message; control characters that a server put into it are escaped, and its length is bounded.
 
     Attributes:
-        spoils_trial: the infrastructure failed, and the trial says nothing about the policy.
+        is_infrastructure_error: the infrastructure failed, so the trial says nothing about the policy.
     """
 
-    spoils_trial = False
+    is_infrastructure_error = False
 
     def __init__(self, text: str = "") -> None:
         super().__init__(telling.visible(text))
 
 
 class PolicyServerError(ClientError):
-    """The server answered with an error; the policy raised, or refused the request.
+    """The server answered with an error: the policy raised, or refused the request.
 
     Attributes:
         code: one of the wire's error codes.
-        details: map with, for example, a finer `reason`.
+        details: further entries, such as a finer `reason`.
     """
 
     def __init__(self, code: str, message: str, details: Mapping[str, Any] | None = None) -> None:
         super().__init__(f"{code}: {message}")
         self.code = code
         self.details = dict(details or {})
-        self.spoils_trial = self.details.get("reason") in _SPOILING
+        self.is_infrastructure_error = self.details.get("reason") in _INFRASTRUCTURE_REASONS
 
 
 class NoOperationError(ClientError, NotImplementedError):
-    """What was called is the name of no operation that anybody may call; nothing was sent."""
+    """The client has no operation of this name; nothing was sent."""
 
 
 class EnvironmentMismatchError(PolicyServerError):
@@ -61,28 +61,28 @@ class EnvironmentMismatchError(PolicyServerError):
 class ServerConnectionError(ClientError):
     """The server cannot be reached, or a connection was lost and the trial cannot go on."""
 
-    spoils_trial = True
+    is_infrastructure_error = True
 
 
 class ServerRestartedError(ServerConnectionError):
-    """Another server instance answers now: the episode's state is gone, the trial must be aborted."""
+    """Another server instance answers: the episode's state is lost, and the trial must be aborted."""
 
 
 class RequestTimeoutError(ClientError):
     """A request was not answered in time; the trial must be aborted."""
 
-    spoils_trial = True
+    is_infrastructure_error = True
 
 
 class ServerFailedError(ServerConnectionError):
     """The server closed the connection because its policy cannot go on."""
 
 
-def of_answer(payload: Mapping[str, Any]) -> PolicyServerError:
-    """Return the error that a server answers with; a code of another generation stands for one of its own.
+def error_from_payload(payload: Mapping[str, Any]) -> PolicyServerError:
+    """Return the error of a server's answer; an unknown code becomes `internal`.
 
     Raises:
-        WireError: code or reason is there and no text.
+        WireError: code or reason is present and no text.
     """
     details = payload.get(spec.Payload.DETAILS)
     details = details if isinstance(details, Mapping) else {}
@@ -91,5 +91,5 @@ def of_answer(payload: Mapping[str, Any]) -> PolicyServerError:
         if not isinstance(value, (str, type(None))):
             raise codec.WireError(f"the {name} of an error must be text, got {type(value).__name__}")
     kind = EnvironmentMismatchError if reason == spec.ErrorReason.MISMATCH else PolicyServerError
-    known = code if isinstance(code, str) and code in _CODES else spec.ErrorCode.INTERNAL
-    return kind(known, str(payload.get(spec.Payload.MESSAGE)), details)
+    error_code = code if isinstance(code, str) and code in _CODES else spec.ErrorCode.INTERNAL
+    return kind(error_code, str(payload.get(spec.Payload.MESSAGE)), details)

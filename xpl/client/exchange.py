@@ -1,7 +1,7 @@
-"""Requests to a policy server and their answers: connecting, once only each, through cuts; without I/O of its own.
+"""Requests to a policy server: connecting, exactly-once requests, reconnecting; without I/O of its own.
 
-Written with `async`, and driven by two clients: `xpl.client.Client` gives it a transport whose methods block and so
-never suspend, `xpl.client.aio.AsyncClient` one that does.
+Written with `async` for two clients: `xpl.client.Client` passes a blocking transport, which never suspends,
+`xpl.client.aio.AsyncClient` an asynchronous one.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from xpl.client.errors import (
     ServerConnectionError,
     ServerFailedError,
     ServerRestartedError,
-    of_answer,
+    error_from_payload,
 )
-from xpl.client.retrying import after, left
+from xpl.client.retrying import deadline_after, seconds_left
 from xpl.wire import codec, packed
 
 if TYPE_CHECKING:
     from xpl.client.labels import Labels
-    from xpl.client.transport import Transport, Wishes
+    from xpl.client.transport import ConnectionOptions, Transport
     from xpl.contract import Announcement, Config, Payload, State
 
 _UNCOUNTED = (spec.ErrorReason.UNREADABLE, spec.ErrorReason.SHUTTING_DOWN, *retrying.AGAIN)
@@ -45,12 +45,12 @@ _GOODBYE_S = 0.2
 
 
 @dataclass
-class _Ahead:
-    """An update that was sent ahead: its answer is still to come.
+class _PendingUpdate:
+    """A pipelined update that is not answered yet.
 
     Attributes:
         frame: the request.
-        data: its bytes, if they do not point into memory that was shared over a lost connection.
+        data: its bytes; None if they refer to shared memory, which a lost connection invalidates.
         blocks: blocks of shared memory that it uses.
     """
 
@@ -60,12 +60,12 @@ class _Ahead:
 
 
 class Exchange:
-    """A connection that survives cuts, and the requests over it.
+    """A connection that reconnects, and the requests over it.
 
     Attributes:
         step: step of the episode, which every request carries.
-        server_instance_id: what the server called itself, None for one of the first generation.
-        capabilities: what it announced.
+        server_instance_id: id of the server instance, None for a server of the first generation.
+        capabilities: what the server announced.
         policy: what its policy needs (`xpl.client.agreement`).
     """
 
@@ -74,22 +74,22 @@ class Exchange:
         transport: Transport,
         address: str,
         timing: Config,
-        wishes: Wishes,
+        options: ConnectionOptions,
         labels: Labels,
     ) -> None:
         self._transport = transport
         self._address = address
         self._config = timing
-        self._wishes = wishes
+        self._options = options
         self._labels = labels
         self._session = uuid.uuid4().hex
         self._numbers = itertools.count()
         self.step = 0
         self._is_open = False
         self._is_lost = False
-        self._encoder = Encoder(packed=wishes.packed, jpeg=wishes.jpeg)
-        self._ahead: OrderedDict[str, _Ahead] = OrderedDict()
-        self._late: PolicyServerError | None = None
+        self._encoder = Encoder(packed=options.packed, jpeg=options.jpeg)
+        self._pending: OrderedDict[str, _PendingUpdate] = OrderedDict()
+        self._pending_error: PolicyServerError | None = None
         self._sequence = 0
         self.server_instance_id: str | None = None
         self.capabilities: Mapping[str, Any] = {}
@@ -98,20 +98,20 @@ class Exchange:
     # -- connecting ----------------------------------------------------------------------------------------------------
 
     async def connect(self, deadline: float = math.inf) -> None:
-        """Connect and exchange hellos, trying again while nobody listens, the model loads or the server is busy."""
+        """Connect and exchange hellos; try again while no server listens, the model loads or the server is busy."""
         deadline = min(deadline, retrying.connect_deadline(self._config))
         once = partial(self._connect_once, deadline)
         server = f"policy server at {self._address}"
-        await retrying.connected(once, self._transport.pause, self._config, server, deadline)
+        await retrying.connect_with_retries(once, self._transport.pause, self._config, server, deadline)
 
     async def _connect_once(self, deadline: float) -> None:
-        timeout = left(min(deadline, after(self._config[spec.Deploy.CONNECT_TIMEOUT_S])))
+        timeout = seconds_left(min(deadline, deadline_after(self._config[spec.Deploy.CONNECT_TIMEOUT_S])))
         await self._transport.open(timeout)
         self._is_open = True
         try:
             greeting = await self._hello({})
             while greeting.get(spec.Payload.STATE) == spec.ServerState.LOADING:
-                greeting = await self._wait_for_the_model(greeting, deadline)
+                greeting = await self._wait_for_model(greeting, deadline)
             instance = greeting.get(spec.Payload.SERVER_INSTANCE_ID)
             if instance != self.server_instance_id:
                 self._sequence = 0
@@ -125,64 +125,66 @@ class Exchange:
             raise
 
     async def _hello(self, shared_memory: Mapping[str, Any]) -> Payload:
-        wishes = self._wishes
+        options = self._options
         capabilities: dict[str, Any] = {
             spec.Capability.WIRE_VERSION: spec.WIRE_VERSION,
             spec.Capability.LOADING: True,
             spec.Capability.SEQUENCE: True,
             spec.Capability.SESSION: self._session,
         }
-        if wishes.packed:
+        if options.packed:
             capabilities[spec.Capability.PACKED] = 1
-            if wishes.shared_memory:
+            if options.shared_memory:
                 capabilities[spec.Capability.SHARED_MEMORY] = shared_memory or {"wanted": True}
-        if wishes.jpeg:
-            capabilities[spec.Capability.JPEG] = dict(wishes.jpeg)
+        if options.jpeg:
+            capabilities[spec.Capability.JPEG] = dict(options.jpeg)
         payload: Payload = {spec.Payload.CAPABILITIES: capabilities}
-        if wishes.environment is not None:
-            payload[spec.Payload.ENVIRONMENT] = dict(wishes.environment)
+        if options.environment is not None:
+            payload[spec.Payload.ENVIRONMENT] = dict(options.environment)
         hello = self._frame(spec.Message.HELLO, payload)
-        limit = after(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
+        limit = deadline_after(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
         return await self._exchange(hello, codec.encode(hello), limit)
 
-    async def _wait_for_the_model(self, greeting: Mapping[str, Any], deadline: float) -> Payload:
-        """Ask how far the model is until it is loaded, and return the answer to another hello."""
+    async def _wait_for_model(self, greeting: Mapping[str, Any], deadline: float) -> Payload:
+        """Poll the progress until the model is loaded, and return the answer to another hello."""
         state: State = greeting
         while state.get(spec.Payload.STATE) == spec.ServerState.LOADING:
-            if self._wishes.on_loading is not None:
-                self._wishes.on_loading(_map(state.get(spec.Payload.PROGRESS)))
+            if self._options.on_loading is not None:
+                self._options.on_loading(_map(state.get(spec.Payload.PROGRESS)))
             if time.monotonic() > deadline:
                 raise ServerConnectionError(f"the model at {self._address} was still loading when time was up")
             await self._transport.pause(_LOADING_POLL_S)
             beat = self._frame(spec.Message.HEARTBEAT, {})
-            limit = after(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
+            limit = deadline_after(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
             state = await self._exchange(beat, codec.encode(beat), limit)
         return await self._hello({})
 
     def _check_fit(self) -> None:
-        """Compare what both sides announced: a server of another make may not have done so."""
+        """Compare the announcements: another implementation of the server may not have done so."""
         try:
-            policy = agreement.checked(self.policy)
+            policy = agreement.validate_announcement(self.policy)
         except agreement.AnnouncementError as error:
             raise ClientError(f"what the server announced of its policy cannot be understood: {error}") from None
-        found = agreement.differences(policy, self._wishes.environment or {})
-        if found:
-            details = {"reason": spec.ErrorReason.MISMATCH, "differences": found}
-            raise EnvironmentMismatchError(spec.ErrorCode.INVALID_FRAME, agreement.sentence(found), details)
+        mismatches = agreement.differences(policy, self._options.environment or {})
+        if mismatches:
+            details = {"reason": spec.ErrorReason.MISMATCH, "differences": mismatches}
+            raise EnvironmentMismatchError(
+                spec.ErrorCode.INVALID_FRAME, agreement.format_differences(mismatches), details
+            )
 
     async def _share(self, offer: object) -> None:
-        """Use the memory that the server offers, once both sides have read there what the other one wrote."""
-        proof = self._encoder.share(offer) if isinstance(offer, Mapping) and self._wishes.shared_memory else None
+        """Use the server's shared memory, once each side has read there what the other one wrote."""
+        proof = self._encoder.share(offer) if isinstance(offer, Mapping) and self._options.shared_memory else None
         if proof is not None:
             greeting = await self._hello({"proof": proof})
             announced = _map(greeting.get(spec.Payload.CAPABILITIES)).get(spec.Capability.SHARED_MEMORY)
             self._encoder.confirm(_map(announced).get("proof"))
 
     async def close(self) -> None:
-        """Say goodbye and close the connection; closing twice is fine."""
+        """Send a close message and close the connection; closing twice is fine."""
         if not self._is_open:
             return
-        with contextlib.suppress(Exception):  # the connection may be gone already, which is what was wanted
+        with contextlib.suppress(Exception):  # the connection may be gone already
             await self._transport.send(codec.encode(self._frame(spec.Message.CLOSE, {})), _GOODBYE_S)
         await self._drop()
 
@@ -190,117 +192,118 @@ class Exchange:
 
     @property
     def is_first_generation(self) -> bool:
-        """Whether the server is of the first generation: it knows infer and reset, and remembers no answers."""
+        """Whether the server is of the first generation: it has infer and reset, and caches no answers."""
         return self.server_instance_id is None
 
     @property
-    def goes_ahead(self) -> bool:
+    def is_pipelined(self) -> bool:
         """Whether updates are sent without waiting for their answers."""
-        return self._wishes.pipelined and bool(self.capabilities.get(spec.Capability.SEQUENCE))
+        return self._options.pipelined and bool(self.capabilities.get(spec.Capability.SEQUENCE))
 
     def begin_episode(self) -> None:
-        """Go on from the first step, whatever became of the episode before."""
+        """Begin at step 0, however the last episode ended."""
         self.step = 0
         self._is_lost = False
 
-    async def send_ahead(self, payload: Payload) -> None:
-        """Send a call without waiting for its answer; what goes wrong with it is raised by what is asked next."""
+    async def send_pipelined(self, payload: Payload) -> None:
+        """Send a call without waiting for its answer; the next request raises its error."""
         self._check_open(spec.Message.CALL)
-        while len(self._ahead) >= spec.LIMITS["pipelined"]:
-            await self._receive_ahead()
-        self._raise_late()
-        frame, data, blocks = self._numbered(spec.Message.CALL, payload)
+        while len(self._pending) >= spec.LIMITS["pipelined"]:
+            await self._receive_pending()
+        self._raise_pending_error()
+        frame, data, blocks = self._numbered_frame(spec.Message.CALL, payload)
         deadline = self._request_deadline()
-        self._ahead[frame.message_id] = _Ahead(frame, None if blocks else data, blocks)
+        self._pending[frame.message_id] = _PendingUpdate(frame, None if blocks else data, blocks)
         try:
-            await self._transport.send(data, left(deadline))
+            await self._transport.send(data, seconds_left(deadline))
         except OSError as error:
             await self._reconnect(error, deadline)
 
     async def settle(self) -> None:
-        """Wait for the answers to all updates that were sent ahead, and raise what went wrong with them."""
-        while self._ahead:
-            await self._receive_ahead()
-        self._raise_late()
+        """Wait for the answers to all pipelined updates, and raise the error of one that failed."""
+        while self._pending:
+            await self._receive_pending()
+        self._raise_pending_error()
 
-    async def _receive_ahead(self) -> None:
-        """Take in one more answer to what was sent ahead."""
+    async def _receive_pending(self) -> None:
+        """Receive the next answer to a pipelined update."""
         deadline = self._request_deadline()
         try:
-            self._take(codec.decode(await self._transport.receive(left(deadline))))
+            self._take_pending(codec.decode(await self._transport.receive(seconds_left(deadline))))
         except OSError as error:
             if isinstance(error, TimeoutError):
-                raise await self._ended(error, "an update that was sent ahead was not answered in time") from None
+                raise await self._close_after_error(error, "a pipelined update was not answered in time") from None
             await self._reconnect(error, deadline)
         except (ServerFailedError, codec.WireError) as error:
-            raise await self._ended(error) from None
+            raise await self._close_after_error(error) from None
 
     def _frame(self, message_type: str, payload: Payload) -> codec.Frame:
         identity = f"{self._session}-{next(self._numbers)}"
         return codec.Frame(message_type, payload=payload, message_id=identity, step=self.step, **vars(self._labels))
 
-    def _numbered(self, message_type: str, payload: Payload) -> tuple[codec.Frame, bytes, list[int]]:
-        """Return a request with its number, where the server counts, too; its bytes and its blocks."""
+    def _numbered_frame(self, message_type: str, payload: Payload) -> tuple[codec.Frame, bytes, list[int]]:
+        """Return a request, numbered if the server counts requests; its bytes; its blocks of shared memory."""
         counts = message_type != spec.Message.HEARTBEAT and bool(self.capabilities.get(spec.Capability.SEQUENCE))
         frame = self._frame(message_type, {**payload, spec.Payload.SEQUENCE: self._sequence} if counts else payload)
         data, blocks = self._encoder.encode(frame)
-        self._sequence += counts  # not before: what cannot be sent has no number
+        self._sequence += counts  # not before: a request that cannot be encoded has no number
         return frame, data, blocks
 
     async def request(self, message_type: str, payload: Payload) -> Payload:
-        """Return the payload of the answer; reconnects once after a cut, all within the request's timeout."""
+        """Return the payload of the answer; reconnect once after a lost connection, within the request's timeout."""
         self._check_open(message_type)
-        frame, data, blocks = self._numbered(message_type, payload)
+        frame, data, blocks = self._numbered_frame(message_type, payload)
         deadline = self._request_deadline()
         try:
             answer = await self._exchange(frame, data, deadline)
         except PolicyServerError:
-            self._raise_late()  # what failed before it is the cause
+            self._raise_pending_error()  # an earlier failure is the cause
             raise
         except OSError as error:
             await self._reconnect(error, deadline)
-            # Again: what lay in the memory of the lost connection lies elsewhere now.
+            # Encode again: the shared memory of the lost connection is gone.
             data, blocks = self._encoder.encode(frame)
             try:
-                # The same id: the server answers from its memory if the model ran already.
+                # The same id: the server answers from its cache if the model ran already.
                 answer = await self._exchange(frame, data, deadline)
             except OSError as again:
                 await self._drop()
                 raise ServerConnectionError(f"the connection was cut twice during one request: {again}") from None
         finally:
-            self._encoder.answered(blocks)
-        self._raise_late()
+            self._encoder.release(blocks)
+        self._raise_pending_error()
         return answer
 
     def _check_open(self, message_type: str) -> None:
-        """Refuse what cannot be asked: the client is closed, or the episode's state was lost and not yet reset."""
+        """Raise if the client is closed, or the episode's state was lost and not yet reset."""
         if not self._is_open:
             raise ServerConnectionError("the client is closed")
         if self._is_lost and message_type not in _BETWEEN_EPISODES:
             raise ServerRestartedError("the policy server was restarted: the episode's state is gone; reset") from None
 
     async def _reconnect(self, error: OSError, deadline: float) -> None:
-        """Come back to the same server after a cut, and send again what was sent ahead and not answered."""
+        """Reconnect to the same server, and send unanswered pipelined updates again."""
         await self._drop()
         if self.is_first_generation:
             raise ServerConnectionError(
-                f"the connection was cut ({error}), and a server of the first generation must not be asked twice"
+                f"the connection was cut ({error}), and a request to a server of the first generation "
+                "must not be sent twice"
             ) from None
-        ahead = list(self._ahead.values())
+        ahead = list(self._pending.values())
         if any(update.data is None for update in ahead):
-            self._ahead.clear()
+            self._pending.clear()
             raise ServerConnectionError(
-                f"the connection was cut ({error}) while updates were sent ahead through shared memory"
+                f"the connection was cut ({error}) while pipelined updates were in shared memory"
             ) from None
         instance = self.server_instance_id
         await self.connect(deadline)
         if self.server_instance_id != instance:
             self._is_lost = True
-            self._ahead.clear()
+            self._pending.clear()
             self._check_open(spec.Message.CALL)
         try:
             for update in ahead:
-                await self._transport.send(update.data or b"", left(deadline))
+                await self._transport.send(update.data or b"", seconds_left(deadline))
         except OSError as again:
             await self._drop()
             raise ServerConnectionError(f"the connection was cut twice during one request: {again}") from None
@@ -309,26 +312,28 @@ class Exchange:
         """Send a request and return the payload of its answer; a lost connection is an OSError."""
         started = time.monotonic()
         try:
-            await self._transport.send(data, left(deadline))
+            await self._transport.send(data, seconds_left(deadline))
             while True:
-                data = await self._transport.receive(left(deadline))
+                data = await self._transport.receive(seconds_left(deadline))
                 is_hello = frame.message_type == spec.Message.HELLO
                 answer = wires.greeting(data, self._address) if is_hello else codec.decode(data)
                 if answer.message_id == frame.message_id:
                     return self._read(answer, frame)
-                self._take(answer)
+                self._take_pending(answer)
         except TimeoutError as error:
             waited = time.monotonic() - started
-            raise await self._ended(error, f"{frame.message_type} was not answered within {waited:.1f} s") from None
+            raise await self._close_after_error(
+                error, f"{frame.message_type} was not answered within {waited:.1f} s"
+            ) from None
         except (ServerFailedError, codec.WireError, packed.PackingError) as error:
-            raise await self._ended(error) from None
+            raise await self._close_after_error(error) from None
         except BaseException as error:
-            if not isinstance(error, Exception):  # cancelled, or interrupted: nobody knows what became of the request
+            if not isinstance(error, Exception):  # cancelled or interrupted: the state of the request is unknown
                 await self.close()
             raise
 
-    async def _ended(self, error: Exception, late: str = "") -> ClientError:
-        """End the connection after an error that no second attempt can mend, and return how it is reported."""
+    async def _close_after_error(self, error: Exception, late: str = "") -> ClientError:
+        """Close the connection after an error that no retry can fix, and return the error to raise."""
         if isinstance(error, TimeoutError):
             await self.close()
             return RequestTimeoutError(late)
@@ -337,19 +342,19 @@ class Exchange:
             return error
         return ClientError(f"what the server sent cannot be understood: {error}")
 
-    def _take(self, answer: codec.Frame) -> None:
-        """Take in the answer to an update that was sent ahead; others are not ours."""
-        update = self._ahead.pop(answer.message_id, None)
+    def _take_pending(self, answer: codec.Frame) -> None:
+        """Record the answer to a pipelined update; ignore any other."""
+        update = self._pending.pop(answer.message_id, None)
         if update is None:
             return
-        self._encoder.answered(update.blocks)
+        self._encoder.release(update.blocks)
         try:
             self._read(answer, update.frame)
         except PolicyServerError as error:
-            self._late = self._late or error
+            self._pending_error = self._pending_error or error
 
     def _read(self, answer: codec.Frame, request: codec.Frame) -> Payload:
-        """Return the payload of an answer; an error that the server did not count is not counted here either."""
+        """Return the payload of an answer; take back the number of a request that the server did not count."""
         try:
             return _payload(answer, request)
         except PolicyServerError as error:
@@ -358,13 +363,13 @@ class Exchange:
                 self._sequence -= 1
             raise
 
-    def _raise_late(self) -> None:
-        late, self._late = self._late, None
+    def _raise_pending_error(self) -> None:
+        late, self._pending_error = self._pending_error, None
         if late is not None:
             raise late
 
     def _request_deadline(self) -> float:
-        return after(self._config[spec.Deploy.REQUEST_TIMEOUT_S])
+        return deadline_after(self._config[spec.Deploy.REQUEST_TIMEOUT_S])
 
     async def _drop(self) -> None:
         """Close the connection, if there is one, without a goodbye."""
@@ -380,7 +385,7 @@ def _map(value: object) -> Mapping[str, Any]:
 def _payload(answer: codec.Frame, request: codec.Frame) -> Payload:
     payload = answer.payload
     if answer.message_type == spec.Message.ERROR:
-        raise of_answer(payload)
+        raise error_from_payload(payload)
     if answer.message_type != spec.ANSWERS[request.message_type]:
         raise ClientError(f"{request.message_type} was answered by {answer.message_type:.80}")
     return codec.unpacked(payload)

@@ -1,7 +1,7 @@
-"""A conversation in frames of xpl's own wire, with servers of any generation.
+"""Conversation in frames of xpl's own wire, with servers of any generation.
 
-Against one of the first, which knows no `call`, observations are held back and sent with `infer`, and a batch is one
-infer per environment.
+A server of the first generation has no `call`: the client buffers observations and sends them with `infer`, one per
+environment of a batch.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from xpl.client.wires import Wire
 from xpl.observation import env_indices
 
 if TYPE_CHECKING:
-    from xpl.client.transport import Setup
+    from xpl.client.transport import ConversationSetup
     from xpl.contract import Announcement, Observation, Payload
 
 _ACTING = (spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
@@ -26,24 +26,24 @@ _ACTING = (spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
 class FramedConversation(Conversation):
     """The operations of the contract over an exchange of requests."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: ConversationSetup) -> None:
         super().__init__(setup)
-        self._exchange = Exchange(setup.transport(), setup.address, setup.config, setup.wishes, setup.labels)
-        self._held: list[Observation] = []
+        self._exchange = Exchange(setup.transport(), setup.address, setup.config, setup.options, setup.labels)
+        self._buffered: list[Observation] = []
 
     @property
     def server_instance_id(self) -> str | None:  # type: ignore[override]
-        """What the server calls itself; None for one of the first generation."""
+        """Id of the server instance; None for a server of the first generation."""
         return self._exchange.server_instance_id
 
     @property
     def capabilities(self) -> Mapping[str, Any]:  # type: ignore[override]
-        """What the server announced that it can do."""
+        """Capabilities that the server announced."""
         return self._exchange.capabilities
 
     @property
     def policy(self) -> Announcement:  # type: ignore[override]
-        """What the policy needs, where the server said so."""
+        """What the policy needs, as the server announced it; empty where it did not."""
         return self._exchange.policy
 
     async def connect(self) -> None:
@@ -51,58 +51,58 @@ class FramedConversation(Conversation):
         await self._exchange.connect()
 
     async def close(self) -> None:
-        """Say goodbye and close the connection; closing twice is fine."""
+        """Send a close message and close the connection; closing twice is fine."""
         await self._exchange.close()
 
     async def settle(self) -> None:
-        """Wait until every update that was sent ahead is answered, and raise what went wrong with one."""
+        """Wait for the answers to all pipelined updates, and raise the error of one that failed."""
         await self._exchange.settle()
 
     # -- the operations of the contract --------------------------------------------------------------------------------
 
     async def reset(self, meta: Mapping[str, Any] | None = None) -> Any:
-        """Start a new episode; what is told besides reaches the server, and no adapter."""
-        self._held = []
+        """Start a new episode; `meta` reaches the server, not the adapter."""
+        self._buffered = []
         self._exchange.begin_episode()
         payload = {spec.Payload.TRIAL_ID: self._labels.trial_id, **(meta or {})}
         return (await self._exchange.request(spec.Message.RESET, payload)).get(spec.Payload.RESULT)
 
     async def update_obs(self, obs: Observation) -> None:
-        """Show the policy the newest observation of one environment."""
-        self._held = [obs]
+        """Send the newest observation of one environment to the policy."""
+        self._buffered = [obs]
         if not self._exchange.is_first_generation:
-            await self._update(spec.Method.UPDATE_OBS, obs)
+            await self._send_update(spec.Method.UPDATE_OBS, obs)
 
     async def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
-        """Show the policy the newest observation of several environments."""
-        self._held = list(obs_list)
+        """Send the newest observations of several environments to the policy."""
+        self._buffered = list(obs_list)
         if not self._exchange.is_first_generation:
-            await self._update(spec.Method.UPDATE_OBS_BATCH, list(obs_list))
+            await self._send_update(spec.Method.UPDATE_OBS_BATCH, list(obs_list))
 
     async def get_action(self, obs: Observation | None = None) -> Any:
-        """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
+        """Return an action chunk, for `obs` if it is passed and for the last observation otherwise."""
         if obs is not None:
             return await self.infer(obs)
         if self._exchange.is_first_generation:
-            if len(self._held) != 1:
+            if len(self._buffered) != 1:
                 raise ClientError("get_action needs exactly one observation since the last reset")
-            return await self.infer(self._held[0])
+            return await self.infer(self._buffered[0])
         return await self._call(spec.Method.GET_ACTION)
 
     async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
-        """Return one action chunk per environment of the list; None means the last batch."""
+        """Return one action chunk per environment of the list; None means the environments of the last batch."""
         if not self._exchange.is_first_generation:
             return await self._call(spec.Method.GET_ACTION_BATCH, None if env_idx_list is None else list(env_idx_list))
-        held = dict(zip(env_indices(self._held), self._held))
-        wanted = list(held) if env_idx_list is None else list(env_idx_list)
-        missing = [index for index in wanted if index not in held]
-        if missing or len(set(wanted)) != len(wanted):
-            raise ClientError(f"expected environments out of {list(held)}, each once; got {wanted}")
-        # Each infer stands alone there, so an index that followed from the position in the batch has to be written.
-        return [await self.infer({**held[index], spec.Obs.ENV_IDX: index}) for index in wanted]
+        buffered = dict(zip(env_indices(self._buffered), self._buffered))
+        requested = list(buffered) if env_idx_list is None else list(env_idx_list)
+        missing = [index for index in requested if index not in buffered]
+        if missing or len(set(requested)) != len(requested):
+            raise ClientError(f"expected environments out of {list(buffered)}, each once; got {requested}")
+        # Each infer is a request by itself: an index that followed from the position in the batch is written out.
+        return [await self.infer({**buffered[index], spec.Obs.ENV_IDX: index}) for index in requested]
 
     async def infer(self, obs: Observation) -> Any:
-        """Return the action chunk for one observation: update_obs and get_action as one unit."""
+        """Return the action chunk for one observation: update_obs and get_action in one request."""
         answer = await self._exchange.request(spec.Message.INFER, {spec.Payload.OBSERVATION: obs})
         if spec.Payload.ACTIONS not in answer:
             raise ClientError(
@@ -114,18 +114,18 @@ class FramedConversation(Conversation):
     # -- the other requests --------------------------------------------------------------------------------------------
 
     async def prepare_case(self, action_case_id: str, meta: Mapping[str, Any]) -> Any:
-        """Announce a case to the adapter's hook; what follows is about this case."""
+        """Call the adapter's hook prepare_case; later requests belong to this case."""
         self._labels.action_case_id = action_case_id
         payload = {spec.Payload.ACTION_CASE_ID: action_case_id, **meta}
         return (await self._exchange.request(spec.Message.PREPARE_CASE, payload)).get(spec.Payload.RESULT)
 
     async def trial_end(self, result: Mapping[str, Any] | None) -> Any:
-        """Tell the adapter's hook how the trial ended."""
+        """Call the adapter's hook trial_end with the result of the trial."""
         payload = {spec.Payload.TRIAL_ID: self._labels.trial_id, **(result or {})}
         return (await self._exchange.request(spec.Message.TRIAL_END, payload)).get(spec.Payload.RESULT)
 
     async def health(self) -> Payload:
-        """Return the server's state; answered while the model loads or thinks, too."""
+        """Return the server's state; answered while the model loads and during inference, too."""
         return await self._exchange.request(spec.Message.HEARTBEAT, {})
 
     async def call_method(self, name: str, obs: Any = None) -> Any:
@@ -134,9 +134,9 @@ class FramedConversation(Conversation):
             raise ClientError(f"this server offers no {name!r}: it is of the first generation, without `call`")
         return await self._call(name, obs)
 
-    async def _update(self, name: str, obs: object) -> None:
-        if self._exchange.goes_ahead:
-            await self._exchange.send_ahead({spec.Payload.FUNC_NAME: name, spec.Payload.OBS: obs})
+    async def _send_update(self, name: str, obs: object) -> None:
+        if self._exchange.is_pipelined:
+            await self._exchange.send_pipelined({spec.Payload.FUNC_NAME: name, spec.Payload.OBS: obs})
         else:
             await self._call(name, obs)
 

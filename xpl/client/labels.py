@@ -1,4 +1,4 @@
-"""What an evaluation calls itself: the names that its frames bear; and limits that are said by argument."""
+"""Labels of an evaluation in every frame, and timing keys that are passed as arguments."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from dataclasses import dataclass
 from typing import Any
 
 
-class Unsaid:
-    """Stands for an argument that was not given, where None says something."""
+class Unset:
+    """Default of an argument whose None has a meaning."""
 
     def __repr__(self) -> str:
         return "as in config"
 
 
-UNSAID = Unsaid()
+UNSET = Unset()
 
 
 @dataclass
 class Labels:
-    """The names that every frame bears; they may change between requests. The codec checks their types.
+    """Labels of every frame; they may change between requests. The codec checks their types.
 
     Attributes:
-        evaluation_id: of the evaluation.
-        trial_id, action_case_id: of the trial and of its case, None where the benchmark has none.
-        repeat_index: how often the case was tried before, None where the benchmark does not count.
+        evaluation_id: name of the evaluation.
+        trial_id, action_case_id: names of the trial and of its case, None where the benchmark has none.
+        repeat_index: number of earlier trials of the case, None where the benchmark does not count.
     """
 
     evaluation_id: str
@@ -32,14 +32,14 @@ class Labels:
     repeat_index: int | None = None
 
 
-def timing(given: dict[str, Any], pings: dict[str, Any]) -> dict[str, Any]:
-    """Return the timing keys that arguments say.
+def timing_overrides(limits: dict[str, Any], pings: dict[str, Any]) -> dict[str, Any]:
+    """Return the timing keys that were passed as arguments.
 
     Args:
-        given: limits by their keys of deploy.yml; None leaves one as it is.
-        pings: the same for pings, where None turns them off and `UNSAID` leaves them as they are.
+        limits: by their keys of deploy.yml; None means the value of the configuration.
+        pings: the same for pings; None turns them off, `UNSET` means the value of the configuration.
     """
     return {
-        **{name: value for name, value in given.items() if value is not None},
-        **{name: value for name, value in pings.items() if not isinstance(value, Unsaid)},
+        **{name: value for name, value in limits.items() if value is not None},
+        **{name: value for name, value in pings.items() if not isinstance(value, Unset)},
     }

@@ -1,7 +1,7 @@
-"""A conversation by a codec: an observation goes out, its action chunk comes back. For any wire that has one.
+"""Conversation by a codec: one request with an observation, one reply with an action chunk.
 
 A server may keep state per connection: each environment gets a connection of its own, and a new one with each episode
-where the wire has no reset. Such wires know no batches: environments are asked about one after the other.
+where the wire has no reset. Such wires have no batches: environments are inferred one after the other.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl.client import retrying, wires
-from xpl.client.codec import Actions, Codec, Done, Failure, Infer, Message, Reply, Reset
+from xpl.client.codec import Actions, Codec, Failure, Infer, Message, Reply, Reset, ResetDone
 from xpl.client.conversation import Conversation
 from xpl.client.errors import (
     ClientError,
@@ -24,7 +24,7 @@ from xpl.policy import PolicyStateError
 from xpl.wire.codec import WireError
 
 if TYPE_CHECKING:
-    from xpl.client.transport import Setup, Transport
+    from xpl.client.transport import ConversationSetup, Transport
     from xpl.contract import Observation
 
 
@@ -32,14 +32,14 @@ class RequestReply(Conversation):
     """Connections to one server.
 
     Args:
-        setup: see there.
-        codec: of the wire.
+        setup: see `ConversationSetup`.
+        codec: codec of the wire.
 
     Attributes:
-        metadata: what the server said of itself first, where it does.
+        metadata: the server's greeting, empty where the wire has none.
     """
 
-    def __init__(self, setup: Setup, codec: Codec) -> None:
+    def __init__(self, setup: ConversationSetup, codec: Codec) -> None:
         super().__init__(setup)
         self._codec = codec
         self._newest: dict[int, Mapping[str, Any]] = {}
@@ -51,7 +51,7 @@ class RequestReply(Conversation):
         self.metadata: Mapping[str, Any] = {}
 
     async def connect(self) -> None:
-        """Connect: that the server is there shows now, and not when a robot waits; the first environment goes on."""
+        """Connect now, so that a missing server is noticed before a robot waits; the first environment uses it."""
         if self._spare is None and not self._connections:
             self._spare = await self._connect()
 
@@ -67,27 +67,27 @@ class RequestReply(Conversation):
     # -- operations ----------------------------------------------------------------------------------------------------
 
     async def reset(self, meta: Mapping[str, Any] | None = None) -> None:
-        """Start a new episode in every environment; what is told besides does not travel."""
+        """Start a new episode in every environment; `meta` is not sent."""
         del meta
         self._forget()
         for env in list(self._connections):
             if not self._codec.resets:
                 await self._drop(env)
-            elif not isinstance(await self._request(env, Reset()), Done):
+            elif not isinstance(await self._request(env, Reset()), ResetDone):
                 await self._drop(env)
-                raise ClientError(f"the {self._setup.wire} server did not answer reset as its wire has it")
+                raise ClientError(f"the {self._setup.wire} server did not answer reset as its wire requires")
 
     async def update_obs(self, obs: Observation) -> None:
-        """Keep the newest observation of one environment; it travels when it is asked about."""
+        """Store the newest observation of one environment; it is sent with the next inference."""
         index = obs.get(spec.Obs.ENV_IDX)
-        self._observe([obs], [0 if index is None else env_index(index)])
+        self._store_observations([obs], [0 if index is None else env_index(index)])
 
     async def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
-        """Keep the newest observation of several environments."""
-        self._observe(obs_list, env_indices(obs_list))
+        """Store the newest observations of several environments."""
+        self._store_observations(obs_list, env_indices(obs_list))
 
     async def get_action(self, obs: Observation | None = None) -> Any:
-        """Return the action chunk for `obs` if it is given, and otherwise for the environment that was observed last.
+        """Return the action chunk for `obs` if it is passed, and otherwise for the environment observed last.
 
         Raises:
             PolicyStateError: before an observation, or after a batch of several.
@@ -102,12 +102,12 @@ class RequestReply(Conversation):
         """Return the action chunks of these environments, in this order; None means the last batch.
 
         Raises:
-            PolicyStateError: if an environment is unknown or repeated, or nothing was observed.
-            ObservationError: if an observation lacks what the server needs.
-            ActionError: if the answer holds no actions of this robot.
-            PolicyServerError: if the server answered with an error.
-            ServerConnectionError: if the connection was lost; the episode's state may be, too.
-            RequestTimeoutError: if there was no answer in time.
+            PolicyStateError: an environment is unknown or repeated, or nothing was observed.
+            ObservationError: an observation lacks what the server needs.
+            ActionError: the answer holds no actions of this robot.
+            PolicyServerError: the server answered with an error.
+            ServerConnectionError: the connection was lost; the episode's state may be lost, too.
+            RequestTimeoutError: no answer in time.
         """
         chosen = self._order if env_idx_list is None else env_idx_list
         envs = None if chosen is None else [env_index(index) for index in chosen]
@@ -115,7 +115,7 @@ class RequestReply(Conversation):
             raise PolicyStateError(f"environments to answer must be observed, and none twice: {envs}")
         return [await self._infer(env) for env in envs]
 
-    def _observe(self, observations: Sequence[Observation], envs: list[int]) -> None:
+    def _store_observations(self, observations: Sequence[Observation], envs: list[int]) -> None:
         self._newest.update(zip(envs, observations))
         self._order = envs
 
@@ -134,12 +134,12 @@ class RequestReply(Conversation):
         return reply.steps
 
     async def _request(self, env: int, request: Infer | Reset) -> Reply:
-        """Return the reply to a request; one that failed is raised."""
+        """Return the reply to a request, or raise the failure that it reports."""
         if env in self._lost:
             raise ServerConnectionError(f"the connection of environment {env} was lost, with its episode; reset")
         data = self._codec.encode_request(request)
         if env not in self._connections:
-            self._connections[env] = await self._new()
+            self._connections[env] = await self._new_connection()
         try:
             answer = await self._exchange(env, data)
         except OSError as error:
@@ -151,8 +151,8 @@ class RequestReply(Conversation):
             if not failed:
                 self._lost.add(env)
                 raise ServerConnectionError(f"the connection was cut: {error}; reset and begin anew") from None
-            # It had answered with an error, and closed then, as openpi's server does: nothing was begun.
-            self._connections[env] = await self._new()
+            # The server had answered with an error and then closed, as openpi's does: no episode had begun.
+            self._connections[env] = await self._new_connection()
             answer = await self._exchange(env, data)
         try:
             reply = self._codec.decode_reply(answer)
@@ -170,7 +170,7 @@ class RequestReply(Conversation):
         await self._connections[env].send(data, limit)
         return await self._connections[env].receive_any(limit)
 
-    async def _new(self) -> Transport:
+    async def _new_connection(self) -> Transport:
         spare, self._spare = self._spare, None
         return spare or await self._connect()
 
@@ -183,23 +183,25 @@ class RequestReply(Conversation):
     # -- connecting ----------------------------------------------------------------------------------------------------
 
     async def _connect(self) -> Transport:
-        """Connect and take the greeting, trying again while nobody listens."""
+        """Connect and receive the greeting; try again while no server listens."""
         transport, config = self._setup.transport(), self._setup.config
 
         async def once() -> Transport:
             try:
                 await transport.open(config[spec.Deploy.CONNECT_TIMEOUT_S])
-                await self._greeted(transport)
+                await self._receive_greeting(transport)
             except BaseException:
                 await transport.close()
                 raise
             return transport
 
         server = f"{self._setup.wire} server at {self._setup.address}"
-        return await retrying.connected(once, transport.pause, config, server, retrying.connect_deadline(config))
+        return await retrying.connect_with_retries(
+            once, transport.pause, config, server, retrying.connect_deadline(config)
+        )
 
-    async def _greeted(self, transport: Transport) -> None:
-        """Take what a server says first; one that says nothing says nothing the next time either."""
+    async def _receive_greeting(self, transport: Transport) -> None:
+        """Receive the greeting; a server that sends none is not tried again."""
         if not self._codec.greets:
             return
         address, wire = self._setup.address, self._setup.wire
@@ -207,12 +209,13 @@ class RequestReply(Conversation):
             first = await transport.receive_any(self._setup.config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
         except TimeoutError:
             raise ServerConnectionError(
-                f"the server at {address} said nothing in time (handshake_timeout_s): one of {wire} speaks first, once "
-                "its model is loaded; one of xpl waits for hello (`wire: xpl`)"
+                f"the server at {address} sent nothing in time (handshake_timeout_s): one of {wire} sends a greeting "
+                "once its model is loaded; one of xpl waits for hello (`wire: xpl`)"
             ) from None
         try:
             self.metadata = self._codec.decode_greeting(first)
         except WireError as error:
             raise ServerConnectionError(
-                f"what the server at {address} sent first is no greeting of {wire}: {error}; {wires.spoken()}"
+                f"the first message of the server at {address} is no greeting of {wire}: {error}; "
+                f"{wires.supported_wires()}"
             ) from None

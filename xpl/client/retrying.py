@@ -1,4 +1,4 @@
-"""Connecting, again and again while nobody listens, within what deploy.yml allows; and the deadlines that bound it."""
+"""Connecting with retries while no server listens, within the limits of deploy.yml; and deadlines."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ if TYPE_CHECKING:
 _Value = TypeVar("_Value")
 
 AGAIN = (spec.ErrorReason.BUSY, spec.ErrorReason.LOADING)
-"""Reasons of a server that may answer otherwise a little later."""
+"""Reasons after which connecting is tried again."""
 
 
-async def connected(
+async def connect_with_retries(
     once: Callable[[], Coroutine[Any, Any, _Value]],
     pause: Callable[[float], Awaitable[None]],
     config: Config,
     server: str,
     deadline: float,
 ) -> _Value:
-    """Return what connecting once returns, and try again while nobody listens, the model loads or the server is busy.
+    """Return what `once` returns; try again while no server listens, the model loads or the server is busy.
 
     Args:
-        once: connects; what stands in the way for good it raises as another error than those that pass.
-        pause: lets so many seconds pass.
-        config: values of deploy.yml: how many attempts, and how long between them.
-        server: what is connected to, in words.
-        deadline: time after which no further attempt begins.
+        once: connects; a permanent failure raises another error than OSError, RequestTimeoutError, PolicyServerError.
+        pause: waits for a number of seconds.
+        config: values of deploy.yml: number of attempts, and the delay between them, s.
+        server: name of the server in messages.
+        deadline: monotonic time, s, after which no further attempt begins.
 
     Raises:
-        ServerConnectionError: attempts or time are used up.
+        ServerConnectionError: no attempts or no time left.
     """
     most = config[spec.Deploy.MAX_CONNECT_ATTEMPTS] or math.inf
     delay = config[spec.Deploy.CONNECT_RETRY_DELAY_S] or 0.0
@@ -48,22 +48,22 @@ async def connected(
             if isinstance(error, PolicyServerError) and error.details.get("reason") not in AGAIN:
                 raise
             if attempt >= most or time.monotonic() + delay > deadline:
-                told = f"no {server} after {attempt} attempts: {error}"
-                raise ServerConnectionError(told) from None
+                message = f"no {server} after {attempt} attempts: {error}"
+                raise ServerConnectionError(message) from None
         await pause(delay)
     raise AssertionError("the attempts never end by themselves")
 
 
 def connect_deadline(config: Config) -> float:
-    """Return when connecting that begins now is given up."""
-    return after(config[spec.Deploy.MAX_CONNECT_SECONDS] or None)
+    """Return the deadline, monotonic time in s, of connecting that begins now."""
+    return deadline_after(config[spec.Deploy.MAX_CONNECT_SECONDS] or None)
 
 
-def after(seconds: float | None) -> float:
-    """Return the deadline in so many seconds; None is never."""
+def deadline_after(seconds: float | None) -> float:
+    """Return the monotonic time in `seconds`; infinity for None."""
     return math.inf if seconds is None else time.monotonic() + seconds
 
 
-def left(deadline: float) -> float | None:
+def seconds_left(deadline: float) -> float | None:
     """Return the seconds until a deadline, None without one."""
     return None if deadline == math.inf else max(0.0, deadline - time.monotonic())

@@ -1,4 +1,4 @@
-"""What a client is built from: the connection that carries its messages, and what it wishes for."""
+"""Parts of a client: the transport of its messages, and its options."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ class Transport(Protocol):
         """Close the connection, if there is one."""
 
     async def pause(self, seconds: float) -> None:
-        """Let time pass."""
+        """Wait."""
 
 
 @dataclass(frozen=True)
-class Address:
-    """Where a connection goes, and how it is let in.
+class Endpoint:
+    """Address and credentials of a connection.
 
     Attributes:
         url: `ws://host:port`, or `wss://`.
         config: the timing keys of deploy.yml.
-        authorization: what the header `Authorization` says, or None.
+        authorization: value of the header `Authorization`, or None.
         ssl_context: for `wss://`; the system's certificates otherwise.
     """
 
@@ -55,16 +55,16 @@ class Address:
 
 
 @dataclass(frozen=True)
-class Wishes:
-    """What a client would like to have; what the server does not offer is done without.
+class ConnectionOptions:
+    """Options of a client; the client does without what the server does not support.
 
     Attributes:
         packed: send payloads packed.
-        shared_memory: share memory with a server on this host.
-        pipelined: send updates without waiting for their answers; their errors are raised by what is asked next.
-        jpeg: quality, 1..100, of the cameras whose colour is sent as JPEG; the others are lossless.
-        environment: what the environment offers (`xpl.client.agreement`); the server refuses what does not fit.
-        on_loading: told how far loading is while the model loads.
+        shared_memory: exchange arrays with a server on this host through shared memory.
+        pipelined: send updates without waiting for their answers; the next request raises their errors.
+        jpeg: JPEG quality, 1..100, by camera; the others are lossless.
+        environment: what the environment offers (`xpl.client.agreement`); the server refuses one that does not fit.
+        on_loading: called with the progress while the model loads.
     """
 
     packed: bool = True
@@ -76,30 +76,30 @@ class Wishes:
 
 
 @dataclass(frozen=True)
-class Setup:
-    """What a wire makes the client's side of a conversation of.
+class ConversationSetup:
+    """What a wire needs to make a conversation.
 
     Attributes:
         wire: the wire's name.
         address: `ws://host:port`, or `wss://`.
         config: values of deploy.yml, with the defaults of the timing keys.
-        labels: what the evaluation calls itself.
-        wishes: see there.
-        transport: returns a connection to the address that is not yet open; blocking or suspending, as the client is.
+        labels: of every frame.
+        options: see `ConnectionOptions`.
+        transport: returns a transport to the address, not yet open; blocking or asynchronous, as the client is.
     """
 
     wire: str
     address: str
     config: Config
     labels: Labels
-    wishes: Wishes
+    options: ConnectionOptions
     transport: Callable[[], Transport]
 
 
-def run(talk: Coroutine[Any, Any, _Value]) -> _Value:
-    """Run a conversation over a transport that blocks to its end: it is never suspended."""
+def run_blocking(coroutine: Coroutine[Any, Any, _Value]) -> _Value:
+    """Run a coroutine over a blocking transport to its end: it never suspends."""
     try:
-        talk.send(None)
+        coroutine.send(None)
     except StopIteration as done:
         value: _Value = done.value
         return value

@@ -21,26 +21,26 @@ from xpl.wire import segment
 from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import progress
-from xpl_cli.isolation import family
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation import processes
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.isolation.stacks import STACKS_S
 from xpl_cli.lifecycle import interpreter
-from xpl_cli.serving.connection import Timing
-from xpl_cli.serving.entry.names import LOOPBACK, Names
-from xpl_cli.serving.logbook import log
-from xpl_cli.serving.observe import Observer
+from xpl_cli.serving.connection import ConnectionTimeouts
+from xpl_cli.serving.entry.allowed_hosts import LOOPBACK, AllowedHosts
+from xpl_cli.serving.front_end import FrontEnd, FrontEndSettings
+from xpl_cli.serving.monitoring import RequestMonitor
 from xpl_cli.serving.secrets import read_token, server_tls_context
-from xpl_cli.serving.server import FrontEnd, Settings
-from xpl_cli.serving.wires import entrances
-from xpl_cli.serving.workers import patience
-from xpl_cli.serving.workers.pool import LoadError
-from xpl_cli.serving.workers.worker import WorkerProcess
+from xpl_cli.serving.server_log import log
+from xpl_cli.serving.wires import extra_endpoints
+from xpl_cli.serving.workers import hang_watch
+from xpl_cli.serving.workers.process import WorkerProcess
+from xpl_cli.serving.workers.worker import ModelLoadError
 
 if TYPE_CHECKING:
     from xpl.contract import Config
     from xpl_cli.isolation.sandbox import Isolation, MemoryLimit
     from xpl_cli.packages.package import Package
-    from xpl_cli.serving.server import Entrance
+    from xpl_cli.serving.front_end import Endpoint
 
 SCHEMA = "xpl.serve/1"
 
@@ -50,7 +50,7 @@ _GOING_AWAY = 1001  # RFC 6455, section 7.4.1
 
 
 @dataclass(frozen=True)
-class Options:
+class ServeOptions:
     """What `xpl serve` takes besides the keys of deploy.yml.
 
     Attributes:
@@ -94,13 +94,13 @@ class Options:
     shadow: bool = False
     working_directory: Path | None = None
     memory_limit: MemoryLimit | None = None
-    bounds: Bounds = field(default_factory=Bounds)
+    bounds: IsolationSettings = field(default_factory=IsolationSettings)
     patience: float | None = None
     renew: bool = False
     also: Sequence[str] = ()
 
 
-def run_server(package: Package, overrides: Config, options: Options) -> None:
+def run_server(package: Package, overrides: Config, options: ServeOptions) -> None:
     """Serve an adapter until SIGINT or SIGTERM.
 
     Prints one JSON line on stdout: `{"event": "ready", "url": ..., ...}` when the models are loaded, or
@@ -113,21 +113,21 @@ def run_server(package: Package, overrides: Config, options: Options) -> None:
     config = package.config(overrides)
     package.require_declared(config)
     settings = _settings(package, config, options)
-    others = entrances(options.also, config, package.manifest, settings.policy)
+    others = extra_endpoints(options.also, config, package.manifest, settings.policy)
     try:
         python = interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=options.env)
     except UserError as error:
         _failed(package, str(error), {"kind": "environment", "name": "; ".join(filter(None, (str(error), error.hint)))})
         raise
     with _trace(options.trace) as trace, options.bounds.around(package.path) as isolation:
-        observer = Observer(metrics=options.metrics, trace=trace) if options.metrics or trace else None
-        run = _Run(package, config, settings, options, python, observer, isolation, others)
+        observer = RequestMonitor(metrics=options.metrics, trace=trace) if options.metrics or trace else None
+        run = _ServerRun(package, config, settings, options, python, observer, isolation, others)
         reason = asyncio.run(_serve(run))
     if reason is not None:
         raise UserError(f"{package.name}: {reason}", code=ExitCode.NOT_RUN)
 
 
-def _settings(package: Package, config: Config, options: Options) -> Settings:
+def _settings(package: Package, config: Config, options: ServeOptions) -> FrontEndSettings:
     host = config[spec.Deploy.HOST] or LOOPBACK[0]
     if options.workers < 1:
         raise UserError(f"--workers must be at least 1, got {options.workers}")
@@ -139,10 +139,10 @@ def _settings(package: Package, config: Config, options: Options) -> Settings:
             "address drive the policy",
         )
     close = config[spec.Deploy.CLOSE_TIMEOUT_S]
-    return Settings(
+    return FrontEndSettings(
         host=host,
         port=config[spec.Deploy.PORT] or 0,
-        timing=Timing(
+        timing=ConnectionTimeouts(
             hello=config[spec.Deploy.HANDSHAKE_TIMEOUT_S],
             ping_interval=config[spec.Deploy.WS_PING_INTERVAL_S],
             ping_timeout=config[spec.Deploy.WS_PING_TIMEOUT_S],
@@ -151,8 +151,11 @@ def _settings(package: Package, config: Config, options: Options) -> Settings:
         handshake_timeout=config[spec.Deploy.HANDSHAKE_TIMEOUT_S] or None,
         request_timeout=config[spec.Deploy.REQUEST_TIMEOUT_S],
         grace=spec.DEPLOY_DEFAULTS[spec.Deploy.CLOSE_TIMEOUT_S] if close is None else close,
-        policy={**agreement.needs(package.manifest, config), **({"shadow": True} if options.shadow else {})},
-        names=Names(host, options.allow_hosts, options.allow_origins),
+        policy={
+            **agreement.policy_announcement(package.manifest, config),
+            **({"shadow": True} if options.shadow else {}),
+        },
+        names=AllowedHosts(host, options.allow_hosts, options.allow_origins),
         token=token,
         tls=server_tls_context(options.tls_cert, options.tls_key),
         debug=options.debug,
@@ -176,7 +179,7 @@ def _trace(path: Path | None) -> Iterator[IO[str] | None]:
             file.close()
 
 
-class _Ending:
+class _ShutdownSignals:
     """Whether someone wants the server to end: the first time in order, the second time at once."""
 
     def __init__(self) -> None:
@@ -208,34 +211,34 @@ class _Ending:
 
 
 @dataclass(frozen=True)
-class _Run:
+class _ServerRun:
     package: Package
     config: dict[str, Any]
-    settings: Settings
-    options: Options
+    settings: FrontEndSettings
+    options: ServeOptions
     python: str
-    observer: Observer | None
+    observer: RequestMonitor | None
     isolation: Isolation | None
-    entrances: Mapping[str, Entrance]
+    entrances: Mapping[str, Endpoint]
 
 
-async def _serve(run: _Run) -> str | None:
+async def _serve(run: _ServerRun) -> str | None:
     """Serve until a signal; return why it could not go on, or None."""
-    ending = _Ending()
+    ending = _ShutdownSignals()
     ending.listen(until_stdin_ends=run.options.until_stdin_ends)
     segment.sweep()  # what a server that was killed left behind
-    family.adopt_orphans()
-    before = {member.pid for member in family.descendants(os.getpid())}
-    processes: list[WorkerProcess] = []
+    processes.adopt_orphans()
+    before = {member.pid for member in processes.descendants(os.getpid())}
+    workers: list[WorkerProcess] = []
     try:
         for number in range(run.options.workers):
-            processes.append(await _start(run, number))  # noqa: PERF401 - those before one that fails are ended
-        front_end = FrontEnd(processes, run.settings, run.observer)
+            workers.append(await _start(run, number))  # noqa: PERF401 - those before one that fails are ended
+        front_end = FrontEnd(workers, run.settings, run.observer)
         for worker in front_end.workers.values():
             # What clients share with it lies where an isolated worker sees nothing of the machine.
             worker.shares_memory = run.isolation is None or run.isolation.folder is None
             if run.options.patience is not None:
-                worker.process.until_it_ends(patience.hold(worker, run.options.patience))
+                worker.process.until_it_ends(hang_watch.hold(worker, run.options.patience))
         if run.observer is not None:
             run.observer.watch(front_end.health)
         with contextlib.ExitStack() as listening:
@@ -249,13 +252,13 @@ async def _serve(run: _Run) -> str | None:
                 listening.callback(_close, servers[name])
             return await _until_ended(run, front_end, servers, ending)
     finally:
-        await asyncio.gather(*(process.stop(grace=1.0) for process in processes))
-        for stray in family.end_descendants(before):
+        await asyncio.gather(*(process.stop(grace=1.0) for process in workers))
+        for stray in processes.end_descendants(before):
             if run.isolation is None:  # where processes are kept apart, the system ends them
                 log(f"ended process {stray.pid} ({stray.name}), which had left the adapter's process group")
 
 
-async def _start(run: _Run, number: int) -> WorkerProcess:
+async def _start(run: _ServerRun, number: int) -> WorkerProcess:
     options = run.options
     process = await WorkerProcess.start(
         run.python,
@@ -270,7 +273,7 @@ async def _start(run: _Run, number: int) -> WorkerProcess:
 
 
 async def _until_ended(
-    run: _Run, front_end: FrontEnd, servers: Mapping[str, list[asyncio.Server]], ending: _Ending
+    run: _ServerRun, front_end: FrontEnd, servers: Mapping[str, list[asyncio.Server]], ending: _ShutdownSignals
 ) -> str | None:
     asked = asyncio.create_task(ending.asked.wait())
     loading = asyncio.create_task(_load(run, front_end))
@@ -327,7 +330,7 @@ def _announce(event: Mapping[str, object], following: str) -> None:
     console.data(json.dumps({**event, "schema": SCHEMA, "next": [following]}))
 
 
-async def _dismiss(front_end: FrontEnd, ending: _Ending, code: int, reason: str) -> None:
+async def _dismiss(front_end: FrontEnd, ending: _ShutdownSignals, code: int, reason: str) -> None:
     """Close every connection; who insists does not wait for the other sides to close theirs."""
     await _first(asyncio.create_task(front_end.dismiss(code, reason)), asyncio.create_task(ending.insisted.wait()))
 
@@ -337,10 +340,10 @@ async def _first(*futures: asyncio.Future[Any]) -> None:
     await asyncio.wait(futures, return_when=asyncio.FIRST_COMPLETED)
 
 
-async def _load(run: _Run, front_end: FrontEnd) -> LoadError | None:
+async def _load(run: _ServerRun, front_end: FrontEnd) -> ModelLoadError | None:
     """Load every model and say how it goes; return why it failed, or None."""
     if front_end.failed.done():  # a worker has ended before it was asked, as what is no Python does at once
-        return LoadError(f"the model could not be loaded: {front_end.failed.result()}")
+        return ModelLoadError(f"the model could not be loaded: {front_end.failed.result()}")
     limit = run.config[spec.Deploy.MAX_CONNECT_SECONDS] or None  # nobody waits longer than that for a connection
     package = run.package
     loads = [
@@ -357,14 +360,14 @@ async def _load(run: _Run, front_end: FrontEnd) -> LoadError | None:
                 load.cancel()
     for load in done:
         error = load.exception()
-        if isinstance(error, LoadError):
+        if isinstance(error, ModelLoadError):
             return error
         load.result()
     if running:
         for worker in front_end.workers.values():
             worker.process.show_stacks()
         await asyncio.sleep(STACKS_S)
-        return LoadError(f"the model could not be loaded within {limit:g} s (max_connect_seconds)")
+        return ModelLoadError(f"the model could not be loaded within {limit:g} s (max_connect_seconds)")
     return None
 
 
@@ -375,7 +378,7 @@ async def _tell(front_end: FrontEnd, name: str, say: Callable[[str], None]) -> N
         say(f"[server] loading {name}: {told['seconds']:.0f} s, {told['memory_bytes'] / 2**20:.0f} MiB in memory")
 
 
-def _url(server: asyncio.Server, settings: Settings) -> str:
+def _url(server: asyncio.Server, settings: FrontEndSettings) -> str:
     """Return where to connect to. `localhost` has two addresses, and a port that was chosen may be on one."""
     bound, port = server.sockets[0].getsockname()[:2]
     host = settings.host

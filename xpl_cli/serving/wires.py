@@ -14,11 +14,11 @@ from picows import WSMsgType
 
 from xpl import _spec as spec
 from xpl.client import wires
-from xpl.client.codec import Actions, Done, Failure, Reset
+from xpl.client.codec import Actions, Failure, Reset, ResetDone
 from xpl.wire import codec as frames
 from xpl_cli.basics.errors import UserError, no_such
 from xpl_cli.serving.connection import Connection
-from xpl_cli.serving.server import Entrance
+from xpl_cli.serving.front_end import Endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,12 +28,14 @@ if TYPE_CHECKING:
     from xpl.client.codec import Codec, Message
     from xpl.contract import Announcement, Config, Payload
     from xpl.manifest import Manifest
-    from xpl_cli.serving.connection import Owner, Timing
+    from xpl_cli.serving.connection import ConnectionOwner, ConnectionTimeouts
 
 _TRY_AGAIN, _REFUSED = 1013, 1008  # WebSocket close codes: RFC 6455, and its registry
 
 
-def entrances(also: Sequence[str], config: Config, manifest: Manifest, policy: Announcement) -> dict[str, Entrance]:
+def extra_endpoints(
+    also: Sequence[str], config: Config, manifest: Manifest, policy: Announcement
+) -> dict[str, Endpoint]:
     """Return the entrances that `--also` asks for, by the names of their wires.
 
     Args:
@@ -45,7 +47,7 @@ def entrances(also: Sequence[str], config: Config, manifest: Manifest, policy: A
     Raises:
         UserError: one cannot be had.
     """
-    found: dict[str, Entrance] = {}
+    found: dict[str, Endpoint] = {}
     for one in also:
         name, _, number = one.partition(":")
         if not (number or "0").isdecimal() or len(number) > 5 or int(number or 0) > 65535:
@@ -56,7 +58,7 @@ def entrances(also: Sequence[str], config: Config, manifest: Manifest, policy: A
     return found
 
 
-def _entrance(name: str, port: int, config: Config, policy: Announcement) -> Entrance:
+def _entrance(name: str, port: int, config: Config, policy: Announcement) -> Endpoint:
     wire = wires.find(name)
     if wire is None or wire.codec is None:
         others = [other for other in wires.names() if other != wires.XPL]
@@ -66,7 +68,7 @@ def _entrance(name: str, port: int, config: Config, policy: Announcement) -> Ent
         greeting = codec.encode_greeting(policy) if codec.greets else None
     except (ValueError, LookupError) as error:
         raise UserError(f"--also {name}: {error}", hint=wire.hint or None) from None
-    return Entrance(port, partial(CodecConnection, codec, greeting), wire.scheme.lower())
+    return Endpoint(port, partial(CodecConnection, codec, greeting), wire.scheme.lower())
 
 
 class CodecConnection(Connection):
@@ -79,7 +81,9 @@ class CodecConnection(Connection):
         timing: deadlines.
     """
 
-    def __init__(self, codec: Codec, greeting: Message | None, owner: Owner, timing: Timing) -> None:
+    def __init__(
+        self, codec: Codec, greeting: Message | None, owner: ConnectionOwner, timing: ConnectionTimeouts
+    ) -> None:
         super().__init__(owner, timing)
         self._codec = codec
         self._greeting = greeting
@@ -166,7 +170,7 @@ class CodecConnection(Connection):
             return self._codec.encode_reply(Failure(_sentence(frame)))
         try:
             if frame.message_type == spec.ANSWERS[spec.Message.RESET]:
-                return self._codec.encode_reply(Done())
+                return self._codec.encode_reply(ResetDone())
             steps, latency = frame.payload[spec.Payload.ACTIONS], frame.payload.get(spec.Payload.LATENCY_MS)
             return self._codec.encode_reply(Actions(steps, latency))
         except Exception as error:  # noqa: BLE001 - whatever the policy returned, and whoever wrote the codec

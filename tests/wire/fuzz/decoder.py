@@ -58,8 +58,8 @@ def read_hello(data: bytes) -> None:
 
     needed = {"embodiment": "arx_x5", "action_types": ["joint"], "inputs": ["vision.cam_head"], "control_frequency": 20}
     with contextlib.suppress(codec.WireError, agreement.AnnouncementError):
-        announced = agreement.checked(codec.decode(data).payload.get("environment"))
-        agreement.sentence(agreement.differences(needed, announced))
+        announced = agreement.validate_announcement(codec.decode(data).payload.get("environment"))
+        agreement.format_differences(agreement.differences(needed, announced))
 
 
 def read_image_header(data: bytes) -> None:

@@ -13,13 +13,13 @@ from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.served.compare import answers
-from xpl_cli.isolation import family
+from xpl_cli.isolation import processes
 from xpl_cli.serving.launch import ServerStartError
 
 if TYPE_CHECKING:
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.audit.served.session import Answer
-    from xpl_cli.isolation.family import Member
+    from xpl_cli.isolation.processes import ProcessInfo
 
 USUAL_SEED = sdk.DEPLOY_DEFAULTS[sdk.Deploy.SEED]
 _ASKED = 8
@@ -47,12 +47,12 @@ class Service:
     chunks: list[Answer] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     trouble: str | None = None
-    processes: list[Member] = field(default_factory=list)
-    left_group: list[tuple[Member, str]] = field(default_factory=list)
-    listening: list[tuple[str, Member]] = field(default_factory=list)
+    processes: list[ProcessInfo] = field(default_factory=list)
+    left_group: list[tuple[ProcessInfo, str]] = field(default_factory=list)
+    listening: list[tuple[str, ProcessInfo]] = field(default_factory=list)
     code: int | None = None
     stop_seconds: float = 0.0
-    survivors: list[Member] = field(default_factory=list)
+    survivors: list[ProcessInfo] = field(default_factory=list)
     log: list[str] = field(default_factory=list)
 
     @classmethod
@@ -70,7 +70,7 @@ class Service:
         try:
             with probe.fresh_server({sdk.Deploy.SEED: USUAL_SEED}) as server:
                 goes_on = seen._ask(probe, server.url)
-                seen.processes = family.descendants(server.pid)
+                seen.processes = processes.descendants(server.pid)
                 if goes_on:  # of one that ends, processes are between two parents
                     seen._look_around(server.pid, kept_apart=bool(probe.options.bounds.flags))
         except ServerStartError as error:
@@ -121,7 +121,7 @@ class Service:
                     shown, answer = policy.update_obs(obs), policy.get_action()
                     for failed in (shown, answer):
                         if isinstance(failed, PolicyServerError):
-                            self.trouble = str(failed) if failed.spoils_trial else None
+                            self.trouble = str(failed) if failed.is_infrastructure_error else None
                             return True
                     self.seconds.append(time.perf_counter() - started)
                     self.chunks.append(answer)
@@ -132,7 +132,7 @@ class Service:
 
     def _look_around(self, front_end: int, *, kept_apart: bool) -> None:
         started = [member.pid for member in self.processes if member.parent == front_end and member.group == member.pid]
-        own = {pid for one in started for pid in (family.behind_launcher(one) if kept_apart else [one])}
+        own = {pid for one in started for pid in (processes.behind_launcher(one) if kept_apart else [one])}
         groups = {member.group for member in self.processes if member.pid in own}
         for member in self.processes:
             # The worker leads its group; a child that leads one, or that the front end had to adopt, has left.

@@ -35,7 +35,7 @@ from xpl.client import (
 )
 from xpl.wire import segment
 from xpl.wire.codec import WireError
-from xpl_cli.serving.launch import RunningServer, serving
+from xpl_cli.serving.launch import RunningServer, running_server
 
 if TYPE_CHECKING:
     from xpl.wire.codec import Frame
@@ -104,7 +104,7 @@ def trace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def shared(subject: Path, trace: Path) -> Iterator[RunningServer]:
-    with serving(subject, {"close_timeout_s": 0.5}, options=["--trace", str(trace)]) as server:
+    with running_server(subject, {"close_timeout_s": 0.5}, options=["--trace", str(trace)]) as server:
         yield server
 
 
@@ -480,7 +480,7 @@ def test_a_cut_with_updates_ahead_in_shared_memory_is_loud(shared: RunningServer
         client.update_obs({"fifo": str(fifo)})
         with fifo.open("w"):
             proxy.arm([Fault("cut_after", "request")])
-            with pytest.raises(ServerConnectionError, match="updates were sent ahead through shared memory"):
+            with pytest.raises(ServerConnectionError, match="while pipelined updates were in shared memory"):
                 observe_much(client)
         with pytest.raises(ServerConnectionError, match="the client is closed"):
             client.get_action()
