@@ -20,8 +20,8 @@ from hypothesis import HealthCheck, settings
 
 from tests.support import examples, forked, once, peer, schedule
 from tests.support.peer import MARK, processes, wait_until
-from xpl_cli.serving import nursery
-from xpl_cli.serving.launch import RunningServer, serving
+from xpl_cli.serving import fork_server
+from xpl_cli.serving.launch import RunningServer, running_server
 
 # No test multiplies matrices, and threads for that cost every process that imports numpy half of its start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -120,7 +120,7 @@ def write_adapter(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Pat
 @pytest.fixture
 def serve() -> Iterator[Callable[..., RunningServer]]:
     """Return a function that serves an adapter until the test ends, and check that nothing is left then."""
-    nursery.warm()  # it outlives this test, and must not bear its mark
+    fork_server.warm()  # it outlives this test, and must not bear its mark
     mark = uuid.uuid4().hex
     os.environ[MARK] = mark
     served: list[RunningServer] = []
@@ -128,7 +128,7 @@ def serve() -> Iterator[Callable[..., RunningServer]]:
         with contextlib.ExitStack() as stack:
 
             def start(folder: Path, **options: Any) -> RunningServer:
-                served.append(stack.enter_context(serving(folder, **options)))
+                served.append(stack.enter_context(running_server(folder, **options)))
                 return served[-1]
 
             yield start

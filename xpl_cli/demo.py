@@ -85,7 +85,7 @@ class Demo:
         from xpl import Client, get_embodiment
         from xpl import _spec as spec
         from xpl_cli.packages import environments, package
-        from xpl_cli.serving.launch import serving
+        from xpl_cli.serving.launch import running_server
 
         step = Step("Serve it in its own process and ask for an action chunk", ["serve", policy])
         self.say(f"\n# {step.title}\n$ xpl serve {policy}")
@@ -93,7 +93,7 @@ class Demo:
         path = self.folder / policy
         robot = get_embodiment(str(package.load(path).config()[spec.Deploy.ENV_CFG_TYPE]))
         obs = environments.module("offline", "scenario").observation(robot)
-        with serving(path) as server, Client(server.url) as client:
+        with running_server(path) as server, Client(server.url) as client:
             client.reset()
             client.update_obs(obs)
             chunk = client.get_action()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from tests.support import pages
 from tests.support.places import ROOT
-from xpl_cli.isolation import family
+from xpl_cli.isolation import processes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,7 +27,7 @@ def test_a_server_in_the_background_is_asked_and_ended(tmp_path: Path) -> None:
     scratch = scratch.replace('"ROBOT"', '"franka_single"').replace('"CAMERA"', '"cam_head"')
     (tmp_path / "scratch.py").write_text(scratch)
     # As where the first process of a container collects nobody: what has ended stays in the table of processes.
-    family.adopt_orphans()
+    processes.adopt_orphans()
     try:
         told = json.loads(_bash(start, tmp_path))
         assert told["event"] == "ready"

@@ -30,7 +30,7 @@ from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, Targ
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.git.history import Repository
-from xpl_cli.basics.strangers import in_markdown, one_line
+from xpl_cli.basics.untrusted import in_markdown, one_line
 from xpl_cli.packages.targets import Target
 from xpl_cli.standard import spec
 

@@ -24,8 +24,8 @@ from tests.support.peer import Peer, greeted, wait_until
 from xpl import Client
 from xpl import _spec as spec
 from xpl.wire import codec, packed, telling
-from xpl_cli.serving.launch import RunningServer, serving
-from xpl_cli.serving.session import RequestError
+from xpl_cli.serving.launch import RunningServer, running_server
+from xpl_cli.serving.requests import RequestError
 
 MODEL = """
     import asyncio
@@ -161,7 +161,7 @@ def subject(write_adapter: Callable[..., Path]) -> Path:
 @pytest.fixture(scope="module")
 def server(subject: Path) -> Iterator[RunningServer]:
     """Serve it to one client at a time."""
-    with serving(subject) as running:
+    with running_server(subject) as running:
         yield running
 
 
@@ -213,7 +213,7 @@ def test_the_log_of_a_frame_is_not_forged(server: RunningServer) -> None:
 def test_one_client_of_a_shared_model_never_costs_another_its_answer(
     write_adapter: Callable[..., Path], serve: Callable[..., RunningServer]
 ) -> None:
-    server = serve(write_adapter(MODEL, serving={"shared": True}))
+    server = serve(write_adapter(MODEL, running_server={"shared": True}))
     with greeted(server.url) as bad, greeted(server.url) as good:
         for name in ("surrogate", "unspeakable", "stops", "generator"):
             bad.send("infer", {"observation": {"raise": name}})

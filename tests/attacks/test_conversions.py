@@ -15,8 +15,8 @@ import pytest
 from tests.data import made
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.progress import Progress
-from xpl_cli.data.conversion import work
-from xpl_cli.data.formats.writing import Options
+from xpl_cli.data.conversion import job
+from xpl_cli.data.formats.writing import WriteOptions
 from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
 
@@ -25,7 +25,9 @@ Change = Callable[[dict[str, Any]], Any]
 
 def convert(source: Path, target: Path, to: str = "xpl") -> None:
     images = "png" if to != "xpl" else "auto"
-    work.convert(work.Job(source, target, to, rate_hz=10, options=Options(images=images), workers=1), Progress())
+    job.convert(
+        job.ConversionJob(source, target, to, rate_hz=10, options=WriteOptions(images=images), workers=1), Progress()
+    )
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from tests.support.peer import DEADLINE_S, Peer, greeted, wait_until
 from xpl import Client
 from xpl import _spec as spec
 from xpl.wire import codec
-from xpl_cli.serving.entry.ledger import Crowd
+from xpl_cli.serving.entry.memory_limiter import MessageMemoryLimiter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -94,7 +94,7 @@ class Holder:
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 60), st.booleans()), max_size=40))
 def test_the_sum_is_kept_and_nobody_goes_who_takes_little(notes: list[tuple[int, int, bool]]) -> None:
     """Those with a place hold 100 together, those without 40; a part below the average one is safe."""
-    crowd, there = Crowd(100, 40), [Holder(None) for _ in range(6)]
+    crowd, there = MessageMemoryLimiter(100, 40), [Holder(None) for _ in range(6)]
     for number, size, has_place in notes:
         holder = there[number]
         if holder.is_closed:

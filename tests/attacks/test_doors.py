@@ -23,9 +23,9 @@ from xpl import _spec as spec
 from xpl.client import EnvironmentMismatchError, ServerConnectionError
 from xpl.wire import codec
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.serving.entry import door
-from xpl_cli.serving.entry.names import Names
-from xpl_cli.serving.launch import RunningServer, serving
+from xpl_cli.serving.entry import connection_limiter
+from xpl_cli.serving.entry.allowed_hosts import AllowedHosts
+from xpl_cli.serving.launch import RunningServer, running_server
 
 MODEL = """
     class Model:
@@ -49,7 +49,7 @@ def subject(write_adapter: Callable[..., Path]) -> Path:
 def server(subject: Path) -> Iterator[RunningServer]:
     """Serve it on loopback, as most people do; one page and one name are allowed."""
     options = ["--allow-origin", "https://lab.example:8443", "--allow-host", "gpu-7.lab", "--metrics"]
-    with serving(subject, options=options) as running:
+    with running_server(subject, options=options) as running:
         yield running
 
 
@@ -58,7 +58,7 @@ def guarded(subject: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     secret = tmp_path_factory.mktemp("secret") / "token"
     secret.write_text(TOKEN, encoding="ascii")
     secret.chmod(0o600)
-    with serving(subject, options=["--token-file", str(secret)]) as running:
+    with running_server(subject, options=["--token-file", str(secret)]) as running:
         yield running
 
 
@@ -152,7 +152,7 @@ anything = st.text(st.characters(codec="latin-1"), max_size=40) | st.text(string
 @given(hosts=st.lists(anything, max_size=3), origins=st.lists(anything, max_size=3))
 def test_no_header_ends_in_more_than_a_sentence(hosts: list[str], origins: list[str]) -> None:
     """Whatever the headers hold: a refusal is printable, and only the names that are ours pass."""
-    names = Names("localhost")
+    names = AllowedHosts("localhost")
     for told in (names.refuse_host(hosts), names.refuse_origin(origins)):
         assert told is None or told.isprintable()
     if names.refuse_host(hosts) is None:
@@ -163,7 +163,7 @@ def test_no_header_ends_in_more_than_a_sentence(hosts: list[str], origins: list[
 def test_a_name_is_checked_when_it_is_given() -> None:
     for given_names in ({"hosts": ["a b"]}, {"origins": ["https://"]}, {"origins": ["https://a/path"]}):
         with pytest.raises(UserError):
-            Names("localhost", **given_names)
+            AllowedHosts("localhost", **given_names)
 
 
 def test_a_robot_is_served_by_a_server_that_asks_for_a_token_only(server: RunningServer, subject: Path) -> None:
@@ -171,7 +171,7 @@ def test_a_robot_is_served_by_a_server_that_asks_for_a_token_only(server: Runnin
     robot = {"real_time": True}
     with pytest.raises(EnvironmentMismatchError, match="start it with --token-file"):
         Client(server.url, config=ONCE, environment=robot)
-    with serving(subject, token="a-token-of-this-test") as own:
+    with running_server(subject, token="a-token-of-this-test") as own:
         with pytest.raises(ServerConnectionError, match="bearer token"):
             Client(own.url, config=ONCE, environment=robot)
         with Client(own.url, config=ONCE, environment=robot, token=own.token) as client:
@@ -247,8 +247,8 @@ def few_descriptors(count: int) -> Iterator[None]:
 
 def test_a_server_without_descriptors_turns_away_and_goes_on(tmp_path: Path) -> None:
     """One is kept for that, so that what waits at the door does not wake the server again and again."""
-    entry = door.Door()
-    (listening,) = entry.sockets("127.0.0.1", 0)
+    entry = connection_limiter.ConnectionLimiter()
+    (listening,) = entry.bind("127.0.0.1", 0)
     listening.listen()
     listening.settimeout(0.0)
     address = listening.getsockname()

@@ -22,8 +22,8 @@ from xpl_cli.audit.rules.model import NotRun, Outcome, exit_code
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.served import hanging
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.isolation import family, sandbox
-from xpl_cli.isolation.life import LONGER, Life
+from xpl_cli.isolation import processes, sandbox
+from xpl_cli.isolation.hang_detector import LONGER, HangDetector
 
 Write = Callable[..., Path]
 
@@ -63,10 +63,10 @@ def audit(write_adapter: Write) -> Callable[..., Any]:
     def run(*names: str, keep_going: bool = False, **deeds: str) -> Any:
         nothing = dict.fromkeys(("at_import", "at_load", "at_answer", "at_reset"), "pass")
         folder = write_adapter(textwrap.dedent(MODEL).format(**nothing | deeds))
-        before = {member.pid for member in family.descendants(os.getpid())}
+        before = {member.pid for member in processes.descendants(os.getpid())}
         options = Options(gates=(Gate.OFFLINE,), names=names, patience=_PATIENCE, keep_going=keep_going)
         report = engine.audit(folder, "policy", options)
-        left = [one.command for one in family.descendants(os.getpid()) if one.pid not in before]
+        left = [one.command for one in processes.descendants(os.getpid()) if one.pid not in before]
         assert not [command for command in left if str(folder) in command or "launch.py" in command]
         return report
 
@@ -235,7 +235,7 @@ def _running(code: str) -> Iterator[subprocess.Popen[bytes]]:
         process.kill()
 
 
-def _verdict(life: Life, until: float, step: float) -> str | None:
+def _verdict(life: HangDetector, until: float, step: float) -> str | None:
     """Look again and again, as if so much time went by between two looks."""
     now = time.monotonic()
     end = now + until
@@ -250,21 +250,21 @@ def _verdict(life: Life, until: float, step: float) -> str | None:
 def test_a_process_that_waits_gives_no_sign_of_life() -> None:
     """And one that is stopped is told apart."""
     with _running("print(flush=True); input()") as process:
-        assert "no processor time" in str(_verdict(Life(process.pid, 10.0, time.monotonic()), 60.0, 1.0))
+        assert "no processor time" in str(_verdict(HangDetector(process.pid, 10.0, time.monotonic()), 60.0, 1.0))
         os.kill(process.pid, signal.SIGSTOP)
         os.waitpid(process.pid, os.WUNTRACED)
-        assert "stopped by a signal" in str(_verdict(Life(process.pid, 10.0, time.monotonic()), 60.0, 1.0))
+        assert "stopped by a signal" in str(_verdict(HangDetector(process.pid, 10.0, time.monotonic()), 60.0, 1.0))
 
 
 def test_a_process_that_asks_for_memory_makes_headway() -> None:
     with _running("print(flush=True)\nkept = []\nwhile input() is not None: kept.append(b'x' * 9_000_000)") as process:
         assert process.stdin is not None
         now = time.monotonic()
-        life = Life(process.pid, 10.0, now)
+        life = HangDetector(process.pid, 10.0, now)
         for look in range(1, 4 * LONGER):
-            seen = family.resident(process.pid)
+            seen = processes.resident(process.pid)
             process.stdin.write(b"\n")
             process.stdin.flush()
-            while family.resident(process.pid) < seen + 8_000_000:
+            while processes.resident(process.pid) < seen + 8_000_000:
                 pass
             assert life.look(now + 6.0 * look) is None

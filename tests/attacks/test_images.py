@@ -20,7 +20,7 @@ from tests.support.peer import greeted
 from xpl import images
 from xpl.observation import ObservationError
 from xpl_cli.serving import decoding
-from xpl_cli.serving.launch import RunningServer, serving
+from xpl_cli.serving.launch import RunningServer, running_server
 
 MODEL = """
     class Model:
@@ -39,7 +39,7 @@ SIDE = 5600
 @pytest.fixture(scope="module")
 def server(write_adapter: Callable[..., Path]) -> Iterator[RunningServer]:
     """Serve a model that tells the shapes of images."""
-    with serving(write_adapter(MODEL), {"request_timeout_s": 60}) as running:
+    with running_server(write_adapter(MODEL), {"request_timeout_s": 60}) as running:
         yield running
 
 

@@ -21,7 +21,7 @@ from xpl_cli.evaluation.loop.desk import EndlessError
 from xpl_cli.evaluation.loop.process import Limits, Loop, LoopLostError, LoopRaisedError
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.cells import survivors
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import environments
 
 FORGED = """
@@ -138,7 +138,7 @@ REACHES = """
 """
 
 
-@pytest.mark.skipif(not Bounds.here(ROOT, isolate=False).apart, reason="the system has no PID namespaces")
+@pytest.mark.skipif(not IsolationSettings.here(ROOT, isolate=False).apart, reason="the system has no PID namespaces")
 def test_a_loop_neither_sees_nor_signals_the_process_that_judges(room: Path) -> None:
     """It kills and opens the memory of all that it sees, which is nothing: its episode ends as any other."""
     _deploy(room, REACHES)

@@ -14,8 +14,8 @@ from tests.support.examples import examples
 from tests.support.peer import greeted
 from xpl.process import link
 from xpl.wire.frame import PREFIX_BYTES, PackingError
-from xpl_cli.serving.workers import heads
-from xpl_cli.serving.workers.worker import ANSWER_BYTES
+from xpl_cli.serving.workers import worker_answers
+from xpl_cli.serving.workers.process import ANSWER_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -102,13 +102,13 @@ anything = st.recursive(
 @settings(max_examples=examples(200), deadline=None)
 @given(told=anything, results=st.integers(0, 3), count=st.integers(0, 3))
 def test_a_head_is_understood_or_refused_in_one_sentence(told: Any, results: int, count: int) -> None:
-    with contextlib.suppress(heads.HeadError):
-        assert len(heads.answers({"answers": told}, [memoryview(b"")] * results, count)) == count
+    with contextlib.suppress(worker_answers.WorkerAnswerError):
+        assert len(worker_answers.answers({"answers": told}, [memoryview(b"")] * results, count)) == count
     for head in ({"ok": told}, {"error": told}):
-        with contextlib.suppress(heads.HeadError):
-            assert told is None or isinstance(heads.outcome(head), dict | heads.Raised)
-    with pytest.raises(heads.HeadError, match="expected ok or error"):
-        heads.outcome({"other": told})
+        with contextlib.suppress(worker_answers.WorkerAnswerError):
+            assert told is None or isinstance(worker_answers.outcome(head), dict | worker_answers.AdapterException)
+    with pytest.raises(worker_answers.WorkerAnswerError, match="expected ok or error"):
+        worker_answers.outcome({"other": told})
 
 
 def test_a_head_is_small() -> None:

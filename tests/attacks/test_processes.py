@@ -14,9 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import peer
 from tests.support.outside.raw import page
-from tests.support.peer import DEADLINE_S, MARK, processes, wait_until
-from xpl_cli.isolation import family
+from tests.support.peer import DEADLINE_S, MARK, wait_until
+from xpl_cli.isolation import processes
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="finds processes through /proc")
 
@@ -57,7 +58,7 @@ def started(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[byte
     try:
         yield process, mark
     finally:
-        for pid in processes(mark):
+        for pid in peer.processes(mark):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         process.communicate()
@@ -65,12 +66,12 @@ def started(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[byte
 
 def strays(mark: str) -> list[int]:
     """Return the processes that an adapter has started."""
-    return [pid for pid, command in processes(mark).items() if command.strip().endswith(WAITING)]
+    return [pid for pid, command in peer.processes(mark).items() if command.strip().endswith(WAITING)]
 
 
 def states(mark: str) -> list[str]:
     found = []
-    for pid in processes(mark):
+    for pid in peer.processes(mark):
         with contextlib.suppress(OSError):
             found.append(Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0])
     return found
@@ -99,7 +100,7 @@ def test_nothing_is_left_of_an_adapter_that_loads(
             wait_until(lambda: awaited in states(mark), "the adapter is stopped")
         process.send_signal(number)
         process.wait(DEADLINE_S)
-        wait_until(lambda: not processes(mark), "nothing is left")
+        wait_until(lambda: not peer.processes(mark), "nothing is left")
 
 
 def test_a_worker_that_is_killed_takes_all_of_its_own_along(write_adapter: Callable[..., Path]) -> None:
@@ -120,7 +121,7 @@ def test_an_adapter_that_kills_its_keeper_ends(write_adapter: Callable[..., Path
     folder = write_adapter(AWAY + "import os, signal; os.kill(os.getppid(), signal.SIGKILL)\n" + MODEL)
     with started(folder) as (process, mark):
         assert process.wait(DEADLINE_S) == 4
-        wait_until(lambda: not processes(mark), "nothing is left")
+        wait_until(lambda: not peer.processes(mark), "nothing is left")
 
 
 def test_a_pipeline_keeps_its_other_commands(write_adapter: Callable[..., Path], tmp_path: Path) -> None:
@@ -151,7 +152,7 @@ def test_a_pipeline_keeps_its_other_commands(write_adapter: Callable[..., Path],
         assert server.wait(DEADLINE_S) == 0
         assert reader.wait(DEADLINE_S) == 0
         assert done.read_text(encoding="utf-8") == "done"
-        assert not processes(mark)
+        assert not peer.processes(mark)
     finally:
         for process in (server, reader):
             if process.poll() is None:
@@ -176,11 +177,11 @@ def test_what_a_shell_had_started_before_it_became_the_server_is_spared(
     with subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE, start_new_session=True) as server:
         assert server.stderr is not None
 
-        def reader() -> list[family.Member]:
-            found = family.descendants(server.pid)  # their commands are cut, and a checkout's path may be long
+        def reader() -> list[processes.ProcessInfo]:
+            found = processes.descendants(server.pid)  # their commands are cut, and a checkout's path may be long
             return [one for one in found if b"sys.stdin.read()" in Path(f"/proc/{one.pid}/cmdline").read_bytes()]
 
-        wait_until(lambda: len(family.descendants(server.pid)) == 3 and reader(), "reader, keeper and worker run")
+        wait_until(lambda: len(processes.descendants(server.pid)) == 3 and reader(), "reader, keeper and worker run")
         (spared,) = reader()
         server.send_signal(signal.SIGTERM)
         server.send_signal(signal.SIGTERM)

@@ -23,8 +23,8 @@ from tests.data import made
 from xpl.trajectory import TrajectoryError, open_folder
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.reading import open_set
-from xpl_cli.data.sets.bounds import Bounds
 from xpl_cli.data.sets.errors import DataError
+from xpl_cli.data.sets.limits import ReadLimits
 
 Make = Callable[[Path], Any]
 DEEP = "[" * 100_000
@@ -456,7 +456,7 @@ def test_a_set_is_as_large_as_its_files(tmp_path: Path) -> None:
         (folder / f"link{number}").symlink_to("below/file")
     for name, target in {"core": "/proc/kcore", "circle": "circle", "none": "nothing", "up": "..", "root": "/"}.items():
         (folder / name).symlink_to(target)
-    assert Bounds.of(folder).size == 100_000
+    assert ReadLimits.of(folder).size == 100_000
 
 
 @pytest.mark.parametrize(
@@ -478,7 +478,7 @@ def test_a_reader_is_held_to_its_bounds(tmp_path: Path, monkeypatch: pytest.Monk
     (folder / "METADATA").write_text("Name: greedy\nVersion: 1.0\n")
     (folder / "entry_points.txt").write_text("[xpl.formats]\ndata.greedy = greedy\n")
     monkeypatch.syspath_prepend(tmp_path / "site")
-    monkeypatch.setattr(Bounds, "of", classmethod(lambda cls, _path: cls(64 << 20, 0.5)))
+    monkeypatch.setattr(ReadLimits, "of", classmethod(lambda cls, _path: cls(64 << 20, 0.5)))
     (tmp_path / "set").mkdir()
     with pytest.raises((DataError, RuntimeError), match=told):
         open_set(tmp_path / "set")

@@ -19,7 +19,7 @@ from tests.support.killable import listens
 from tests.support.outside.raw import page
 from tests.support.peer import DEADLINE_S, wait_until
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.serving.launch import LINE_BYTES, serving
+from xpl_cli.serving.launch import LINE_BYTES, running_server
 
 MODEL = """
     class Model:
@@ -113,6 +113,6 @@ main.run()
 def test_a_line_without_an_end_is_cut(write_adapter: Callable[..., Path]) -> None:
     """What an adapter prints takes no more memory than the log has lines."""
     flood = "print('x' * 4_000_000, end='', flush=True)"
-    with serving(write_adapter(f"{flood}\n{textwrap.dedent(MODEL)}")) as server:
+    with running_server(write_adapter(f"{flood}\n{textwrap.dedent(MODEL)}")) as server:
         wait_until(lambda: sum(map(len, list(server.log))) >= 3_900_000, "it is all there")
         assert max(map(len, list(server.log))) <= LINE_BYTES

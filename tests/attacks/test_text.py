@@ -28,7 +28,7 @@ from xpl_cli.audit.formats import Context, render
 from xpl_cli.audit.formats.listing import listed
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, Fix, GateReport, Outcome, Result, TargetReport
-from xpl_cli.basics import failures, pages, strangers
+from xpl_cli.basics import failures, pages, untrusted
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.formats import REPORTS
 from xpl_cli.evaluation.report import episodes, markdown
@@ -121,7 +121,7 @@ def test_a_comment_holds_nothing_of_a_name_but_its_letters(text: str) -> None:
 @given(text=TEXT)
 def test_a_sentence_in_markdown_links_and_calls_nowhere(text: str) -> None:
     """Not even where the platform makes links of what looks like one."""
-    said = strangers.in_markdown(text)
+    said = untrusted.in_markdown(text)
     assert STEERING.search(said) is None
     assert "\n" not in said
     assert "<" not in said
@@ -131,7 +131,7 @@ def test_a_sentence_in_markdown_links_and_calls_nowhere(text: str) -> None:
 @given(text=TEXT)
 def test_written_out_text_means_the_same_in_json(text: str) -> None:
     """So that whatever prints JSON may be read on a terminal, and by a program."""
-    written = strangers.harmless(json.dumps({"a": text}, ensure_ascii=False))
+    written = untrusted.harmless(json.dumps({"a": text}, ensure_ascii=False))
     assert STEERING.search(written) is None
     assert json.loads(written)["a"].encode("utf-16", "surrogatepass") == text.encode("utf-16", "surrogatepass")
 
@@ -139,7 +139,7 @@ def test_written_out_text_means_the_same_in_json(text: str) -> None:
 @pytest.mark.parametrize("text", ["\udcff", *(word for word in EVIL if "\0" not in word)])
 def test_a_command_that_is_offered_is_one_line_and_one_word(text: str) -> None:
     """What is pasted into bash arrives there letter by letter, and nothing of it runs."""
-    line = strangers.command(["printf", "%s", text])
+    line = untrusted.command(["printf", "%s", text])
     assert "\n" not in line
     assert STEERING.search(line) is None
     bash = shutil.which("bash")

@@ -18,7 +18,7 @@ from tests.support.peer import DEADLINE_S, xpl
 from tests.support.places import ROOT
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.serving.launch import serving
+from xpl_cli.serving.launch import running_server
 
 TUTORIAL = list(pages.blocks([ROOT / "docs" / "tutorial.md"]))
 SERVED = [block for block in pages.blocks() if block.mark == "runs with a server"]
@@ -99,7 +99,7 @@ def test_the_tour_of_the_readme_begins_and_ends_as_written(tmp_path: Path) -> No
 @pytest.fixture(scope="module")
 def url() -> Any:
     """Return the address of a server that answers for two arms."""
-    with serving(ROOT / "policy" / "demo_policy", {"env_cfg_type": "arx_x5"}) as server:
+    with running_server(ROOT / "policy" / "demo_policy", {"env_cfg_type": "arx_x5"}) as server:
         yield server.url
 
 

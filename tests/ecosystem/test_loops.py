@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 from xpl import rollout
 from xpl_cli.basics.content import load_module, room
 from xpl_cli.packages import environments
-from xpl_cli.serving.launch import serving
+from xpl_cli.serving.launch import running_server
 from xpl_cli.standard import spec
 
 CHUNK = 4
@@ -105,7 +105,7 @@ def test_the_scaffolds_loop_ends_in_the_public_debug_client(tmp_path: Path, *, b
     (tree / "policy" / "__init__.py").touch()
     (tree / "policy" / "demo_policy").symlink_to(OURS.parent)
     (tmp_path / "h5py.py").touch()  # a module that its tools import, and the client does not use
-    with serving(OURS.parent, {}) as server:
+    with running_server(OURS.parent, {}) as server:
         port = server.url.rsplit(":", 1)[1].strip("/")
         words = ["debug_env_client.py", "--bench_name", "RoboDojo", "--task_name", "stack_bowls"]
         words += ["--env_cfg_type", "arx_x5", "--policy_name", "demo_policy", "--port", port, "--host", "127.0.0.1"]

@@ -262,7 +262,7 @@ def _lanes(mark: str) -> list[int]:
 
 def _servers(mark: str) -> list[int]:
     """Return the servers: they are forked from a process of the same command line."""
-    found = [pid for pid, line in processes(mark).items() if "nursery" in line]
+    found = [pid for pid, line in processes(mark).items() if "fork_server" in line]
     parents = {pid: int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1]) for pid in found}
     return [pid for pid in found if parents[pid] in found]
 

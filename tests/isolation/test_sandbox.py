@@ -22,10 +22,10 @@ from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.isolation import family, plan, sandbox, seccomp
+from xpl_cli.isolation import plan, processes, sandbox, seccomp
 from xpl_cli.isolation.sandbox import MemoryLimit
 from xpl_cli.main import app
-from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
+from xpl_cli.serving.launch import RunningServer, ServerStartError, running_server
 
 Write = Callable[..., Path]
 Serve = Callable[..., RunningServer]
@@ -135,7 +135,7 @@ def test_memory_is_limited_while_the_model_loads(write_adapter: Write) -> None:
         pytest.raises(
             ServerStartError, match=r"could not be loaded: the adapter used .* more than the limit of 300 MB"
         ),
-        serving(write_adapter(SUBJECT), {"hog": 10**9}, options=("--memory-limit", "300MB")),
+        running_server(write_adapter(SUBJECT), {"hog": 10**9}, options=("--memory-limit", "300MB")),
     ):
         pass
 
@@ -159,8 +159,8 @@ def test_shared_pages_count_once() -> None:
     assert process.stdout is not None
     try:
         process.stdout.readline()
-        assert sum(map(family.resident, family.with_descendants(process.pid))) > 800 * 10**6
-        assert family.shared_out_memory(process.pid) < 300 * 10**6
+        assert sum(map(processes.resident, processes.with_descendants(process.pid))) > 800 * 10**6
+        assert processes.shared_out_memory(process.pid) < 300 * 10**6
     finally:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
@@ -186,8 +186,8 @@ def test_files_in_memory_count_once(way: str) -> None:
     assert process.stdout is not None
     try:
         process.stdout.readline()
-        assert 200 << 20 <= family.shared_out_memory(process.pid) < 300 << 20
-        assert 200 << 20 <= family.in_files(family.with_descendants(process.pid)) < 300 << 20
+        assert 200 << 20 <= processes.shared_out_memory(process.pid) < 300 << 20
+        assert 200 << 20 <= processes.in_files(processes.with_descendants(process.pid)) < 300 << 20
     finally:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
@@ -198,7 +198,7 @@ def test_files_in_memory_count_once(way: str) -> None:
 def test_an_isolated_adapter_has_no_network_and_writes_nothing(write_adapter: Write) -> None:
     """Home and temporary files are its own and go with it; shared memory works; not even root undoes it inside."""
     folder = write_adapter(SUBJECT)
-    with serving(folder, options=("--isolate",)) as server:
+    with running_server(folder, options=("--isolate",)) as server:
         with socket.create_server(("127.0.0.1", 0)) as listener:
             assert _ask(server, "connect", listener.getsockname()[1]) != 0
         assert _ask(server, "undo", str(folder)) != 0
@@ -221,7 +221,7 @@ def test_an_isolated_adapter_that_hangs_shows_where(write_adapter: Write) -> Non
         overrides = {"hang": True, "max_connect_seconds": seconds}
         with (
             pytest.raises(ServerStartError, match=f"within {seconds} s") as raised,
-            serving(adapter, overrides, options=("--isolate",)),
+            running_server(adapter, overrides, options=("--isolate",)),
         ):
             pass
         if any("__init__" in line for line in raised.value.log):

@@ -28,7 +28,7 @@ from xpl_cli.lifecycle.checkpoints import fetch as fetching
 from xpl_cli.lifecycle.checkpoints import specification
 from xpl_cli.lifecycle.checkpoints.specification import digest_of
 from xpl_cli.packages import package
-from xpl_cli.serving.launch import ServerStartError, serving
+from xpl_cli.serving.launch import ServerStartError, running_server
 
 WEIGHTS = bytes(range(256)) * 4096  # a megabyte
 CONFIG = b'{"layers": 2}'
@@ -232,10 +232,10 @@ def test_what_is_fetched_is_served(given: Path, tmp_path: Path) -> None:
         "        self.weights = checkpoint.resolve(config, Path(__file__).parent).read_bytes()\n"
         "    def infer(self, observation): return [len(self.weights)]\n"
     )
-    with pytest.raises(ServerStartError, match="xpl checkpoint fetch"), serving(subject):
+    with pytest.raises(ServerStartError, match="xpl checkpoint fetch"), running_server(subject):
         pass
     assert run("fetch", tmp_path).returncode == 0
-    with serving(subject) as server, Client(server.url) as client:
+    with running_server(subject) as server, Client(server.url) as client:
         assert client.infer({}) == [len(WEIGHTS)]
 
 

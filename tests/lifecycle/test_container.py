@@ -19,7 +19,7 @@ from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import UserError
 from xpl_cli.lifecycle import container
 from xpl_cli.packages import package
-from xpl_cli.serving.launch import serving
+from xpl_cli.serving.launch import running_server
 
 INSTRUCTIONS = frozenset(
     ("ARG", "CMD", "COPY", "ENTRYPOINT", "ENV", "EXPOSE", "FROM", "HEALTHCHECK", "RUN", "STOPSIGNAL", "USER", "VOLUME",
@@ -136,7 +136,7 @@ def test_the_health_check_asks_a_real_server(tmp_path: Path) -> None:
     text = container.recipe(package.load(folder))[container.DOCKERFILE]
     check = json.loads(dict(instructions(text))["HEALTHCHECK"].partition("CMD ")[2])
     assert check[:2] == ["python", "-c"]
-    with serving(folder, options=["--token-file", str(token)]) as server:
+    with running_server(folder, options=["--token-file", str(token)]) as server:
         port = server.url.rpartition(":")[2]
         code = check[2].replace("/run/secrets/token", str(token)).replace("127.0.0.1:8000", f"127.0.0.1:{port}")
         assert subprocess.run([sys.executable, "-c", code], check=False, env={**os.environ}).returncode == 0

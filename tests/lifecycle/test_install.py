@@ -27,7 +27,7 @@ from xpl_cli.lifecycle import interpreter
 from xpl_cli.lifecycle.python_env import installers, place, pythons
 from xpl_cli.lifecycle.python_env.plan import Plan, plan_of
 from xpl_cli.packages import package
-from xpl_cli.serving.launch import serving
+from xpl_cli.serving.launch import running_server
 
 INSTALLERS = [
     pytest.param("uv", marks=pytest.mark.skipif(not shutil.which("uv"), reason="uv is not on PATH")),
@@ -171,7 +171,7 @@ def test_a_lock_becomes_an_environment_that_serves(
 
     surroundings.undo()
     surroundings.setenv("PYTHONPATH", str(ROOT))
-    with serving(folder) as server, Client(server.url) as client:
+    with running_server(folder) as server, Client(server.url) as client:
         assert client.infer({}) == [1, str((folder / ".venv").resolve())]
 
 

@@ -22,7 +22,7 @@ from tests.support.places import ROOT, copy
 from xpl import Client, training
 from xpl.trajectory import Writer
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.isolation import errand
+from xpl_cli.isolation import subprocess_task
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
@@ -121,13 +121,13 @@ def test_what_ships_answers_a_client_as_it_answers_in_one_process(tmp_path: Path
     """To the last bit: XPL255 cannot ask a policy that wants what only a simulator tells, so this does."""
     folder = copy(tmp_path, f"policy/{name}/**") / "policy" / name
     found = package.load(str(folder), {"variant": "state"})
-    place = errand.Place(python=PYTHON, checkout=folder, patience=600, limit_s=1800)
+    place = subprocess_task.TaskSettings(python=PYTHON, checkout=folder, patience=600, limit_s=1800)
     seen = [{**_observation(step), "env_idx": 0} for step in range(6)]
     calls: list[tuple[str, list[Any]]] = [("reset", [])]
     for obs in seen:
         calls += [("update_obs", [obs]), ("get_action", [])]
     order = {"policy_dir": str(folder), "config": found.config({}), "manifest": found.manifest.data, "script": calls}
-    done = errand.run("xpl.worker.inprocess", {**order, "watch": False}, place)
+    done = subprocess_task.run("xpl.worker.inprocess", {**order, "watch": False}, place)
     local = [
         answer.result for answer, (method, _) in zip(done.answers[1:], calls, strict=True) if method == "get_action"
     ]

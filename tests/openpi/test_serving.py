@@ -16,8 +16,8 @@ from tests.support.peer import DEADLINE_S, Peer, wait_until
 from xpl import Client
 from xpl.manifest import Manifest
 from xpl_cli.basics.errors import UserError
-from xpl_cli.serving.launch import RunningServer, serving
-from xpl_cli.serving.wires import entrances
+from xpl_cli.serving.launch import RunningServer, running_server
+from xpl_cli.serving.wires import extra_endpoints
 
 DROID = {"openpi": {"style": "droid"}}
 ALSO = ("--also", "openpi")
@@ -70,7 +70,7 @@ def subject(write_adapter: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="module")
 def server(subject: Path) -> Iterator[RunningServer]:
-    with serving(subject, DROID, options=ALSO) as running:
+    with running_server(subject, DROID, options=ALSO) as running:
         yield running
 
 
@@ -156,7 +156,7 @@ def test_a_token_is_asked_for_here_too(subject: Path, tmp_path: Path) -> None:
     file = tmp_path / "token"
     file.touch(0o600)
     file.write_text(TOKEN)
-    with serving(subject, DROID, options=(*ALSO, "--token-file", str(file))) as running:
+    with running_server(subject, DROID, options=(*ALSO, "--token-file", str(file))) as running:
         for wrong in (None, "another-token-of-some-length"):
             with pytest.raises(InvalidStatus, match="401"):
                 OpenpiPeer(running.also["openpi"], wrong)
@@ -186,12 +186,12 @@ LIBERO = {"env_cfg_type": "franka_single", "action_type": "joint", "openpi": {"s
 )
 def test_other_wires_are_refused(also: list[str], told: str) -> None:
     with pytest.raises(UserError, match=told):
-        entrances(also, LIBERO, Manifest(), {})
+        extra_endpoints(also, LIBERO, Manifest(), {})
 
 
 def test_an_entrance_has_the_port_that_was_asked_for() -> None:
     found = [
-        {name: one.port for name, one in entrances(also, LIBERO, Manifest(), {}).items()}
+        {name: one.port for name, one in extra_endpoints(also, LIBERO, Manifest(), {}).items()}
         for also in ([], ["openpi"], ["openpi:8001"])
     ]
     assert found == [{}, {"openpi": 0}, {"openpi": 8001}]
@@ -199,4 +199,4 @@ def test_an_entrance_has_the_port_that_was_asked_for() -> None:
 
 def test_names_that_lead_nowhere_are_refused() -> None:
     with pytest.raises(UserError, match=r"--also openpi: .*images.cam_left_wrist must stand for"):
-        entrances(["openpi"], {**LIBERO, "openpi": {"style": "aloha"}}, Manifest(), {})
+        extra_endpoints(["openpi"], {**LIBERO, "openpi": {"style": "aloha"}}, Manifest(), {})

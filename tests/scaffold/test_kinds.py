@@ -33,7 +33,7 @@ from xpl_cli.basics import content
 from xpl_cli.basics.errors import UserError
 from xpl_cli.scaffold import adapter as scaffold
 from xpl_cli.scaffold import kinds, lock, update
-from xpl_cli.serving.launch import serving
+from xpl_cli.serving.launch import running_server
 from xpl_cli.standard.validate import validate_yaml_file
 
 if TYPE_CHECKING:
@@ -300,9 +300,9 @@ def test_joints_are_kept_inside_their_limits(seed: int, name: str) -> None:
 
 def test_a_remote_policy_passes_every_request_on(tmp_path: Path) -> None:
     behind, adapter = _written(tmp_path / "Behind", chunk=2), _written(tmp_path / "Far", kind="remote", chunk=2)
-    with serving(behind) as server:
+    with running_server(behind) as server:
         _point(adapter, server.url)
-        with serving(adapter) as far, Client(far.url) as policy:
+        with running_server(adapter) as far, Client(far.url) as policy:
             policy.update_obs(_observation(0))
             assert [_position(step) for step in policy.get_action()] == [0, 0]
             policy.reset()
@@ -328,9 +328,9 @@ def _position(step: dict[str, Any]) -> int:
 def test_a_remote_policy_for_another_robot_is_refused_before_the_first_step(tmp_path: Path) -> None:
     behind = _written(tmp_path / "Behind", embodiment="franka_single")
     adapter = _written(tmp_path / "Far", kind="remote")
-    with serving(behind) as server:
+    with running_server(behind) as server:
         _point(adapter, server.url)
-        with pytest.raises(UserError, match="franka_single"), serving(adapter):
+        with pytest.raises(UserError, match="franka_single"), running_server(adapter):
             pass  # pragma: no cover
 
 
@@ -339,7 +339,7 @@ def test_a_remote_policy_for_another_robot_is_refused_before_the_first_step(tmp_
 def test_a_remote_policy_passes_all_gates(tmp_path: Path) -> None:
     chosen = {"ensembling": 0.01}
     behind, adapter = _written(tmp_path / "Behind", **chosen), _written(tmp_path / "Far", kind="remote", **chosen)
-    with serving(behind, options=PLACES) as server:
+    with running_server(behind, options=PLACES) as server:
         _point(adapter, server.url)
         assert _bad(adapter, *Gate) == []
 
@@ -369,7 +369,7 @@ def test_a_remote_policy_runs_in_an_environment_of_its_own(tmp_path: Path) -> No
     )
     if done.returncode:
         pytest.skip(f"packages cannot be installed here: {done.stderr.strip().splitlines()[-1]}")
-    with serving(behind, options=PLACES) as server:
+    with running_server(behind, options=PLACES) as server:
         _point(adapter, server.url)
         assert _bad(adapter, Gate.OFFLINE, names=("action-structure", "batch-order", "reset-twice")) == []
 

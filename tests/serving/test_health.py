@@ -26,8 +26,8 @@ from tests.support.peer import DEADLINE_S, Peer, greeted, wait_until
 from xpl import Client
 from xpl.client import AsyncClient, PolicyServerError, ServerConnectionError
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.serving import nursery
-from xpl_cli.serving.launch import RunningServer, serving
+from xpl_cli.serving import fork_server
+from xpl_cli.serving.launch import RunningServer, running_server
 
 # Waits on named pipes: while it loads, and where an observation says so.
 SUBJECT = """
@@ -69,7 +69,7 @@ class Started:
         log: what it wrote on standard error.
     """
 
-    process: subprocess.Popen[bytes] | nursery.Hosted
+    process: subprocess.Popen[bytes] | fork_server.ForkedServer
     url: str
     log: collections.deque[str] = field(default_factory=collections.deque)
 
@@ -101,7 +101,7 @@ def start(subject: Path) -> Iterator[Callable[..., Started]]:
             arguments = ["serve", str(subject), "--port", str(port)]
             for name, value in overrides.items():
                 arguments += ["--set", f"{name}={json.dumps(value)}"]
-            process = anew(arguments, constants) if constants else nursery.start(arguments)
+            process = anew(arguments, constants) if constants else fork_server.start(arguments)
             started = Started(process, f"ws://127.0.0.1:{port}")
             assert process.stderr is not None
             reader = threading.Thread(target=read_lines, args=(process.stderr, started.log))
@@ -126,7 +126,7 @@ def read_lines(stream: IO[bytes], log: collections.deque[str]) -> None:
         log.append(line.decode().rstrip("\n"))
 
 
-def end(process: subprocess.Popen[bytes] | nursery.Hosted, reader: threading.Thread) -> None:
+def end(process: subprocess.Popen[bytes] | fork_server.ForkedServer, reader: threading.Thread) -> None:
     for _ in range(2):
         process.terminate()
     process.wait(DEADLINE_S)
@@ -252,7 +252,7 @@ def trace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def watched(subject: Path, trace: Path) -> Iterator[RunningServer]:
     """Serve the adapter with everything that operators may ask for."""
-    with serving(subject, options=["--metrics", "--trace", str(trace)]) as server:
+    with running_server(subject, options=["--metrics", "--trace", str(trace)]) as server:
         yield server
 
 

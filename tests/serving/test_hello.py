@@ -12,7 +12,7 @@ from tests.support.peer import xpl
 from xpl import Client
 from xpl.client import AsyncClient, ClientError, EnvironmentMismatchError, PolicyServerError
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.serving.launch import RunningServer, serving
+from xpl_cli.serving.launch import RunningServer, running_server
 
 if TYPE_CHECKING:
     from xpl.wire.codec import Frame
@@ -48,7 +48,7 @@ MISMATCHES: list[tuple[dict[str, Any], list[str]]] = [
 @pytest.fixture(scope="module")
 def shared(write_adapter: Callable[..., Path]) -> Iterator[RunningServer]:
     """Serve an adapter that says what it needs."""
-    with serving(write_adapter(SUBJECT, **MANIFEST)) as server:
+    with running_server(write_adapter(SUBJECT, **MANIFEST)) as server:
         yield server
 
 

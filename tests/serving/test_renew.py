@@ -8,7 +8,7 @@ import pytest
 
 from xpl import Client
 from xpl.client import ClientError
-from xpl_cli.serving.launch import serving
+from xpl_cli.serving.launch import running_server
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,13 +52,13 @@ def test_every_client_gets_a_model_that_was_just_built(
     options: tuple[str, ...], second: list[int], write_adapter: Callable[..., Path]
 ) -> None:
     """Neither the model nor its modules know of the client before; without the option the model goes on."""
-    with serving(_counting(write_adapter, "from . import shelf"), options=options) as server:
+    with running_server(_counting(write_adapter, "from . import shelf"), options=options) as server:
         assert [_asked(server.url) for _ in range(2)] == [[1, 1], second]
 
 
 def test_a_model_that_cannot_be_built_twice_ends_the_server(write_adapter: Callable[..., Path]) -> None:
     """The client is told why; nobody is served by half a model."""
-    with serving(_counting(write_adapter, "import sys as shelf"), options=["--renew"]) as server:
+    with running_server(_counting(write_adapter, "import sys as shelf"), options=["--renew"]) as server:
         _asked(server.url)
         with pytest.raises(ClientError, match="only one robot"):
             _asked(server.url)

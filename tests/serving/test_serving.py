@@ -22,7 +22,7 @@ from xpl import Client, images
 from xpl import _spec as spec
 from xpl.wire import codec
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
+from xpl_cli.serving.launch import RunningServer, ServerStartError, running_server
 
 # Counts what runs, shows what it was given, and does on request everything an adapter should not do.
 SUBJECT = """
@@ -107,7 +107,7 @@ def subject(write_adapter: Callable[..., Path]) -> Path:
 @pytest.fixture(scope="module")
 def shared(subject: Path) -> Iterator[RunningServer]:
     """Serve it once for all tests that leave the server as it was."""
-    with serving(subject) as server:
+    with running_server(subject) as server:
         yield server
 
 

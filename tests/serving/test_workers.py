@@ -20,7 +20,7 @@ from xpl import _spec as spec
 from xpl.client import PolicyServerError, ServerConnectionError, ServerFailedError
 from xpl.wire import codec
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
+from xpl_cli.serving.launch import RunningServer, ServerStartError, running_server
 
 # Answers with the process and all that it was shown in the episode.
 SUBJECT = """
@@ -89,14 +89,14 @@ def subject(write_adapter: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="module")
 def pair(subject: Path) -> Iterator[RunningServer]:
-    with serving(subject, options=["--workers", "2"]) as server:
+    with running_server(subject, options=["--workers", "2"]) as server:
         yield server
 
 
 @pytest.fixture(scope="module")
 def sharing(write_adapter: Callable[..., Path]) -> Iterator[RunningServer]:
     """Serve one model that all clients share; the place of a client that was cut off is soon free."""
-    with serving(write_adapter(SHARED, **SHARING), {"close_timeout_s": 0.2}) as server:
+    with running_server(write_adapter(SHARED, **SHARING), {"close_timeout_s": 0.2}) as server:
         yield server
 
 
@@ -295,7 +295,7 @@ def test_a_client_that_leaves_or_resets_disturbs_nobody(sharing: RunningServer) 
 )
 def test_a_model_that_cannot_be_shared_is_refused(write_adapter: Callable[..., Path], model: str, problem: str) -> None:
     """Before it is loaded, with what is missing."""
-    with pytest.raises(ServerStartError, match=problem) as refusal, serving(write_adapter(model, **SHARING)):
+    with pytest.raises(ServerStartError, match=problem) as refusal, running_server(write_adapter(model, **SHARING)):
         pass
     assert refusal.value.code == ExitCode.NOT_RUN
 

@@ -1,8 +1,9 @@
 """The command line in processes of its own, forked from one that has imported everything: a tenth of a start anew.
 
-It is the nursery that audits fork their servers from (`xpl_cli.serving.nursery`), with every command in it; its own
-tests hold that a forked command differs in nothing. What a command inherits instead of importing is all that is left
-out: where imports, the interpreter's own variables or its start are the subject, tests start `python -m xpl_cli`.
+It is the fork server that audits start their policy servers with (`xpl_cli.serving.fork_server`), with every command in
+it; its own tests hold that a forked command differs in nothing. What a command inherits instead of importing is all
+that is left out: where imports, the interpreter's own variables or its start are the subject, tests start
+`python -m xpl_cli`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from unittest import mock
 
 import xpl_cli
 from tests.support.places import ROOT
-from xpl_cli.serving import nursery
+from xpl_cli.serving import fork_server
 
 _START: Final = (
     "import sys; sys.path.insert(0, sys.argv[1]); from tests.support import forked; forked.main(sys.argv[2])"
@@ -81,9 +82,9 @@ def _of_interpreter(variables: Mapping[str, str]) -> dict[str, str]:
 
 
 @functools.cache
-def _commands() -> nursery.Nursery:
+def _commands() -> fork_server.ForkServer:
     with contextlib.chdir(ROOT), mock.patch.dict(os.environ, _AT_FIRST, clear=True):
-        made = nursery.Nursery(_START)
+        made = fork_server.ForkServer(_START)
     atexit.register(made.close)
     return made
 
@@ -95,27 +96,27 @@ def main(descriptor: str) -> None:
         if not name.endswith("__main__"):
             with contextlib.suppress(ImportError):  # an extra that is not there
                 importlib.import_module(name)
-    become = nursery._become
+    become = fork_server._become
 
-    def with_nursery(channel: socket.socket, order: Mapping[str, Any], descriptors: Sequence[int]) -> NoReturn:
+    def with_fork_server(channel: socket.socket, order: Mapping[str, Any], descriptors: Sequence[int]) -> NoReturn:
         channel.close()
         if _WITH_SERVERS.intersection(order["arguments"][:1]):
             made = _Forked(descriptors)
             atexit.register(made.close)
-            nursery._nursery = lambda _pid: made  # type: ignore[assignment]
+            fork_server._nursery = lambda _pid: made  # type: ignore[assignment]
         become(channel, order, descriptors)
 
-    nursery._become = with_nursery
-    nursery.main(int(descriptor))
+    fork_server._become = with_fork_server
+    fork_server.main(int(descriptor))
 
 
-class _Forked(nursery.Nursery):
-    """The nursery of a forked command: itself, before it has begun, rather than a process that imports all again."""
+class _Forked(fork_server.ForkServer):
+    """The fork server of a forked command: itself, before it has begun, and not a process that imports all again."""
 
     def __init__(self, descriptors: Sequence[int]) -> None:
         self._lock = threading.Lock()
         self._channel, theirs = socket.socketpair()
-        self._link = nursery.Channel(self._channel)
+        self._link = fork_server.Channel(self._channel)
         self._process = _Child(os.fork())  # type: ignore[assignment]
         if self._process.pid:
             theirs.close()
@@ -124,7 +125,7 @@ class _Forked(nursery.Nursery):
         for descriptor in descriptors:
             os.close(descriptor)
         os.setsid()
-        nursery.main(theirs.fileno())
+        fork_server.main(theirs.fileno())
         os._exit(0)
 
 

@@ -32,8 +32,8 @@ from xpl import _spec as spec
 from xpl import images
 from xpl.observation import ObservationError
 from xpl.wire import codec, packed
-from xpl_cli.serving.places import Places
-from xpl_cli.serving.session import Entry, RequestError
+from xpl_cli.serving.requests import ReplayEntry, RequestError
+from xpl_cli.serving.slots import SlotPool
 
 FACTOR, SLACK = 400, 2_000_000
 """Memory that reading may take: so many times the bytes that were read, and so many more.
@@ -181,12 +181,12 @@ class Sessions(RuleBasedStateMachine):
         self.tenancies: dict[int, int] = {}  # client -> tenancy that it must find again
         self.until: dict[int, float] = {}  # client -> until when its place must wait for it
         self.asked: dict[int, list[codec.Frame]] = {}  # tenancy -> requests in order
-        self.running: list[tuple[codec.Frame, Any, Entry]] = []
+        self.running: list[tuple[codec.Frame, Any, ReplayEntry]] = []
         self.runs: Counter[tuple[int, str]] = Counter()
 
     @initialize(workers=st.integers(1, 2), shared=st.integers(1, 2))
     def start(self, workers: int, shared: int) -> None:
-        self.places = Places(workers, shared, GRACE_S, clock=lambda: self.now)
+        self.places = SlotPool(workers, shared, GRACE_S, clock=lambda: self.now)
 
     @rule(client=CLIENTS)
     def come(self, client: int) -> None:

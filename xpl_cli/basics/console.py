@@ -15,7 +15,7 @@ from io import StringIO, TextIOWrapper
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.strangers import harmless, unheard
+from xpl_cli.basics.untrusted import harmless, unheard
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

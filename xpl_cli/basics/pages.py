@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from xpl_cli import __version__
 from xpl_cli.basics.content import room
-from xpl_cli.basics.strangers import harmless
+from xpl_cli.basics.untrusted import harmless
 
 
 def render(template: str, *, style: str, script: str | None = None, **values: object) -> str:

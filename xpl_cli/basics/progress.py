@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics import console
-from xpl_cli.basics.strangers import one_line
+from xpl_cli.basics.untrusted import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

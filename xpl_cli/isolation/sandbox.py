@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.sizes import size_of, told_size
-from xpl_cli.isolation import family, plan, seccomp
+from xpl_cli.isolation import plan, processes, seccomp
 
 if TYPE_CHECKING:
     import asyncio
@@ -47,7 +47,7 @@ _NAMESPACES = ("user", "pid", "ipc", "net", "mnt", "uts")
 _REFUSED = ("keyctl", "ptrace", "mount", "setns", "unshare", "bpf", "perf_event_open", "userfaultfd", "io_uring_setup")
 
 
-class Held(Protocol):
+class WatchedProcess(Protocol):
     """A process whose memory is watched.
 
     Attributes:
@@ -91,7 +91,7 @@ class MemoryLimit:
             raise UserError(f"--memory-limit takes a size such as 8GB, a share such as 80%, or none; got {told}")
         return cls(size, asked)
 
-    async def hold(self, process: Held) -> None:
+    async def hold(self, process: WatchedProcess) -> None:
         """Watch a worker until it ends, and end it with a clear reason when it holds more."""
         import asyncio  # slow to import, and whoever only reads a limit needs none of it
 
@@ -99,11 +99,11 @@ class MemoryLimit:
             if process.died.done():
                 return
             if look % _LOOKS_PER_SEARCH == 0:  # on a machine with thousands of processes a search takes its time
-                pids = await asyncio.to_thread(family.with_descendants, process.pid)
-                files = await asyncio.to_thread(family.in_files, pids)
+                pids = await asyncio.to_thread(processes.with_descendants, process.pid)
+                files = await asyncio.to_thread(processes.in_files, pids)
             # A page that processes share counts twice at first sight, and is worth a closer look only if that matters.
-            if files + sum(map(family.resident, pids)) > self.size:
-                used = await asyncio.to_thread(family.shared_out_memory, process.pid)
+            if files + sum(map(processes.resident, pids)) > self.size:
+                used = await asyncio.to_thread(processes.shared_out_memory, process.pid)
                 if used > self.size:
                     process.kill(self._exceeded(used))
                     return

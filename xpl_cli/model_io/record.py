@@ -13,8 +13,8 @@ from xpl.convert import ConversionError
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
-from xpl_cli.basics.strangers import command
-from xpl_cli.isolation import errand
+from xpl_cli.basics.untrusted import command
+from xpl_cli.isolation import subprocess_task
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.model_io import names, pairs, provenance, reading, renewal, script
 from xpl_cli.model_io.pairs import Answer, Pairs, Session
@@ -194,14 +194,14 @@ def _asked(package: Package, session: Session, options: Options) -> tuple[list[S
     whole = len(asking) * rounds
     name = f"{session.embodiment}, {session.action_type}"
     options.progress.step(f"{names.CODE}: {name}, {sum(len(call.ask) for call in asking)} questions")
-    place = errand.Place(
+    place = subprocess_task.TaskSettings(
         python=interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=options.env),
         checkout=package.path,
         patience=options.patience,
         limit_s=names.RECORD_S,
         heard=lambda count: options.progress.detail(f"{names.CODE}: {name}, {min(count - 1, whole)} of {whole}"),
     )
-    done = errand.run("xpl.worker.reference", order, place)
+    done = subprocess_task.run("xpl.worker.reference", order, place)
     for number, answer in enumerate(done.answers):
         if answer.error is not None:
             raise UserError(_failure(answer, number, asking), hint="reference.py speaks the standard: docs/contract.md")
@@ -220,7 +220,7 @@ def _told(call: Call, session: Session) -> dict[str, Any]:
     return {"show": [[env, session.scene.observation(env, place)] for env, place in call.show]}
 
 
-def _failure(answer: errand.Answer, number: int, asking: Sequence[Call]) -> str:
+def _failure(answer: subprocess_task.TaskAnswer, number: int, asking: Sequence[Call]) -> str:
     """Return what went wrong in reference.py, and where."""
     at = f" ({answer.trace})" if answer.trace else ""
     if number == 0:

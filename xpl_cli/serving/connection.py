@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 from picows import WSCloseCode, WSListener, WSMsgType
 
 from xpl import _spec as spec
-from xpl_cli.serving.entry.ledger import Incoming
-from xpl_cli.serving.logbook import Burst
+from xpl_cli.serving.entry.memory_limiter import ByteCountingProtocol
+from xpl_cli.serving.server_log import RateLimitedLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 
     from xpl.wire import codec
     from xpl.wire.segment import Segment
-    from xpl_cli.serving.places import Place
+    from xpl_cli.serving.slots import WorkerSlot
 
 _NORMAL = 1000
 _CLEAN = (0, _NORMAL, 1001)
 """Codes of a goodbye; 0 is what the library calls a close frame without any (RFC 6455, section 7.1.5)."""
 _REASON_BYTES = 123  # RFC 6455, section 5.5
-_text_ignored = Burst("ignored a text message: the wire is binary", most=10)
+_text_ignored = RateLimitedLog("ignored a text message: the wire is binary", most=10)
 _DATA = (WSMsgType.BINARY, WSMsgType.TEXT, WSMsgType.CONTINUATION)
 
 
-class Owner(Protocol):
+class ConnectionOwner(Protocol):
     """What a connection tells the front end."""
 
     def connected(self, connection: Connection) -> None:
@@ -52,7 +52,7 @@ class Owner(Protocol):
 
 
 @dataclass(frozen=True)
-class Timing:
+class ConnectionTimeouts:
     """Deadlines of a connection, s; None means none.
 
     Attributes:
@@ -79,12 +79,12 @@ class Connection(WSListener):
         segment_number: what the workers call that memory, once the peer proved that it sees it.
     """
 
-    def __init__(self, owner: Owner, timing: Timing) -> None:
+    def __init__(self, owner: ConnectionOwner, timing: ConnectionTimeouts) -> None:
         self._owner = owner
         self._timing = timing
         self._loop = asyncio.get_running_loop()
         self._transport: WSTransport | None = None
-        self._incoming: Incoming | None = None
+        self._incoming: ByteCountingProtocol | None = None
         self._message: bytearray | None = None
         self._fragments = 0
         self._is_text = False
@@ -98,7 +98,7 @@ class Connection(WSListener):
         self.is_open = False
         self.packs = False
         self.counts = False
-        self.place: Place | None = None
+        self.place: WorkerSlot | None = None
         self.segment: Segment | None = None
         self.segment_number: int | None = None
 
@@ -109,7 +109,7 @@ class Connection(WSListener):
         self._transport = transport
         self.is_open = True
         raw = transport.underlying_transport
-        self._incoming = Incoming(raw.get_protocol(), self._holds)  # type: ignore[arg-type]  # the library's is buffered
+        self._incoming = ByteCountingProtocol(raw.get_protocol(), self._holds)  # type: ignore[arg-type]  # the library's is buffered
         raw.set_protocol(self._incoming)
         self._notice_dead_peer(transport)
         self._after("silence", self._timing.hello, self._no_hello)

@@ -18,14 +18,14 @@ from xpl import _spec as spec
 from xpl import images
 from xpl.observation import ObservationError
 from xpl_cli.serving.payloads import without_images
-from xpl_cli.serving.session import RequestError
+from xpl_cli.serving.requests import RequestError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from xpl.contract import Payload
-    from xpl_cli.serving.places import Place
-    from xpl_cli.serving.workers.line import Job
+    from xpl_cli.serving.slots import WorkerSlot
+    from xpl_cli.serving.workers.job_queue import RequestJob
 
     Done = Callable[[asyncio.Future[Payload]], None]
 
@@ -35,7 +35,7 @@ _THREADS = max(2, min(8, os.cpu_count() or 1))
 
 
 @dataclass(eq=False)
-class _Order:
+class _DecodeRequest:
     """A request whose images are to be decoded.
 
     Attributes:
@@ -44,12 +44,12 @@ class _Order:
         size: bytes that they will take, once that is known.
     """
 
-    job: Job
+    job: RequestJob
     done: Done
     size: int | None = None
 
 
-class Decoder:
+class ImageDecoder:
     """Decodes the images of requests.
 
     Args:
@@ -59,18 +59,18 @@ class Decoder:
     def __init__(self, most: int = MOST) -> None:
         self._most = most
         self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="images")
-        self._held: dict[Job, int] = {}
+        self._held: dict[RequestJob, int] = {}
         # The places in turns, and the orders of each as they came: a later one must not hold what an earlier one needs.
-        self._waiting: dict[Place, collections.deque[_Order]] = {}
+        self._waiting: dict[WorkerSlot, collections.deque[_DecodeRequest]] = {}
 
-    def decode(self, job: Job, done: Done) -> None:
+    def decode(self, job: RequestJob, done: Done) -> None:
         """Decode the images of a request's payload, and say so with the payload or the RequestError."""
-        order = _Order(job, done)
+        order = _DecodeRequest(job, done)
         self._waiting.setdefault(job.place, collections.deque()).append(order)
         sizing = asyncio.get_running_loop().run_in_executor(self._threads, unpacked_size, job.frame.payload)
         sizing.add_done_callback(lambda sized: self._sized(order, sized))
 
-    def release(self, job: Job) -> None:
+    def release(self, job: RequestJob) -> None:
         """Say that a request was answered, or given up: what its images take is free again."""
         for order in self._waiting.get(job.place, ()):
             if order.job is job:
@@ -79,13 +79,13 @@ class Decoder:
         if self._held.pop(job, None) is not None:
             self._begin()
 
-    def _forget(self, order: _Order) -> None:
+    def _forget(self, order: _DecodeRequest) -> None:
         queue = self._waiting[order.job.place]
         queue.remove(order)
         if not queue:
             del self._waiting[order.job.place]
 
-    def _sized(self, order: _Order, sized: asyncio.Future[int]) -> None:
+    def _sized(self, order: _DecodeRequest, sized: asyncio.Future[int]) -> None:
         if order not in self._waiting.get(order.job.place, ()):
             return  # given up in the meantime
         problem = sized.exception()

@@ -18,13 +18,13 @@ from typing import IO, TYPE_CHECKING, Self
 from xpl import json_text
 from xpl.process import spawn
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.serving import nursery
+from xpl_cli.serving import fork_server
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from xpl.contract import Config
-    from xpl_cli.serving.nursery import Hosted
+    from xpl_cli.serving.fork_server import ForkedServer
 
 STOP_S = 10.0
 LOG_LINES = 400
@@ -34,7 +34,7 @@ _ERROR = "error: "
 
 
 @dataclass(frozen=True)
-class Lacks:
+class MissingRequirement:
     """What a machine lacks, so that a model cannot be loaded or does not answer there (`xpl.worker.lacking`).
 
     Attributes:
@@ -60,7 +60,7 @@ class ServerStartError(UserError):
         lacks: what the machine lacks, if that is why the model could not be loaded.
     """
 
-    def __init__(self, reason: str, log: list[str], lacks: Lacks | None = None) -> None:
+    def __init__(self, reason: str, log: list[str], lacks: MissingRequirement | None = None) -> None:
         super().__init__(reason, code=ExitCode.NOT_RUN)
         self.reason = reason
         self.log = log
@@ -87,7 +87,7 @@ class RunningServer:
     stop_seconds: float | None = None
     also: dict[str, str] = field(default_factory=dict)
     token: str | None = None
-    process: Hosted | None = None
+    process: ForkedServer | None = None
 
     @property
     def ended(self) -> int | None:
@@ -102,7 +102,7 @@ class RunningServer:
 
 
 @contextlib.contextmanager
-def serving(  # noqa: PLR0913 - what `xpl serve` takes
+def running_server(  # noqa: PLR0913 - what `xpl serve` takes
     policy: Path,
     overrides: Config | None = None,
     *,
@@ -140,7 +140,7 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
     command += options
     with contextlib.ExitStack() as starting:
         command += starting.enter_context(_told(token))
-        process = nursery.start(command)
+        process = fork_server.start(command)
         server = RunningServer(url="", pid=process.pid, process=process, token=token)
         reader = threading.Thread(target=_collect, args=(process.stderr, server.log, echo), daemon=True)
         reader.start()
@@ -173,7 +173,7 @@ def _told(token: str | None) -> Iterator[tuple[str, ...]]:
         Path(name).unlink()
 
 
-def _wait_ready(server: RunningServer, process: Hosted, timeout: float, reader: threading.Thread) -> None:
+def _wait_ready(server: RunningServer, process: ForkedServer, timeout: float, reader: threading.Thread) -> None:
     """Wait until the server is ready, and note where it then says that it answers."""
     with selectors.DefaultSelector() as selector:
         selector.register(process.stdout, selectors.EVENT_READ)
@@ -185,7 +185,7 @@ def _wait_ready(server: RunningServer, process: Hosted, timeout: float, reader: 
         process.wait()
         reader.join()
         reason = server.last_error or "it printed nothing"
-        raise ServerStartError(reason, list(server.log), Lacks.read(told.get("lacks")))
+        raise ServerStartError(reason, list(server.log), MissingRequirement.read(told.get("lacks")))
     server.url, server.also = told["url"], dict(told.get("also", {}))
 
 
@@ -197,7 +197,7 @@ def _collect(stream: IO[bytes], log: collections.deque[str], echo: bool) -> None
             sys.stderr.write(text + "\n")
 
 
-def _stop(process: Hosted) -> None:
+def _stop(process: ForkedServer) -> None:
     """End the server in order, and by force if that takes too long. Ctrl-C during this does not leave it behind."""
     if process.poll() is None:
         process.terminate()

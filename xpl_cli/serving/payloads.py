@@ -8,7 +8,7 @@ from xpl import _spec as spec
 from xpl import images
 from xpl.observation import ObservationError
 from xpl.wire import packed
-from xpl_cli.serving.session import RequestError
+from xpl_cli.serving.requests import RequestError
 
 if TYPE_CHECKING:
     from xpl.contract import Payload

@@ -24,7 +24,7 @@ from xpl_cli.audit.formats.sarif import artifact
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, Result, TargetReport
-from xpl_cli.basics.strangers import harmless, in_xml
+from xpl_cli.basics.untrusted import harmless, in_xml
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), min_size=1)
 

@@ -22,7 +22,7 @@ from xpl_cli.audit.rules.verdict import Word, judged
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
-from xpl_cli.serving.launch import Lacks, ServerStartError, serving
+from xpl_cli.serving.launch import MissingRequirement, ServerStartError, running_server
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 
@@ -351,8 +351,8 @@ def test_the_shadow_of_an_adapter_with_a_model_io_block_answers_in_the_models_wo
 def test_a_shadow_is_served_and_says_so(package: Path) -> None:
     """In its announcement; a server that cannot load says what is missing."""
     (package / "model.py").write_text(SPLIT, encoding="utf-8")
-    with pytest.raises(ServerStartError) as caught, serving(package):
+    with pytest.raises(ServerStartError) as caught, running_server(package):
         pass
-    assert caught.value.lacks == Lacks("module", MISSING)
-    with serving(package, options=("--shadow",)) as server, Client(server.url) as client:
+    assert caught.value.lacks == MissingRequirement("module", MISSING)
+    with running_server(package, options=("--shadow",)) as server, Client(server.url) as client:
         assert client.policy["shadow"] is True

@@ -8,7 +8,7 @@ from xpl_cli import __version__
 from xpl_cli.audit.formats import document
 from xpl_cli.audit.formats.steps import next_commands
 from xpl_cli.audit.rules.verdict import judged
-from xpl_cli.basics.strangers import command
+from xpl_cli.basics.untrusted import command
 
 if TYPE_CHECKING:
     from xpl_cli.agents.review.review import Remark, Review

@@ -9,7 +9,7 @@ from xpl_cli.audit.formats.listing import Context, Listed, notes, shortened, unp
 from xpl_cli.audit.formats.steps import next_commands
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, TargetReport, counted
 from xpl_cli.audit.rules.verdict import Verdict, Word
-from xpl_cli.basics.strangers import in_markdown, one_line
+from xpl_cli.basics.untrusted import in_markdown, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

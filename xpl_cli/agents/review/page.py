@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from xpl_cli.agents.review.markdown import besides, cell, code, ended, marked, place, told
 from xpl_cli.audit.formats.listing import shortened
 from xpl_cli.audit.rules.verdict import Word, judged
-from xpl_cli.basics.strangers import command, in_markdown
+from xpl_cli.basics.untrusted import command, in_markdown
 from xpl_cli.basics.words import amount
 
 if TYPE_CHECKING:

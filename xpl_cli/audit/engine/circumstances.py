@@ -11,7 +11,7 @@ from xpl_cli.audit.rules.gates import GATES
 from xpl_cli.audit.rules.model import Circumstances, NotRun
 from xpl_cli.audit.static import reading
 from xpl_cli.basics.errors import UserError
-from xpl_cli.basics.strangers import command
+from xpl_cli.basics.untrusted import command
 from xpl_cli.basics.words import listed
 from xpl_cli.model_io import names
 from xpl_cli.packages.package import ENV

@@ -29,7 +29,7 @@ from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import OUR_CODES, Entry, RegistryError, find, select
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.progress import Progress
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages.package import ENV
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def _carry(report: TargetReport, path: Path, options: Options, source: Source | 
             with _uncollected():
                 _run(gate, selected, source or Source(path, options.variant), report, options)
         else:
-            bounds = Bounds.here(path.parent, isolate=options.isolate)
+            bounds = IsolationSettings.here(path.parent, isolate=options.isolate)
             _run(gate, selected, Source(path, options.variant), report, replace(options, bounds=bounds))
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli.audit.formats.listing import Context
 from xpl_cli.basics import formats
 from xpl_cli.basics.errors import one_of
-from xpl_cli.basics.strangers import harmless
+from xpl_cli.basics.untrusted import harmless
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from xpl_cli.audit.formats.listing import Context, Listed, listed, notes, unproved, verdicts
 from xpl_cli.audit.formats.steps import audit_again
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.basics.strangers import harmless
+from xpl_cli.basics.untrusted import harmless
 from xpl_cli.basics.words import amount
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 from xpl_cli.audit.formats.listing import Context, Listed, listed
 from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.verdict import judged
-from xpl_cli.basics.strangers import in_xml, one_line
+from xpl_cli.basics.untrusted import in_xml, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.audit.formats.listing import Context, Lines, Listed, listed, unproved
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.basics.strangers import inert
+from xpl_cli.basics.untrusted import inert
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

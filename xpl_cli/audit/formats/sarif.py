@@ -15,7 +15,7 @@ from xpl_cli import __version__
 from xpl_cli.audit.formats.linehash import line_hashes
 from xpl_cli.audit.formats.listing import Context, Listed, Unproved, listed, notes, shortened, unproved, verdicts
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.basics.strangers import inert
+from xpl_cli.basics.untrusted import inert
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:

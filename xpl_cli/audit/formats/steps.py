@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from xpl_cli.audit.rules.gates import DEMONSTRATIONS, Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport
 from xpl_cli.audit.rules.verdict import PARITY, Word, judged
-from xpl_cli.basics.strangers import command
+from xpl_cli.basics.untrusted import command
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from xpl_cli.audit.formats.painted import Painted, Terminal
 from xpl_cli.audit.formats.steps import audit_again, next_commands
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport, counted
 from xpl_cli.audit.rules.verdict import Verdict, Word, judged
-from xpl_cli.basics.strangers import one_line
+from xpl_cli.basics.untrusted import one_line
 from xpl_cli.basics.words import amount
 
 if TYPE_CHECKING:

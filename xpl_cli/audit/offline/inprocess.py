@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.rules.model import NotRun
-from xpl_cli.isolation import errand
+from xpl_cli.isolation import subprocess_task
 from xpl_cli.lifecycle import interpreter
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 LIMIT_S = 600.0
 """Longest run: as long as a server may take to load the model."""
 
-Answer = errand.Answer
+Answer = subprocess_task.TaskAnswer
 """What the model answered one call."""
 Call = tuple[str, tuple[Any, ...]]
 """A method and its arguments."""
@@ -38,7 +38,7 @@ def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> lis
         "script": [[method, list(arguments)] for method, arguments in script],
         "watch": watch,
     }
-    done = errand.run("xpl.worker.inprocess", order, place(probe))
+    done = subprocess_task.run("xpl.worker.inprocess", order, place(probe))
     found = loaded(done)
     if done.problem is not None or len(found) < len(script):
         raise NotRun(f"the adapter's process {done.ended} (call {len(found) + 1}, {script[len(found)][0]})")
@@ -70,10 +70,10 @@ def python_of(probe: Probe) -> str:
     return interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=env)
 
 
-def place(probe: Probe, limit_s: float = LIMIT_S) -> errand.Place:
+def place(probe: Probe, limit_s: float = LIMIT_S) -> subprocess_task.TaskSettings:
     """Return where the adapter runs: in its interpreter and its folder, within the bounds of the audit."""
     options = probe.options
-    return errand.Place(
+    return subprocess_task.TaskSettings(
         python=python_of(probe),
         checkout=probe.package.path,
         bounds=options.bounds,
@@ -82,7 +82,7 @@ def place(probe: Probe, limit_s: float = LIMIT_S) -> errand.Place:
     )
 
 
-def loaded(done: errand.Done) -> list[Answer]:
+def loaded(done: subprocess_task.TaskResult) -> list[Answer]:
     """Return the answers of a process after that of loading the adapter.
 
     Raises:

@@ -14,7 +14,7 @@ from xpl.client import ClientError
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.served.hanging import bounds
 from xpl_cli.audit.served.servers import PATIENCE
-from xpl_cli.isolation import family
+from xpl_cli.isolation import processes
 
 if TYPE_CHECKING:
     from xpl.contract import ObservationDict
@@ -88,7 +88,7 @@ def _stretched(probe: Probe, policy: Client, pid: int) -> LongEpisode:
 
 def private_memory(pid: int) -> int | None:
     """Return the memory that the children of a process, and theirs, have for themselves, bytes; None if unknown."""
-    found = [family.private(member.pid) for member in family.descendants(pid)]
+    found = [processes.private(member.pid) for member in processes.descendants(pid)]
     known = [size for size in found if size is not None]
     return sum(known) if known else None
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from xpl.contract import ObservationDict
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.isolation.errand import Answer
+    from xpl_cli.isolation.subprocess_task import TaskAnswer
 
 _EPISODE, _BATCHES = 3, 2
 
@@ -54,7 +54,7 @@ class Rehearsal:
 
     notes: tuple[Note, ...]
     broken: tuple[str, ...]
-    pictures: Mapping[str, tuple[Answer, Answer]]
+    pictures: Mapping[str, tuple[TaskAnswer, TaskAnswer]]
 
     def noted(self, what: str) -> list[Note]:
         """Return the notes of one kind."""
@@ -98,5 +98,5 @@ def _pictures(probe: Probe) -> list[ObservationDict]:
     return [obs for one in sent for obs in (decoded(one), one)]
 
 
-def _first_error(answers: Sequence[Answer]) -> Answer:
+def _first_error(answers: Sequence[TaskAnswer]) -> TaskAnswer:
     return next((answer for answer in answers if answer.error is not None), answers[-1])

@@ -10,7 +10,7 @@ from xpl import _spec as sdk
 from xpl_cli.audit.rules.clock import Clock
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.progress import Progress
-from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 
 if TYPE_CHECKING:
     from xpl.contract import Config
@@ -58,7 +58,7 @@ class Options:
     profile_reason: str | None = None
     memory_limit: str = "none"
     isolate: bool = False
-    bounds: Bounds = field(default_factory=Bounds)
+    bounds: IsolationSettings = field(default_factory=IsolationSettings)
     patience: float = PATIENCE_S
     clock: Clock = field(default_factory=Clock)
     tasks: tuple[str, ...] = ()

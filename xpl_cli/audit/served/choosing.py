@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from xpl import checkpoint
 from xpl_cli.audit.rules.profiles import Choice, Profile
-from xpl_cli.serving.launch import Lacks
+from xpl_cli.serving.launch import MissingRequirement
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -92,11 +92,11 @@ def _no_weights(known: str, config: Mapping[str, object], policy_dir: Path) -> s
     try:
         checkpoint.resolve(config, policy_dir)
     except checkpoint.CheckpointError as error:
-        told = sentence(Lacks(_CHECKPOINT, str(error)))
+        told = sentence(MissingRequirement(_CHECKPOINT, str(error)))
         return "" if str(error) in known else told
     return ""
 
 
-def sentence(lacks: Lacks) -> str:
+def sentence(lacks: MissingRequirement) -> str:
     """Return what a machine lacks in words."""
     return _SENTENCES.get(lacks.kind, "{}").format(lacks.name)

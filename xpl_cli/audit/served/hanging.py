@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.audit.rules.model import NotRun
-from xpl_cli.isolation.life import HUNG
+from xpl_cli.isolation.hang_detector import HUNG
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

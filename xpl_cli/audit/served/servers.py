@@ -15,10 +15,10 @@ from xpl_cli.audit.rules.presence import Presence
 from xpl_cli.audit.served import choosing
 from xpl_cli.audit.served.hanging import Hangs, bounds
 from xpl_cli.audit.served.session import Recorder, Session
-from xpl_cli.isolation.life import HUNG
+from xpl_cli.isolation.hang_detector import HUNG
 from xpl_cli.isolation.stacks import where
 from xpl_cli.packages import package
-from xpl_cli.serving.launch import Lacks, RunningServer, ServerStartError, serving
+from xpl_cli.serving.launch import MissingRequirement, RunningServer, ServerStartError, running_server
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -218,7 +218,7 @@ class Servers(ABC):
         if self.presence.loss is not None:
             raise NotRun(self.presence.loss)
         served = (*(["--shadow"] if self.choice.is_shadow else []), *flags)
-        started = serving(
+        started = running_server(
             self.package.path,
             {**overrides, **bounds({**self.config, **overrides})},
             python=self.options.python,
@@ -251,6 +251,6 @@ class Servers(ABC):
                 try:
                     client.infer(self.observation())
                 except PolicyServerError as error:
-                    if lacks := Lacks.read(error.details.get("lacks")):
+                    if lacks := MissingRequirement.read(error.details.get("lacks")):
                         raise ServerStartError(str(error), list(server.log), lacks) from None
             yield server

@@ -14,7 +14,7 @@ from xpl_cli.audit.rules.clock import Clock
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.served.choosing import sentence
 from xpl_cli.audit.served.compare import error_code
-from xpl_cli.serving.launch import Lacks
+from xpl_cli.serving.launch import MissingRequirement
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -58,7 +58,7 @@ class Recorder:
         self._hash.update(name.encode())
         # Texts of errors may hold addresses and paths; that there was one is what counts.
         self._value(error_code(answer) if isinstance(answer, PolicyServerError) else answer)
-        if isinstance(answer, PolicyServerError) and (lacks := Lacks.read(answer.details.get("lacks"))):
+        if isinstance(answer, PolicyServerError) and (lacks := MissingRequirement.read(answer.details.get("lacks"))):
             raise NotRun(sentence(lacks))
         return answer
 

@@ -169,9 +169,9 @@ def _file_problems(files: list[Path], schema: str | None) -> Iterator[Problem]:
         if not file.is_file():
             raise NotFoundError(f"there is no file {file}")
         if chosen == _TRAJECTORY:
-            from xpl_cli.data.sets import held
+            from xpl_cli.data.sets import trajectory_schema
 
-            yield from held.problems(file)
+            yield from trajectory_schema.schema_problems(file)
             continue
         if chosen == "embodiment":  # which may be like another one: what counts is the whole
             from xpl import robots as known

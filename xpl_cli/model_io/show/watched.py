@@ -10,7 +10,7 @@ import numpy as np
 from xpl import _spec as sdk
 from xpl.nested import leaves, written
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.isolation import errand
+from xpl_cli.isolation import subprocess_task
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.model_io.show import looks
 from xpl_cli.model_io.show.views import View
@@ -68,7 +68,9 @@ def ask(package: Package, config: Config, observations: Sequence[Observation], p
         "observations": [dict(one) for one in observations],
     }
     python = interpreter.resolve(package.path, package.manifest.environment, python=place.python, env=place.env)
-    done = errand.run(_ERRAND, order, errand.Place(python, package.path, patience=place.patience))
+    done = subprocess_task.run(
+        _ERRAND, order, subprocess_task.TaskSettings(python, package.path, patience=place.patience)
+    )
     for answer in done.answers:
         if answer.error is not None:
             raise UserError(f"{package.path}: {answer.error}", code=ExitCode.NOT_RUN)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from picows import WSUpgradeResponse, WSUpgradeResponseWithListener
 
 from xpl import _spec as spec
-from xpl_cli.serving.logbook import log
+from xpl_cli.serving.server_log import log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from multidict import CIMultiDict
     from picows import WSUpgradeRequest
 
-    from xpl_cli.serving.entry.names import Names
-    from xpl_cli.serving.observe import Health
+    from xpl_cli.serving.entry.allowed_hosts import AllowedHosts
+    from xpl_cli.serving.monitoring import Health
 
 BEARER = "bearer"
 """How a token is announced (RFC 6750), in lower case."""
@@ -43,7 +43,7 @@ class Admission:
     """
 
     token: str | None
-    names: Names
+    names: AllowedHosts
     health: Callable[[], Health]
     metrics: Callable[[], bytes] | None
     make_room: Callable[[], bool]

@@ -1,275 +1,268 @@
-"""The worker's process, seen from the front end: start, one message at a time, end."""
+"""A worker at work: its process, its line, its deadlines, and what is told when it fails."""
 
 from __future__ import annotations
 
 import asyncio
-import codecs
 import collections
-import contextlib
-import os
-import signal
 import sys
-from typing import TYPE_CHECKING, Any
+import time
+from typing import TYPE_CHECKING, Protocol
 
 from xpl import _spec as spec
-from xpl.process import link, spawn
-from xpl.process.child import KEPT_START, SDK_START
-from xpl.process.link import Inbox
 from xpl.wire.frame import PackingError
-from xpl_cli.basics import exits
-from xpl_cli.isolation import family
+from xpl_cli.isolation.stacks import STACKS_S
+from xpl_cli.serving.requests import RequestError
+from xpl_cli.serving.server_log import log
+from xpl_cli.serving.workers.job_queue import JobQueue
+from xpl_cli.serving.workers.process import WorkerDiedError
+from xpl_cli.serving.workers.worker_answers import AdapterException, WorkerAnswerError, answers, outcome
 
 if TYPE_CHECKING:
-    import socket
-    from collections.abc import Callable, Coroutine, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
+    from xpl.contract import Config
+    from xpl.manifest import Manifest
+    from xpl.process.link import Head
     from xpl.wire.arrays import Data
-    from xpl_cli.isolation.sandbox import Isolation
+    from xpl_cli.serving.slots import WorkerSlot
+    from xpl_cli.serving.workers.job_queue import RequestJob
+    from xpl_cli.serving.workers.process import Answered, WorkerProcess
 
-    Answered = Callable[[link.Head, list[memoryview]], None]
-
-_BOOTSTRAP = SDK_START + "from xpl.worker.main import main; main(int(sys.argv[2]))"
-ANSWER_BYTES = spec.LIMITS["frame_bytes"]
-"""Of the results of one batch: the adapter may write to the link itself, and announce anything."""
-_LINE = 500
-"""Characters of a printed line that clients are shown while the model loads."""
+_REPORT_S = 10.0
+"""A request that takes longer is reported while it runs, and again whenever it has taken twice as long."""
 
 
-class WorkerDiedError(Exception):
-    """The worker's process ended, or the link to it broke, before it answered."""
+class JobListener(Protocol):
+    """What a worker tells about its jobs."""
+
+    def answered(self, job: RequestJob, result: memoryview) -> None:
+        """Pass on the answer to a job, packed."""
+
+    def raised(self, job: RequestJob, error: AdapterException) -> None:
+        """Say what the adapter raised, or why its result cannot travel."""
+
+    def refused(self, job: RequestJob, error: RequestError) -> None:
+        """Say that a job was not done."""
+
+    def failed(self, job: RequestJob, error: Exception) -> None:
+        """Say that its answer could not be given, by a fault of ours."""
 
 
-class WorkerProcess:
-    """One adapter in a process of its own, asked one message at a time.
+class ModelLoadError(Exception):
+    """The model could not be loaded.
 
     Attributes:
-        pid: the process above the adapter's, which leads a group of its own.
-        last_line: what the adapter printed last.
-        died: resolves with the reason when the link breaks.
+        lacks: what the machine lacks, if that is why: `kind` and `name` (`xpl.worker.lacking`).
+    """
+
+    def __init__(self, reason: str, lacks: Mapping[str, str] | None = None) -> None:
+        super().__init__(reason)
+        self.lacks = lacks
+
+
+class ModelWorker:
+    """One copy of the model.
+
+    Args:
+        number: which one, from 0.
+        process: its process.
+        timeout: longest time for one batch, s; None means no limit.
+        desk: told what becomes of the jobs.
+        on_failure: told once if the worker cannot go on, with the reason.
     """
 
     def __init__(
-        self, process: asyncio.subprocess.Process, channel: socket.socket, label: str, *, wrapped: bool = False
+        self,
+        number: int,
+        process: WorkerProcess,
+        timeout: float | None,
+        desk: JobListener,
+        on_failure: Callable[[ModelWorker, str], None],
     ) -> None:
-        self._process = process
-        self._wrapped = wrapped
-        self._channel = channel
-        self._label = label
-        self._inbox = Inbox(ANSWER_BYTES)
-        self._unsent: collections.deque[memoryview] = collections.deque()
-        self._on_answer: Answered | None = None
-        self._output = asyncio.create_task(self._copy_output())
-        self._end = asyncio.create_task(self._notice_end())
-        self._watches: list[asyncio.Task[None]] = []
-        self._writing = False
+        self.number = number
+        self.process = process
+        self.line = JobQueue()
+        self.failed = False
+        self.shares_memory = True
+        self._timeout = timeout
+        self._stacks_after = max(0.0, 0.5 * (timeout or 0.0), (timeout or 0.0) - STACKS_S)
+        self._desk = desk
+        self._on_failure = on_failure
         self._loop = asyncio.get_running_loop()
-        self._loop.add_reader(channel, self._read)
-        self.pid = process.pid
-        self._found = [self.pid]
-        self.last_line = ""
-        self.died: asyncio.Future[str] = self._loop.create_future()
+        self._errands: collections.deque[tuple[Head, Callable[[str | None], None]]] = collections.deque()
+        self._running: list[RequestJob] = []
+        self._later: list[tuple[WorkerSlot, Callable[[], None]]] = []
+        self._loading: Head = {}
+        self._busy = False
+        self._started = 0.0
+        self._watch: asyncio.TimerHandle | None = None
+        self._reported = 0.0
+        self._wait: asyncio.TimerHandle | None = None
+        process.died.add_done_callback(lambda died: self.fail(died.result()))
 
-    @classmethod
-    async def start(
-        cls, python: str, *, cwd: Path, gpu: str | None = None, label: str = "", isolation: Isolation | None = None
-    ) -> WorkerProcess:
-        """Start a worker in the interpreter `python`; it loads nothing yet.
-
-        Args:
-            python: path of the interpreter.
-            cwd: working directory of the adapter.
-            gpu: device made visible to it.
-            label: put before every line that it prints.
-            isolation: how it is kept apart, or None.
-        """
-        ours, theirs = spawn.link()
-        ours.settimeout(0.0)
-        environment = spawn.variables()
-        if gpu is not None:
-            environment["CUDA_VISIBLE_DEVICES"] = gpu
-        if isolation is not None:
-            environment = isolation.environment(environment)
-        start, prefix = (KEPT_START + _BOOTSTRAP, ()) if isolation is None else (_BOOTSTRAP, isolation.prefix)
-        with theirs:
-            process = await asyncio.create_subprocess_exec(
-                *spawn.command(python, start, str(theirs.fileno()), prefix=prefix),
-                stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=asyncio.subprocess.STDOUT,
-                pass_fds=[theirs.fileno()],
-                env=environment,
-                cwd=cwd,
-                start_new_session=True,  # a group of its own, so that its children end with it
-            )
-        return cls(process, ours, label, wrapped=isolation is not None)
-
-    def send(self, head: link.Head, buffers: Sequence[Data], on_answer: Answered) -> None:
-        """Send a message; the answer arrives later, or never if the worker dies.
+    async def load(self, policy_dir: Path, config: Config, manifest: Manifest, *, shadow: bool = False) -> None:
+        """Load the adapter; with `shadow` not its model (`xpl.worker.shadow`).
 
         Raises:
-            PackingError: if the message cannot travel; nothing was sent then.
-            WorkerDiedError: if the link is broken already.
+            LoadError: with one sentence that says why it could not be loaded.
         """
-        pieces = [memoryview(piece) for piece in link.encode(head, buffers)]
-        if self.died.done():
-            raise WorkerDiedError(self.died.result())
-        if self._on_answer is not None:
-            raise RuntimeError("a worker is sent one message at a time")
-        self._on_answer = on_answer
-        self._unsent.extend(pieces)
-        self._write()
+        request = {"policy_dir": str(policy_dir), "config": dict(config), "manifest": dict(manifest.data)}
+        self._loading = {"op": "load", **request, **({"shadow": True} if shadow else {})}
+        self._busy, self._started = True, time.monotonic()
+        try:
+            offered = outcome(await self.process.ask(**self._loading))
+        except (WorkerDiedError, PackingError, WorkerAnswerError) as error:
+            raise ModelLoadError(f"the model could not be loaded: {error}") from None
+        if isinstance(offered, AdapterException):
+            sys.stderr.write(offered.traceback)
+            raise ModelLoadError(f"the model could not be loaded: {offered.kind}: {offered.message}", offered.lacks)
+        self._busy = False
+        self.line = JobQueue(shared=manifest.serving.shared, most=manifest.serving.max_batch)
 
-    async def ask(self, **message: Any) -> link.Head:
-        """Send a message and return the answer.
+    def renew(self) -> None:
+        """Build the model anew before the next request."""
+        self.errand(self._loading, self._renewed)
 
-        Raises:
-            PackingError: if the message cannot travel.
-            WorkerDiedError: if the worker dies first.
-        """
-        answer: asyncio.Future[link.Head] = self._loop.create_future()
-        self.send(message, (), lambda head, _: answer.set_result(head))
-        either: list[asyncio.Future[Any]] = [answer, self.died]
-        await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
-        if not answer.done():
-            raise WorkerDiedError(self.died.result())
-        return answer.result()
+    def busy_for(self) -> float:
+        """Return for how long the model has been at work, s; 0 if it is idle."""
+        return time.monotonic() - self._started if self._busy else 0.0
 
-    def memory(self) -> int:
-        """Return the memory that the worker uses itself, bytes; 0 where the system does not tell."""
-        return family.resident(self.adapter_pid())
+    def submit(self, job: RequestJob) -> None:
+        """Put a job into the line."""
+        if self.failed:
+            self._desk.refused(job, _died("the worker has ended"))
+            return
+        self.line.add(job, time.monotonic())
+        self.pump()
 
-    def until_it_ends(self, watch: Coroutine[Any, Any, None]) -> None:
-        """Run something beside the worker, until it has ended; the worker ends if that fails."""
-        task = asyncio.create_task(watch)
-        task.add_done_callback(self._watched)
-        self._watches.append(task)
+    def errand(self, message: Head, on_answer: Callable[[str | None], None]) -> None:
+        """Send a message that is no request, before the next batch; `on_answer` is told what went wrong, or None."""
+        self._errands.append((message, on_answer))
+        self.pump()
 
-    def show_stacks(self) -> None:
-        """Have the worker print where each of its threads is, also while it hangs."""
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(self.adapter_pid(), signal.SIGUSR1)
+    def after(self, place: WorkerSlot, action: Callable[[], None]) -> None:
+        """Do something once no job of a client waits or runs any more."""
+        if self.failed:
+            return
+        if self.line.holds(place) or any(job.place is place for job in self._running):
+            self._later.append((place, action))
+        else:
+            action()
 
-    def kill(self, reason: str) -> None:
-        """End the worker and all its children at once, and give a reason for it."""
-        self._break(reason)
-        family.end(self.pid)
+    def pump(self) -> None:
+        """Send the worker what it can do next, if it is idle."""
+        if self._busy or self.failed:
+            return
+        if self._wait is not None:
+            self._wait.cancel()
+            self._wait = None
+        if self._errands:
+            self._send(self._errands[0][0], (), lambda answer, _: self._errand_done(answer))
+            return
+        jobs, wait = self.line.next(time.monotonic())
+        if jobs:
+            self._running = jobs
+            requests = [job.request() for job in jobs]
+            self._send({"op": "run", "requests": requests}, [job.payload or b"" for job in jobs], self._jobs_done)
+        elif wait:
+            self._wait = self._loop.call_later(wait, self.pump)
 
-    async def stop(self, grace: float) -> None:
-        """End the worker and all its children: close the link, wait `grace` seconds, then kill the group."""
-        self._break("the worker was stopped")
-        with contextlib.suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(exits.exit_code(self._process), grace)
-        family.end(self.pid)
-        await exits.exit_code(self._process)
-        # What has left the group and still holds the pipe would keep it open for ever.
-        with contextlib.suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(self._output, grace)
+    def fail(self, reason: str, code: str = spec.ErrorCode.INTERNAL) -> None:
+        """Give up: answer everything that waits, and tell why."""
+        if self.failed:
+            return
+        self.failed = True
+        for timer in (self._watch, self._wait):
+            if timer is not None:
+                timer.cancel()
+        died = _died(reason)
+        first = RequestError(code, reason, spec.ErrorReason.WORKER_DIED)
+        running, self._running = self._running, []
+        for job in running:
+            self._desk.refused(job, first)
+        while self._errands:
+            self._errands.popleft()[1](reason)
+        for job in self.line.clear():
+            self._desk.refused(job, died)
+        self._on_failure(self, reason)
 
-    async def ended(self) -> str:
-        """Wait for the process to end and return how it did."""
-        code = await exits.exit_code(self._process)
-        return f"the worker {spawn.how_it_ended(code, launched=self._wrapped)}"
+    def _send(self, head: Head, buffers: Sequence[Data], on_answer: Answered) -> None:
+        self._busy, self._started = True, time.monotonic()
+        if self._watch is None:
+            self._look_again(self._started)
+        try:
+            self.process.send(head, buffers, on_answer)
+        except (WorkerDiedError, PackingError) as error:
+            self._loop.call_soon(self.fail, str(error))
 
-    def _watched(self, task: asyncio.Task[None]) -> None:
-        error = None if task.cancelled() else task.exception()
+    def _jobs_done(self, head: Head, buffers: list[memoryview]) -> None:
+        told = answers(head, buffers, len(self._running))
+        jobs, self._running = self._running, []
+        self._busy = False
+        self.line.finished(jobs, time.monotonic())
+        for job, answer in zip(jobs, told, strict=True):
+            try:
+                if isinstance(answer, AdapterException):
+                    self._desk.raised(job, answer)
+                else:
+                    self._desk.answered(job, answer)
+            except Exception as problem:  # noqa: BLE001 - one job of a batch never costs another its answer
+                self._desk.failed(job, problem)
+        later, self._later = self._later, []
+        for place, action in later:
+            self.after(place, action)
+        self.pump()
+
+    def _errand_done(self, head: Head) -> None:
+        told = outcome(head)
+        self._busy = False
+        _, on_answer = self._errands.popleft()
+        on_answer(told.message if isinstance(told, AdapterException) else None)
+        self.pump()
+
+    def _renewed(self, error: str | None) -> None:
         if error is not None:
-            self.kill(f"the worker could not be watched: {type(error).__name__}: {error}")
+            self.fail(f"the model could not be built a second time: {error}")
 
-    def adapter_pid(self) -> int:
-        """Return the process that runs the adapter, below its keeper, or below what keeps it apart."""
-        wanted = family.LAUNCHERS if self._wrapped else 1
-        if len(self._found) <= wanted:
-            self._found = family.first_ones(self.pid, wanted)
-        return self._found[-1]
+    def _look_again(self, now: float) -> None:
+        """Look after what runs when it should have ended: one timer for all, because most requests take no time."""
+        due = self._reported or _REPORT_S
+        if self._timeout is not None:
+            due = min(due, self._stacks_after)
+        self._watch = self._loop.call_later(max(0.0, self._started + due - now), self._look)
 
-    def _write(self) -> None:
-        """Send what there is to send, now or when the worker has read some of it."""
-        waiting = False
-        try:
-            while self._unsent:
-                sent = self._channel.sendmsg(list(self._unsent)[:64])
-                while self._unsent and sent >= len(self._unsent[0]):
-                    sent -= len(self._unsent.popleft())
-                if sent:
-                    self._unsent[0] = self._unsent[0][sent:]
-        except BlockingIOError:
-            waiting = True
-        except OSError:
-            self._break(None)
+    def _look(self) -> None:
+        self._watch = None
+        now = time.monotonic()
+        busy = now - self._started if self._busy else 0.0
+        if not self._busy:
+            self._reported = 0.0
             return
-        if waiting != self._writing:
-            self._writing = waiting
-            if waiting:
-                self._loop.add_writer(self._channel, self._write)
-            else:
-                self._loop.remove_writer(self._channel)
-
-    def _read(self) -> None:
-        try:
-            count = self._channel.recv_into(self._inbox.space())
-            messages = self._inbox.take(count) if count else None
-        except BlockingIOError:
+        if self._timeout is not None and busy >= self._stacks_after:
+            self.process.show_stacks()
+            self._watch = self._loop.call_later(self._timeout - self._stacks_after, self._give_up, self._started)
             return
-        except OSError:  # what was unread when the worker died
-            self._break(None)
-            return
-        except PackingError as error:
-            self._break(f"the link to the worker broke: {error}")
-            return
-        if messages is None:
-            self._break(None)
-        for message in messages or ():
-            self._answered(message)
+        if busy < _REPORT_S:
+            self._reported = 0.0
+        elif busy >= (self._reported or _REPORT_S):
+            self._tell(busy)
+            self._reported = 2.0 * busy
+        self._look_again(now)
 
-    def _answered(self, message: Data) -> None:
-        on_answer, self._on_answer = self._on_answer, None
-        try:
-            head, buffers = link.decode(message)
-        except PackingError as error:
-            self._break(f"the link to the worker broke: {error}")
-            return
-        if on_answer is None or not isinstance(head, dict):
-            self._break("the link to the worker is out of step")
-            return
-        try:
-            on_answer(head, buffers)
-        except ValueError as error:  # the head is not what was agreed on
-            self._break(f"the link to the worker is out of step: {type(error).__name__}: {error}")
+    def _give_up(self, started: float) -> None:
+        """End a worker that hangs, if it has not answered at the last moment."""
+        self._watch = None
+        if self._busy and self._started == started:
+            self.fail(f"the model did not answer within {self._timeout:g} s", spec.ErrorCode.TIMEOUT)
+        elif self._busy:
+            self._look_again(time.monotonic())
 
-    async def _notice_end(self) -> None:
-        """Notice the end of the process, which its children may hide: they hold the link, too."""
-        reason = await self.ended()
-        if self._channel.fileno() >= 0:
-            self._read()  # it may have answered before it ended
-        self._break(reason)
-        family.end(self.pid)  # an adapter may have ended its keeper, and goes on without one
-        if not self.died.done():
-            self.died.set_result(reason)
+    def _tell(self, busy: float) -> None:
+        limit = "there is no limit" if self._timeout is None else f"it is ended after {self._timeout:g} s"
+        names = ", ".join(sorted({job.method for job in self._running})) or "an errand"
+        log(f"the model has been at work for {busy:.0f} s (process {self.process.adapter_pid()}, {names}); {limit}")
 
-    def _break(self, reason: str | None) -> None:
-        """Close the link, which ends the worker, and tell why; None means that the end of its process will tell."""
-        if self._channel.fileno() >= 0:
-            self._loop.remove_reader(self._channel)
-            self._loop.remove_writer(self._channel)
-            self._channel.close()
-        if reason and not self.died.done():
-            self.died.set_result(reason)
 
-    async def _copy_output(self) -> None:
-        """Show what the adapter prints on our standard error; nobody else writes there mid-line."""
-        stream = self._process.stdout
-        text = codecs.getincrementaldecoder("utf-8")(errors="replace")  # a chunk may end inside a character
-        at_start = True
-        while stream is not None and (chunk := await stream.read(1 << 15)):
-            shown = text.decode(chunk)
-            lines = shown.splitlines()
-            self.last_line = next((line.strip()[:_LINE] for line in reversed(lines) if line.strip()), self.last_line)
-            if self._label:
-                shown = "".join(
-                    (self._label if at_start or place else "") + line
-                    for place, line in enumerate(shown.splitlines(keepends=True))
-                )
-                at_start = chunk.endswith(b"\n")
-            sys.stderr.write(shown)
-            sys.stderr.flush()
+def _died(reason: str) -> RequestError:
+    return RequestError(spec.ErrorCode.INTERNAL, reason, spec.ErrorReason.WORKER_DIED)

@@ -4,8 +4,8 @@ import pytest
 
 from xpl import _spec as spec
 from xpl.wire import codec, packed
-from xpl_cli.serving import session
-from xpl_cli.serving.session import Replay, RequestError
+from xpl_cli.serving import requests
+from xpl_cli.serving.requests import ReplayCache, RequestError
 
 # -- what a frame asks for ---------------------------------------------------------------------------------------------
 
@@ -27,16 +27,16 @@ def test_a_frame_names_the_method_that_it_is_about(
 ) -> None:
     """Hooks are optional where the wire has a frame for them, and a method like any other where they are called."""
     frame = codec.Frame(kind, "e", payload)
-    assert session.method_of(frame) == method
-    assert session.is_optional(frame) is optional
-    assert session.failure_code(frame) == failure
+    assert requests.method_of(frame) == method
+    assert requests.is_optional(frame) is optional
+    assert requests.failure_code(frame) == failure
 
 
 @pytest.mark.parametrize("name", [None, 3, [], "_private", "__init__", "infer", "reset_envs"])
 def test_what_may_not_be_called_by_name_is_refused(name: object) -> None:
     """Also what would reset the environments of other clients."""
     with pytest.raises(RequestError, match="call needs the name of a public method") as refused:
-        session.method_of(codec.Frame("call", "e", {"func_name": name}))
+        requests.method_of(codec.Frame("call", "e", {"func_name": name}))
     assert refused.value.payload()["code"] == spec.ErrorCode.INVALID_FRAME
 
 
@@ -49,8 +49,8 @@ def test_an_error_frame_says_what_went_wrong() -> None:
 
 def test_packed_entries_pass_unread() -> None:
     data = b"".join(packed.encode({"obs": 1}))
-    assert session.packed_payload(codec.Frame("call", "e", {"packed": data})) == data
-    assert session.packed_payload(codec.Frame("call", "e", {"obs": 1})) is None
+    assert requests.packed_payload(codec.Frame("call", "e", {"packed": data})) == data
+    assert requests.packed_payload(codec.Frame("call", "e", {"obs": 1})) is None
 
 
 def test_damaged_packed_entries_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -58,17 +58,17 @@ def test_damaged_packed_entries_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
     data = b"".join(packed.encode({"obs": [1] * 100}))
     for damaged in (b"", data[:-1], data + b"0", b"XPL2" + data[4:], "text", 3):
         with pytest.raises(RequestError) as refused:
-            session.packed_payload(codec.Frame("call", "e", {"packed": damaged}))
+            requests.packed_payload(codec.Frame("call", "e", {"packed": damaged}))
         assert refused.value.code == spec.ErrorCode.INVALID_FRAME
     monkeypatch.setitem(spec.LIMITS, "packed_header", 100)
     with pytest.raises(RequestError, match="send long lists and texts unpacked"):
-        session.packed_payload(codec.Frame("call", "e", {"packed": data}))
+        requests.packed_payload(codec.Frame("call", "e", {"packed": data}))
 
 
 # -- answers that are remembered ---------------------------------------------------------------------------------------
 
 
-def finished(replay: Replay, answer: bytes = b"x" * 10) -> codec.Frame:
+def finished(replay: ReplayCache, answer: bytes = b"x" * 10) -> codec.Frame:
     """Return a request that was begun and answered."""
     frame = codec.Frame("infer", "e")
     replay.finish(frame.message_id, replay.begin(frame), answer)
@@ -77,7 +77,7 @@ def finished(replay: Replay, answer: bytes = b"x" * 10) -> codec.Frame:
 
 def test_all_who_wait_for_an_answer_are_told_once() -> None:
     """A repeated request joins the one that runs; later it finds the answer."""
-    replay, told = Replay(), list[bytes]()
+    replay, told = ReplayCache(), list[bytes]()
     frame = codec.Frame("infer", "e")
     assert replay.find(frame) is None
     entry = replay.begin(frame)
@@ -95,7 +95,7 @@ def test_all_who_wait_for_an_answer_are_told_once() -> None:
 
 def test_an_id_belongs_to_one_type_of_request() -> None:
     """Another type under the same id is a mistake of the client."""
-    replay = Replay()
+    replay = ReplayCache()
     frame = finished(replay)
     with pytest.raises(RequestError, match="was used for infer before and for call now") as refused:
         replay.find(codec.Frame("call", "e", message_id=frame.message_id))
@@ -106,7 +106,7 @@ def test_the_memory_of_answers_is_bounded(monkeypatch: pytest.MonkeyPatch) -> No
     """By entries and by bytes: the oldest go."""
     monkeypatch.setitem(spec.LIMITS, "replay_entries", 3)
     monkeypatch.setitem(spec.LIMITS, "replay_bytes", 100)
-    replay = Replay()
+    replay = ReplayCache()
     frames = [finished(replay) for _ in range(6)]
     assert [replay.find(frame) is None for frame in frames] == [True, True, True, False, False, False]
     assert (len(replay), replay.size) == (3, 30)
@@ -118,7 +118,7 @@ def test_the_memory_of_answers_is_bounded(monkeypatch: pytest.MonkeyPatch) -> No
 def test_the_newest_answer_is_kept_whatever_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is the one that is asked for again after a cut; others may run meanwhile."""
     monkeypatch.setitem(spec.LIMITS, "replay_bytes", 100)
-    replay = Replay()
+    replay = ReplayCache()
     running = replay.begin(codec.Frame("infer", "e"))
     frame = finished(replay, b"x" * 1000)
     later = replay.begin(codec.Frame("infer", "e"))
@@ -132,7 +132,7 @@ def test_the_newest_answer_is_kept_whatever_its_size(monkeypatch: pytest.MonkeyP
 def test_what_still_runs_is_never_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     """And does not keep others: one slow request is no reason to remember everything after it."""
     monkeypatch.setitem(spec.LIMITS, "replay_entries", 3)
-    replay = Replay()
+    replay = ReplayCache()
     slow = [codec.Frame("infer", "e") for _ in range(4)]
     entries = [replay.begin(frame) for frame in slow]
     frames = [finished(replay) for _ in range(5)]
@@ -145,7 +145,7 @@ def test_what_still_runs_is_never_forgotten(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_another_client_finds_nothing() -> None:
     """Even if the worker is still busy for the last one; that answer is told, and not remembered."""
-    replay, told = Replay(), list[bytes]()
+    replay, told = ReplayCache(), list[bytes]()
     finished(replay)
     old = codec.Frame("infer", "e", message_id="1")
     entry = replay.begin(old)

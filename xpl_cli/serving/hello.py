@@ -9,14 +9,14 @@ from xpl import _spec as spec
 from xpl.client import agreement
 from xpl.wire.segment import Segment, SegmentError
 from xpl_cli import __version__
-from xpl_cli.serving.logbook import log
-from xpl_cli.serving.session import RequestError
+from xpl_cli.serving.requests import RequestError
+from xpl_cli.serving.server_log import log
 
 if TYPE_CHECKING:
     from xpl.contract import Announcement, Payload
     from xpl.wire import codec
     from xpl_cli.serving.connection import Connection
-    from xpl_cli.serving.workers.pool import Worker
+    from xpl_cli.serving.workers.worker import ModelWorker
 
 _segments = itertools.count(1)
 _TRY_AGAIN = 1012  # service restart; registered in the WebSocket close code registry
@@ -61,7 +61,7 @@ def _invalid(part: str, problem: str, *differences: dict[str, Any]) -> RequestEr
     return RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.MISMATCH, differences=list(differences))
 
 
-def greeting(policy: Announcement, state: str, frame: codec.Frame, *, guarded: bool) -> Payload:
+def hello_answer(policy: Announcement, state: str, frame: codec.Frame, *, guarded: bool) -> Payload:
     """Return the answer to hello, but for what depends on the client's place.
 
     Args:
@@ -75,7 +75,7 @@ def greeting(policy: Announcement, state: str, frame: codec.Frame, *, guarded: b
             itself is not what it should be.
     """
     try:
-        offered = agreement.checked(frame.payload.get(spec.Payload.ENVIRONMENT))
+        offered = agreement.validate_announcement(frame.payload.get(spec.Payload.ENVIRONMENT))
     except agreement.AnnouncementError as error:
         told = {"field": error.field, "policy": None, "environment": None, "message": str(error)}
         raise _invalid(spec.Payload.ENVIRONMENT, f"cannot be understood: {error}", told) from None
@@ -86,7 +86,10 @@ def greeting(policy: Announcement, state: str, frame: codec.Frame, *, guarded: b
     found = agreement.differences(policy, offered)
     if found:
         raise RequestError(
-            spec.ErrorCode.INVALID_FRAME, agreement.sentence(found), spec.ErrorReason.MISMATCH, differences=found
+            spec.ErrorCode.INVALID_FRAME,
+            agreement.format_differences(found),
+            spec.ErrorReason.MISMATCH,
+            differences=found,
         )
     return {
         spec.Payload.OK: True,
@@ -103,7 +106,7 @@ def greeting(policy: Announcement, state: str, frame: codec.Frame, *, guarded: b
     }
 
 
-def share_memory(connection: Connection, worker: Worker, asked: Any) -> Payload | None:
+def share_memory(connection: Connection, worker: ModelWorker, asked: Any) -> Payload | None:
     """Offer memory to a client on this host; when it has proved that it sees it, have the worker map it.
 
     Args:
@@ -132,7 +135,7 @@ def _offer(connection: Connection) -> Payload | None:
     return {"path": str(connection.segment.path), "size": connection.segment.size}
 
 
-def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any) -> Payload | None:
+def _prove(connection: Connection, segment: Segment, worker: ModelWorker, proof: Any) -> Payload | None:
     if proof != segment.token.hex():
         segment.close()
         return None

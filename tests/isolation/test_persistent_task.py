@@ -1,4 +1,4 @@
-"""A standing errand: what it loaded stays, and it is asked as often as is wanted."""
+"""A persistent task loads the model once and answers several requests."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from xpl_cli.isolation import errand
+from xpl_cli.isolation import subprocess_task
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,11 +46,15 @@ def loaded(tmp_path: Path) -> Iterator[Any]:
     (tmp_path / "model.py").write_text(MODEL)
     opened = []
 
-    def load(**config: Any) -> errand.Standing:
+    def load(**config: Any) -> subprocess_task.PersistentTask:
         manifest = {"model_class": "Model", "model_io": BLOCK, "temporal": {"kind": "chunk", "chunk": 1}}
         told = {"env_cfg_type": "franka_single", "action_type": "joint", **config}
         order = {"policy_dir": str(tmp_path), "config": told, "manifest": manifest, "block": BLOCK}
-        opened.append(errand.Standing("xpl.worker.changes", order, errand.Place(sys.executable, tmp_path)))
+        opened.append(
+            subprocess_task.PersistentTask(
+                "xpl.worker.changes", order, subprocess_task.TaskSettings(sys.executable, tmp_path)
+            )
+        )
         return opened[-1]
 
     yield load

@@ -27,7 +27,7 @@ _ORIGIN = re.compile(rf"[a-z][a-z0-9+.-]*://{_AUTHORITY.pattern}", re.ASCII | re
 
 
 @dataclass(frozen=True)
-class Names:
+class AllowedHosts:
     """The names and pages of one server.
 
     Args:

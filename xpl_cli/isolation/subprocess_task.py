@@ -23,9 +23,9 @@ from xpl.process import spawn
 from xpl.process.child import SDK_START
 from xpl.wire import packed
 from xpl.worker.errand import ERROR, LENGTH
-from xpl_cli.isolation import family
-from xpl_cli.isolation.bounds import Bounds
-from xpl_cli.isolation.life import Life
+from xpl_cli.isolation import processes
+from xpl_cli.isolation.hang_detector import HangDetector
+from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.isolation.stacks import STACKS_S, where
 
 _EVERY_S: Final = 0.1
@@ -34,7 +34,7 @@ _MOST_BYTES: Final = 1 << 30
 
 
 @dataclass(frozen=True)
-class Place:
+class TaskSettings:
     """Where an errand runs.
 
     Attributes:
@@ -48,14 +48,14 @@ class Place:
 
     python: str
     checkout: Path
-    bounds: Bounds = field(default_factory=Bounds)
+    bounds: IsolationSettings = field(default_factory=IsolationSettings)
     patience: float = 30.0
     limit_s: float = 600.0
     heard: Callable[[int], None] | None = None
 
 
 @dataclass(frozen=True)
-class Answer:
+class TaskAnswer:
     """What an errand says to one thing that it was told.
 
     Attributes:
@@ -82,7 +82,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Done:
+class TaskResult:
     """What came of an errand.
 
     Attributes:
@@ -91,7 +91,7 @@ class Done:
         last: the last line that it printed.
     """
 
-    answers: list[Answer]
+    answers: list[TaskAnswer]
     problem: str | None
     last: str
 
@@ -101,7 +101,7 @@ class Done:
         return self.problem or f"ended without an answer: {self.last:.200}"
 
 
-def run(module: str, order: Mapping[str, object], place: Place) -> Done:
+def run(module: str, order: Mapping[str, object], place: TaskSettings) -> TaskResult:
     """Run an errand to its end.
 
     Args:
@@ -110,13 +110,13 @@ def run(module: str, order: Mapping[str, object], place: Place) -> Done:
         place: where.
     """
     with _room(place) as (prefix, folder, environment):
-        errand = _Run(_command(module, order, place, prefix, folder), place, environment, folder / "log")
+        errand = _TaskProcess(_command(module, order, place, prefix, folder), place, environment, folder / "log")
         with errand.running():
             return errand.done(folder / "answers", place.limit_s)
 
 
 def _command(
-    module: str, order: Mapping[str, object], place: Place, prefix: tuple[str, ...], folder: Path
+    module: str, order: Mapping[str, object], place: TaskSettings, prefix: tuple[str, ...], folder: Path
 ) -> list[str]:
     """Write an order into a folder, and return the command that does it and writes its answers there."""
     (folder / "asked").write_bytes(b"".join(packed.encode(order)))
@@ -124,7 +124,7 @@ def _command(
     return spawn.command(place.python, start, str(folder / "asked"), str(folder / "answers"), prefix=prefix)
 
 
-class Standing:
+class PersistentTask:
     """An errand that loads something once, and is then asked several times (`xpl.worker.errand.stand`).
 
     Args:
@@ -136,17 +136,17 @@ class Standing:
         loaded: what came of loading.
     """
 
-    def __init__(self, module: str, order: Mapping[str, object], place: Place) -> None:
+    def __init__(self, module: str, order: Mapping[str, object], place: TaskSettings) -> None:
         self._place, self._asked = place, 0
         with contextlib.ExitStack() as opened:
             prefix, self._folder, environment = opened.enter_context(_room(place))
             command = _command(module, order, place, prefix, self._folder)
-            self._run = _Run(command, place, environment, self._folder / "log")
+            self._run = _TaskProcess(command, place, environment, self._folder / "log")
             opened.enter_context(self._run.running(subprocess.PIPE))
             self.loaded = self._run.done(self._folder / "answers", place.limit_s)
             self._opened = opened.pop_all()
 
-    def ask(self, order: Mapping[str, object], limit_s: float) -> Done:
+    def ask(self, order: Mapping[str, object], limit_s: float) -> TaskResult:
         """Return the answers to an order; none if the errand ended before."""
         self._asked += 1
         (self._folder / f"asked.{self._asked}").write_bytes(b"".join(packed.encode(order)))
@@ -161,13 +161,13 @@ class Standing:
         self._opened.close()
 
 
-def _read(told: Path) -> list[Answer]:
+def _read(told: Path) -> list[TaskAnswer]:
     """Return the answers that are complete.
 
     Raises:
         PackingError: if one is none.
     """
-    found: list[Answer] = []
+    found: list[TaskAnswer] = []
     if told.is_file() and told.stat().st_size > _MOST_BYTES:
         raise packed.PackingError(f"its answers take more than {_MOST_BYTES} bytes")
     data = memoryview(told.read_bytes() if told.is_file() else b"")
@@ -176,13 +176,13 @@ def _read(told: Path) -> list[Answer]:
         data = data[LENGTH.size :]
         if length > len(data) or not length:  # which is the end of a standing errand's answers
             break
-        found.append(Answer.read(packed.decode(data[:length])))
+        found.append(TaskAnswer.read(packed.decode(data[:length])))
         data = data[length:]
     return found
 
 
 @contextlib.contextmanager
-def _room(place: Place) -> Iterator[tuple[tuple[str, ...], Path, dict[str, str]]]:
+def _room(place: TaskSettings) -> Iterator[tuple[tuple[str, ...], Path, dict[str, str]]]:
     """Yield what is put before a command, a folder that it may write to, and its environment; as a server has them."""
     environment = spawn.variables()
     with (
@@ -213,17 +213,17 @@ def _counted(told: Path) -> tuple[int, bool]:
     return count, False
 
 
-class _Run:
+class _TaskProcess:
     """A command in a group of its own."""
 
-    def __init__(self, command: list[str], place: Place, environment: dict[str, str], log: Path) -> None:
+    def __init__(self, command: list[str], place: TaskSettings, environment: dict[str, str], log: Path) -> None:
         self._command, self._place, self._environment, self._log = command, place, environment, log
 
     @contextlib.contextmanager
     def running(self, stdin: int = subprocess.DEVNULL) -> Iterator[None]:
         """Start it, and in the end end it and all that it started."""
-        before = {member.pid for member in family.descendants(os.getpid())}
-        family.adopt_orphans()
+        before = {member.pid for member in processes.descendants(os.getpid())}
+        processes.adopt_orphans()
         # A file, not a pipe: a process that the adapter leaves behind would keep a pipe open.
         with self._log.open("wb") as output:
             process = subprocess.Popen(
@@ -244,7 +244,7 @@ class _Run:
             if process.stdin is not None:
                 with contextlib.suppress(OSError):
                     process.stdin.close()
-            family.end_adopted(before)
+            processes.end_adopted(before)
 
     def say(self, line: str) -> None:
         """Write a line to its standard input; who waits for an answer will see if it is not there any more."""
@@ -253,13 +253,13 @@ class _Run:
             self._process.stdin.write(line.encode())
             self._process.stdin.flush()
 
-    def done(self, told: Path, limit_s: float) -> Done:
+    def done(self, told: Path, limit_s: float) -> TaskResult:
         """Return the answers that it writes to a file until it ends, or says that these are all."""
         problem = self._waited(told, limit_s)
         try:
-            return Done(_read(told), problem, self.last)
+            return TaskResult(_read(told), problem, self.last)
         except packed.PackingError as error:
-            return Done([], f"wrote what is no answer: {error}", self.last)
+            return TaskResult([], f"wrote what is no answer: {error}", self.last)
 
     @property
     def last(self) -> str:
@@ -274,7 +274,7 @@ class _Run:
             now = time.monotonic()
             written = told.stat().st_size if told.is_file() else 0
             if life is None or written != size:  # another answer: patience begins anew
-                size, life = written, Life(process.pid, self._place.patience, now)
+                size, life = written, HangDetector(process.pid, self._place.patience, now)
                 count, is_all = _counted(told)
                 if count > heard and self._place.heard is not None:
                     self._place.heard(count)
@@ -294,7 +294,7 @@ class _Run:
 
     def _where(self, process: subprocess.Popen[bytes], why: str) -> str:
         """Have the process print its stacks, and return why it is ended and where it stood."""
-        inner = family.behind_launcher(process.pid)[-1] if self._place.bounds.flags else process.pid
+        inner = processes.behind_launcher(process.pid)[-1] if self._place.bounds.flags else process.pid
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(inner, signal.SIGUSR1)
         with contextlib.suppress(subprocess.TimeoutExpired):

@@ -41,7 +41,7 @@ def _visible(text: str) -> str:
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode("ascii") for char in text)
 
 
-class Burst:
+class RateLimitedLog:
     """Says once what happens many times: at once, and then a minute later how often since.
 
     Args:

@@ -10,12 +10,12 @@ if TYPE_CHECKING:
     from xpl.process.link import Head
 
 
-class HeadError(ValueError):
+class WorkerAnswerError(ValueError):
     """An answer that is none of those that were agreed on; says what was expected and what came."""
 
 
 @dataclass(frozen=True)
-class Raised:
+class AdapterException:
     """What a worker says of an exception (`xpl.worker.main`).
 
     Attributes:
@@ -50,20 +50,20 @@ class Raised:
         return cls(kind, message, traceback, lacks, *flags)
 
 
-def outcome(head: Head) -> Head | Raised | None:
+def outcome(head: Head) -> Head | AdapterException | None:
     """Return what an operation that is no request returned, or what it raised.
 
     Raises:
         HeadError: the head says neither.
     """
     if "error" in head:
-        return Raised.parse(head["error"])
+        return AdapterException.parse(head["error"])
     if "ok" not in head:
-        raise HeadError(f"expected ok or error, got {sorted(head)!r:.80}")
+        raise WorkerAnswerError(f"expected ok or error, got {sorted(head)!r:.80}")
     return None if head["ok"] is None else _map(head["ok"], "ok")
 
 
-def answers(head: Head, results: Sequence[memoryview], count: int) -> list[memoryview | Raised]:
+def answers(head: Head, results: Sequence[memoryview], count: int) -> list[memoryview | AdapterException]:
     """Return what each of so many requests got.
 
     Args:
@@ -77,20 +77,20 @@ def answers(head: Head, results: Sequence[memoryview], count: int) -> list[memor
     told = head.get("answers")
     if not isinstance(told, list) or len(told) != count or told.count(None) != len(results):
         got = f"{len(told)} and" if isinstance(told, list) else f"a {type(told).__name__} and"
-        raise HeadError(
+        raise WorkerAnswerError(
             f"expected {count} answers and the results of those that raised nothing, got {got} {len(results)}"
         )
     result = iter(results)
-    return [next(result) if one is None else Raised.parse(one) for one in told]
+    return [next(result) if one is None else AdapterException.parse(one) for one in told]
 
 
 def _map(value: object, what: str) -> Head:
     if not isinstance(value, dict):
-        raise HeadError(f"expected {what} to be a map, got {type(value).__name__}")
+        raise WorkerAnswerError(f"expected {what} to be a map, got {type(value).__name__}")
     return value
 
 
 def _text(value: object, name: str) -> str:
     if not isinstance(value, str):
-        raise HeadError(f"expected {name} to be text, got {type(value).__name__}")
+        raise WorkerAnswerError(f"expected {name} to be text, got {type(value).__name__}")
     return value

@@ -40,7 +40,7 @@ _PRELOADED: Final = (
     "xpl_cli.main",
     "xpl_cli.commands.run.serve",
     "xpl_cli.serving.run",
-    "xpl_cli.serving.server",
+    "xpl_cli.serving.front_end",
     "xpl_cli.isolation.sandbox",
     "encodings.idna",
     "encodings.utf_8_sig",
@@ -48,7 +48,7 @@ _PRELOADED: Final = (
 _SCHEMAS: Final = ("policy", "deploy")
 """What every server reads its package's manifests by."""
 _START: Final = (
-    "import sys; sys.path.insert(0, sys.argv[1]); from xpl_cli.serving.nursery import main; main(int(sys.argv[2]))"
+    "import sys; sys.path.insert(0, sys.argv[1]); from xpl_cli.serving.fork_server import main; main(int(sys.argv[2]))"
 )
 _LIMITS: Final = frozenset(number for name, number in vars(resource).items() if name.startswith("RLIMIT_"))
 _STREAMS: Final = 3
@@ -56,7 +56,7 @@ _UNKNOWN: Final = -signal.SIGKILL
 """Exit code of a server whose nursery is gone."""
 
 
-class Hosted:
+class ForkedServer:
     """A command of `xpl` in a process of its own; what `subprocess.Popen` would be for it.
 
     Attributes:
@@ -65,7 +65,7 @@ class Hosted:
         returncode: its exit code, None as long as it runs.
     """
 
-    def __init__(self, nursery: Nursery, pid: int, streams: Sequence[IO[bytes]], life: int) -> None:
+    def __init__(self, nursery: ForkServer, pid: int, streams: Sequence[IO[bytes]], life: int) -> None:
         self.pid = pid
         self.stdin, self.stdout, self.stderr = streams
         self.returncode: int | None = None
@@ -106,7 +106,7 @@ class Hosted:
         self.send_signal(signal.SIGTERM)
 
 
-class Nursery:
+class ForkServer:
     """The process that servers are forked from, seen from the tool that wants them.
 
     Args:
@@ -128,7 +128,7 @@ class Nursery:
                 start_new_session=True,
             )
 
-    def start(self, arguments: Sequence[str]) -> Hosted:
+    def start(self, arguments: Sequence[str]) -> ForkedServer:
         """Start `xpl` with arguments, in this process's working directory, environment and limits as they are now.
 
         Raises:
@@ -154,7 +154,7 @@ class Nursery:
             for descriptor in theirs:
                 os.close(descriptor)
         streams: list[IO[bytes]] = [os.fdopen(ours[0], "wb"), os.fdopen(ours[1], "rb"), os.fdopen(ours[2], "rb")]
-        return Hosted(self, pid, streams, ours[3])
+        return ForkedServer(self, pid, streams, ours[3])
 
     def status(self, pid: int) -> int:
         """Return the exit code of a process that has ended."""
@@ -181,9 +181,9 @@ _LOCK = threading.Lock()
 
 
 @functools.cache
-def _nursery(_pid: int) -> Nursery:
+def _nursery(_pid: int) -> ForkServer:
     """Return the nursery of this very process; a process that was forked from it makes its own."""
-    made = Nursery()
+    made = ForkServer()
     atexit.register(made.close)
     return made
 
@@ -194,7 +194,7 @@ def warm() -> None:
         _nursery(os.getpid())
 
 
-def start(arguments: Sequence[str]) -> Hosted:
+def start(arguments: Sequence[str]) -> ForkedServer:
     """Start `xpl` with arguments in a process of its own.
 
     Raises:

@@ -15,7 +15,7 @@ import socket
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl_cli.serving.logbook import Burst
+from xpl_cli.serving.server_log import RateLimitedLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,7 +34,7 @@ _OUT = (errno.EMFILE, errno.ENFILE)
 _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
 
 
-def room() -> tuple[int, int]:
+def connection_limits() -> tuple[int, int]:
     """Return how many connections there may be, and how many half open ones, with the descriptors of this process."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     left = max(16, (1 << 20 if soft == resource.RLIM_INFINITY else soft) - _RESERVED)
@@ -42,7 +42,7 @@ def room() -> tuple[int, int]:
     return min(spec.LIMITS["connections"], (left - half_open) // _PER_CONNECTION), half_open
 
 
-class Door:
+class ConnectionLimiter:
     """Lets connections in.
 
     Args:
@@ -53,10 +53,10 @@ class Door:
         self._most = most
         self._half_open: dict[int, socket.socket] = {}
         self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
-        self._dropped = Burst("dropped a connection that asked for nothing: there are more than can be kept")
-        self._turned_away = Burst("turned a connection away: this process has no descriptor left")
+        self._dropped = RateLimitedLog("dropped a connection that asked for nothing: there are more than can be kept")
+        self._turned_away = RateLimitedLog("turned a connection away: this process has no descriptor left")
 
-    def sockets(self, host: str, port: int) -> list[socket.socket]:
+    def bind(self, host: str, port: int) -> list[socket.socket]:
         """Return sockets bound to every address of a host; port 0 lets the system choose one, the same for all.
 
         Raises:
@@ -68,7 +68,7 @@ class Door:
         for family, kind, protocol, _, address in sorted(found, key=lambda one: one[0] != socket.AF_INET):
             chosen = bound[0].getsockname()[1] if bound else port
             try:
-                bound.append(_Listening.bound(self, (family, kind, protocol), (address[0], chosen, *address[2:])))
+                bound.append(_LimitedSocket.bound(self, (family, kind, protocol), (address[0], chosen, *address[2:])))
             except OSError as error:
                 problem = error
                 # A machine without IPv6 still has a name for it, and a port that was chosen may be taken there.
@@ -81,7 +81,7 @@ class Door:
             made.close()
         raise problem
 
-    def passed(self, descriptor: int) -> None:
+    def note_upgrade(self, descriptor: int) -> None:
         """Say that a connection asked for a WebSocket, and got it."""
         self._half_open.pop(descriptor, None)
 
@@ -91,7 +91,7 @@ class Door:
         if spare >= 0:
             os.close(spare)
 
-    def let_in(self, accept: Callable[[], Accepted]) -> Accepted:
+    def accept_limited(self, accept: Callable[[], Accepted]) -> Accepted:
         """Accept a connection, and drop the oldest that asked for nothing if there are too many.
 
         Raises:
@@ -130,13 +130,13 @@ class Door:
             self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
 
-class _Listening(socket.socket):
+class _LimitedSocket(socket.socket):
     """A socket that lets connections in through a door."""
 
-    _door: Door
+    _door: ConnectionLimiter
 
     @classmethod
-    def bound(cls, door: Door, kind: tuple[int, int, int], address: Any) -> _Listening:
+    def bound(cls, door: ConnectionLimiter, kind: tuple[int, int, int], address: Any) -> _LimitedSocket:
         """Return a socket of a family, type and protocol that is bound to an address."""
         made = cls(*kind)
         made._door = door
@@ -156,4 +156,4 @@ class _Listening(socket.socket):
 
     def accept(self) -> Accepted:
         """Accept through the door."""
-        return self._door.let_in(super().accept)
+        return self._door.accept_limited(super().accept)

@@ -6,29 +6,29 @@ import asyncio
 import time
 from typing import TYPE_CHECKING
 
-from xpl_cli.isolation.life import Life
+from xpl_cli.isolation.hang_detector import HangDetector
 from xpl_cli.isolation.stacks import STACKS_S
 
 if TYPE_CHECKING:
-    from xpl_cli.serving.workers.pool import Worker
+    from xpl_cli.serving.workers.worker import ModelWorker
 
 
-async def hold(worker: Worker, patience: float) -> None:
+async def hold(worker: ModelWorker, patience: float) -> None:
     """Look after a worker until it has ended: whenever it is at work it has to show life.
 
     Args:
         worker: one copy of the model.
-        patience: how long it may be silent, s (`xpl_cli.isolation.life`).
+        patience: how long it may be silent, s (`xpl_cli.isolation.hang_detector`).
     """
     process, began = worker.process, 0.0
-    life: Life | None = None
+    life: HangDetector | None = None
     while not process.died.done():
         now = time.monotonic()
         busy = worker.busy_for()
         if not busy:
             life = None
         elif life is None or abs(now - busy - began) > 0.5 * life.every_s:  # another piece of work
-            life, began = await asyncio.to_thread(Life, process.pid, patience, now), now - busy
+            life, began = await asyncio.to_thread(HangDetector, process.pid, patience, now), now - busy
         reason = None if life is None else await asyncio.to_thread(life.look, time.monotonic())
         if reason is not None and worker.busy_for() > busy:
             process.show_stacks()

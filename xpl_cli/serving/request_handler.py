@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
 from xpl.wire import codec, packed, telling
-from xpl_cli.serving.decoding import Decoder
-from xpl_cli.serving.logbook import Burst, log, log_lines
+from xpl_cli.serving.decoding import ImageDecoder
 from xpl_cli.serving.payloads import has_images, pack
-from xpl_cli.serving.session import RequestError, failure_code, method_of, packed_payload
-from xpl_cli.serving.workers.line import Job
+from xpl_cli.serving.requests import RequestError, failure_code, method_of, packed_payload
+from xpl_cli.serving.server_log import RateLimitedLog, log, log_lines
+from xpl_cli.serving.workers.job_queue import RequestJob
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from xpl.contract import Payload
     from xpl_cli.serving.connection import Connection
-    from xpl_cli.serving.observe import Observer
-    from xpl_cli.serving.places import Place
-    from xpl_cli.serving.session import Entry
-    from xpl_cli.serving.workers.heads import Raised
-    from xpl_cli.serving.workers.pool import Worker
+    from xpl_cli.serving.monitoring import RequestMonitor
+    from xpl_cli.serving.requests import ReplayEntry
+    from xpl_cli.serving.slots import WorkerSlot
+    from xpl_cli.serving.workers.worker import ModelWorker
+    from xpl_cli.serving.workers.worker_answers import AdapterException
 
 _BEFORE_AN_EPISODE = frozenset((spec.Method.RESET, *spec.HOOKS))
 _TIMED = frozenset((spec.Message.INFER, spec.Message.CALL))
@@ -35,7 +35,7 @@ _AT_ONCE = 1 << 15
 """Bytes of an answer that is unpacked at once, for a client that does not unpack itself; a thread does larger ones."""
 
 
-class Desk:
+class RequestHandler:
     """Takes requests in and gives answers out.
 
     Args:
@@ -46,18 +46,20 @@ class Desk:
     """
 
     def __init__(
-        self, *, debug: bool, observer: Observer | None, on_change: Callable[[], None], renew: bool = False
+        self, *, debug: bool, observer: RequestMonitor | None, on_change: Callable[[], None], renew: bool = False
     ) -> None:
         self._debug = debug
         self._renew = renew
         self._observer = observer
         self._on_change = on_change
-        self._decoder = Decoder()
-        self._errors = Burst("the adapter raised", most=_ERRORS)
+        self._decoder = ImageDecoder()
+        self._errors = RateLimitedLog("the adapter raised", most=_ERRORS)
 
     # -- in ------------------------------------------------------------------------------------------------------------
 
-    def take(self, connection: Connection, place: Place, worker: Worker, frame: codec.Frame, size: int) -> None:
+    def take(
+        self, connection: Connection, place: WorkerSlot, worker: ModelWorker, frame: codec.Frame, size: int
+    ) -> None:
         """Decide at once what becomes of a request, so that requests run in the order in which they came.
 
         Args:
@@ -67,7 +69,7 @@ class Desk:
             frame: the request.
             size: its bytes.
         """
-        entry: Entry | None = None
+        entry: ReplayEntry | None = None
         try:
             entry = place.replay.find(frame)
             if entry is None:
@@ -77,7 +79,7 @@ class Desk:
                 entry.waiting.append(connection.answer)
                 self._begin(
                     worker,
-                    Job(
+                    RequestJob(
                         frame,
                         method_of(frame),
                         place,
@@ -99,7 +101,12 @@ class Desk:
             self.refuse(connection, place, frame, entry, fault(error))
 
     def refuse(
-        self, connection: Connection, place: Place | None, frame: codec.Frame, entry: Entry | None, error: RequestError
+        self,
+        connection: Connection,
+        place: WorkerSlot | None,
+        frame: codec.Frame,
+        entry: ReplayEntry | None,
+        error: RequestError,
     ) -> None:
         """Answer a request that no worker was asked."""
         data = refusal(frame, error)
@@ -110,7 +117,7 @@ class Desk:
         else:
             connection.answer(data)
 
-    def _begin(self, worker: Worker, job: Job) -> None:
+    def _begin(self, worker: ModelWorker, job: RequestJob) -> None:
         place, frame = job.place, job.frame
         if job.method not in _BEFORE_AN_EPISODE and not place.begun and frame.step > 0:
             raise RequestError(
@@ -123,7 +130,7 @@ class Desk:
             worker.renew()
         elif place.stale and job.method != spec.Method.RESET:
             # The client that had this place before left its episode there.
-            worker.submit(Job(codec.Frame(spec.Message.RESET, ""), spec.Method.RESET, place, payload=_NOTHING))
+            worker.submit(RequestJob(codec.Frame(spec.Message.RESET, ""), spec.Method.RESET, place, payload=_NOTHING))
         place.stale = False
         place.begun = place.begun or job.method not in spec.HOOKS
         if job.payload is None and has_images(frame.payload):
@@ -134,7 +141,7 @@ class Desk:
             job.takes(pack(frame.payload))
         worker.submit(job)
 
-    def _decoded(self, worker: Worker, job: Job, done: asyncio.Future[Payload]) -> None:
+    def _decoded(self, worker: ModelWorker, job: RequestJob, done: asyncio.Future[Payload]) -> None:
         """Go on with a request whose images were decoded, or refuse one whose images are damaged."""
         try:
             job.takes(pack(done.result()))
@@ -148,7 +155,7 @@ class Desk:
 
     # -- out: what a worker tells --------------------------------------------------------------------------------------
 
-    def answered(self, job: Job, result: memoryview) -> None:
+    def answered(self, job: RequestJob, result: memoryview) -> None:
         """Send what the worker answered."""
         finished = time.monotonic()
         if len(result) > _AT_ONCE and not _passes(job, result):
@@ -157,7 +164,7 @@ class Desk:
         else:
             self._made(job, lambda: _encoded(job, result, finished), finished)
 
-    def _made(self, job: Job, answer: Callable[[], bytes], finished: float) -> None:
+    def _made(self, job: RequestJob, answer: Callable[[], bytes], finished: float) -> None:
         try:
             data = answer()
         except (codec.WireError, packed.PackingError) as error:
@@ -167,7 +174,7 @@ class Desk:
         else:
             self._finish(job, data, "ok", finished)
 
-    def raised(self, job: Job, error: Raised) -> None:
+    def raised(self, job: RequestJob, error: AdapterException) -> None:
         """Send what the adapter raised: one sentence, and the traceback only to the log."""
         # What the machine lacks, or what stands in for the model: no fault of the adapter.
         lacks: Payload = {"lacks": error.lacks} if error.lacks else {}
@@ -182,20 +189,20 @@ class Desk:
             refused = RequestError(failure_code(job.frame), shown, **lacks)
         self.refused(job, refused)
 
-    def refused(self, job: Job, error: RequestError) -> None:
+    def refused(self, job: RequestJob, error: RequestError) -> None:
         """Send why a request was not done."""
         if job.entry is None:
             log(f"reset for a new client failed: {error}")
         self._finish(job, refusal(job.frame, error), error.code, time.monotonic())
 
-    def failed(self, job: Job, error: Exception) -> None:
+    def failed(self, job: RequestJob, error: Exception) -> None:
         """Send that the answer to a request could not be given, unless one was."""
         problem = fault(error)
         self._decoder.release(job)
         if job.entry is not None and job.entry.answer is None:
             job.place.replay.finish(job.frame.message_id, job.entry, refusal(job.frame, problem))
 
-    def _finish(self, job: Job, data: bytes, outcome: str, finished: float) -> None:
+    def _finish(self, job: RequestJob, data: bytes, outcome: str, finished: float) -> None:
         self._decoder.release(job)
         if job.entry is None:
             return
@@ -205,7 +212,7 @@ class Desk:
             self._observer.answered(job, finished, len(data), outcome)
 
 
-def _passes(job: Job, result: memoryview) -> bool:
+def _passes(job: RequestJob, result: memoryview) -> bool:
     """Tell whether an answer is passed on as the worker packed it; what is no packed value is not."""
     with contextlib.suppress(packed.PackingError):
         return job.packs and packed.lengths(result)[0] <= spec.LIMITS["packed_header"]
@@ -229,7 +236,7 @@ def fault(error: Exception) -> RequestError:
     return RequestError(spec.ErrorCode.INTERNAL, f"fault of the server: {told['type']}: {told['message']}")
 
 
-def _encoded(job: Job, result: memoryview, finished: float) -> bytes:
+def _encoded(job: RequestJob, result: memoryview, finished: float) -> bytes:
     frame = job.frame
     payload: Payload = {} if frame.message_type == spec.Message.INFER else {spec.Payload.OK: True}
     if frame.message_type in _TIMED:
@@ -239,7 +246,7 @@ def _encoded(job: Job, result: memoryview, finished: float) -> bytes:
     return acknowledged(frame, {**payload, **packed.decode(result)})
 
 
-def _count(place: Place, frame: codec.Frame) -> None:
+def _count(place: WorkerSlot, frame: codec.Frame) -> None:
     """Check that no request is missing, or came a second time under another id."""
     number = frame.payload.get(spec.Payload.SEQUENCE)
     if type(number) is not int or number != place.sequence:

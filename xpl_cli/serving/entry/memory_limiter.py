@@ -10,7 +10,7 @@ import asyncio
 from typing import TYPE_CHECKING, Any, Protocol
 
 from xpl import _spec as spec
-from xpl_cli.serving.logbook import Burst
+from xpl_cli.serving.server_log import RateLimitedLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +19,7 @@ _TRY_AGAIN = 1013  # registered in the WebSocket close code registry
 _STEP = 1 << 18
 
 
-class Incoming(asyncio.BufferedProtocol):
+class ByteCountingProtocol(asyncio.BufferedProtocol):
     """Stands between a connection and the library that reads it, and counts what came since the last whole message.
 
     Args:
@@ -66,7 +66,7 @@ class Incoming(asyncio.BufferedProtocol):
         protocol.connection_lost(exc)
 
 
-class Ledger:
+class ByteBudget:
     """Who holds how many bytes, within a sum.
 
     Args:
@@ -75,21 +75,21 @@ class Ledger:
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._held: dict[Holder, int] = {}
+        self._held: dict[MemoryHolder, int] = {}
         self._sum = 0
 
-    def note(self, who: Holder, size: int) -> Holder | None:
+    def note(self, who: MemoryHolder, size: int) -> MemoryHolder | None:
         """Note that somebody holds so many bytes now; return who has to go: the one with most, where it is too much."""
         self._sum += size - self._held.get(who, 0)
         self._held[who] = size
         return None if self._sum <= self._most else max(self._held, key=self._held.__getitem__)
 
-    def forget(self, who: Holder) -> None:
+    def forget(self, who: MemoryHolder) -> None:
         """Note that somebody holds nothing any more."""
         self._sum -= self._held.pop(who, 0)
 
 
-class Holder(Protocol):
+class MemoryHolder(Protocol):
     """A connection that holds memory.
 
     Attributes:
@@ -109,7 +109,7 @@ class Holder(Protocol):
         """End it at once."""
 
 
-class Crowd:
+class MessageMemoryLimiter:
     """All connections: where their messages take too much memory, the one with most of it is closed.
 
     Args:
@@ -118,10 +118,12 @@ class Crowd:
     """
 
     def __init__(self, most: int = spec.LIMITS["held_bytes"], early: int = spec.LIMITS["early_bytes"]) -> None:
-        self._all, self._early = Ledger(most), Ledger(early)
-        self._closed = Burst("closed a connection: the messages of all took too much memory, and its own most of it")
+        self._all, self._early = ByteBudget(most), ByteBudget(early)
+        self._closed = RateLimitedLog(
+            "closed a connection: the messages of all took too much memory, and its own most of it"
+        )
 
-    def holds(self, connection: Holder) -> None:
+    def holds(self, connection: MemoryHolder) -> None:
         """Note what a connection holds now."""
         size = connection.held
         largest = self._all.note(connection, size)
@@ -135,7 +137,7 @@ class Crowd:
             largest.cut()
             self.forget(largest)
 
-    def forget(self, connection: Holder) -> None:
+    def forget(self, connection: MemoryHolder) -> None:
         """Note that a connection is gone."""
         self._all.forget(connection)
         self._early.forget(connection)

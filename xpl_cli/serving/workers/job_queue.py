@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
-from xpl_cli.serving.session import is_optional
+from xpl_cli.serving.requests import is_optional
 
 if TYPE_CHECKING:
     from xpl.wire.codec import Frame
-    from xpl_cli.serving.places import Place
-    from xpl_cli.serving.session import Entry
+    from xpl_cli.serving.requests import ReplayEntry
+    from xpl_cli.serving.slots import WorkerSlot
 
 _ACTIONS = frozenset((spec.Method.INFER, spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH))
 _TOGETHER = 16
@@ -27,7 +27,7 @@ _MEMORY = 0.3
 
 
 @dataclass(eq=False)
-class Job:
+class RequestJob:
     """A request in the line.
 
     Attributes:
@@ -46,10 +46,10 @@ class Job:
 
     frame: Frame
     method: str
-    place: Place
+    place: WorkerSlot
     payload: bytes | None = None
     segment: int | None = None
-    entry: Entry | None = None
+    entry: ReplayEntry | None = None
     packs: bool = False
     size: int = 0
     received: float = 0.0
@@ -71,7 +71,7 @@ class Job:
 
 
 @dataclass
-class _Habit:
+class _ClientTiming:
     """How a client of a shared worker behaves.
 
     Attributes:
@@ -84,7 +84,7 @@ class _Habit:
 
 
 @dataclass
-class Line:
+class JobQueue:
     """The line of one worker. Requests of one client run in their order; clients of a shared worker run together.
 
     Args:
@@ -94,15 +94,15 @@ class Line:
 
     shared: bool = False
     most: int | None = None
-    _jobs: dict[Place, collections.deque[Job]] = field(default_factory=dict)
-    _habits: dict[Place, _Habit] = field(default_factory=dict)
+    _jobs: dict[WorkerSlot, collections.deque[RequestJob]] = field(default_factory=dict)
+    _habits: dict[WorkerSlot, _ClientTiming] = field(default_factory=dict)
     _model_s: float = 0.0
     _idle_since: float = 0.0
 
     def __len__(self) -> int:
         return sum(map(len, self._jobs.values()))
 
-    def add(self, job: Job, now: float) -> None:
+    def add(self, job: RequestJob, now: float) -> None:
         """Put a job at the end of its client's line."""
         job.arrived = now
         self._jobs.setdefault(job.place, collections.deque()).append(job)
@@ -112,7 +112,7 @@ class Line:
             habit.pause = pause if habit.pause is None else _mean(habit.pause, pause)
             habit.answered = 0.0
 
-    def next(self, now: float) -> tuple[list[Job], float]:
+    def next(self, now: float) -> tuple[list[RequestJob], float]:
         """Return the jobs to run now, or none and how long to wait, s, for a client that is about to ask.
 
         A batch may wait if others are expected within a part of what the model takes anyway; a client that is alone
@@ -130,7 +130,7 @@ class Line:
         wait = 0.0 if len(batch) == self.most else self._expected(batch, now)
         return ([], wait) if wait > 0.0 else (self._run(batch, now), 0.0)
 
-    def finished(self, jobs: list[Job], now: float) -> None:
+    def finished(self, jobs: list[RequestJob], now: float) -> None:
         """Learn from what was answered just now how long the model and its clients take."""
         self._idle_since = now
         if any(job.method in _ACTIONS for job in jobs):
@@ -139,13 +139,13 @@ class Line:
         if self.shared:
             for job in jobs:
                 if job.method in _ACTIONS:
-                    self._habits.setdefault(job.place, _Habit(now)).answered = now
+                    self._habits.setdefault(job.place, _ClientTiming(now)).answered = now
 
-    def forget(self, place: Place) -> None:
+    def forget(self, place: WorkerSlot) -> None:
         """Expect nothing more from a client that left."""
         self._habits.pop(place, None)
 
-    def remove(self, job: Job) -> None:
+    def remove(self, job: RequestJob) -> None:
         """Take one job out, if it is still there."""
         jobs = self._jobs.get(job.place)
         if jobs is not None and job in jobs:
@@ -153,18 +153,18 @@ class Line:
             if not jobs:
                 del self._jobs[job.place]
 
-    def holds(self, place: Place) -> bool:
+    def holds(self, place: WorkerSlot) -> bool:
         """Tell whether jobs of a client wait."""
         return place in self._jobs
 
-    def clear(self) -> list[Job]:
+    def clear(self) -> list[RequestJob]:
         """Take all jobs out and return them."""
         jobs = [job for line in self._jobs.values() for job in line]
         self._jobs.clear()
         return jobs
 
-    def _in_a_row(self, place: Place) -> list[Job]:
-        row: list[Job] = []
+    def _in_a_row(self, place: WorkerSlot) -> list[RequestJob]:
+        row: list[RequestJob] = []
         for job in self._jobs[place]:
             if not job.ready or len(row) == _TOGETHER:
                 break
@@ -173,7 +173,7 @@ class Line:
                 break
         return row
 
-    def _run(self, jobs: list[Job], now: float) -> list[Job]:
+    def _run(self, jobs: list[RequestJob], now: float) -> list[RequestJob]:
         for job in jobs:
             job.started = now
             self._jobs[job.place].popleft()
@@ -181,7 +181,7 @@ class Line:
                 del self._jobs[job.place]
         return jobs
 
-    def _expected(self, batch: list[Job], now: float) -> float:
+    def _expected(self, batch: list[RequestJob], now: float) -> float:
         """Return how long to wait for clients that will ask within our patience, s."""
         until = max(self._idle_since, min(job.arrived for job in batch)) + _PATIENCE * self._model_s
         asking = {job.place for job in batch}

@@ -7,13 +7,13 @@ import time
 from typing import IO, TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl_cli.serving.logbook import log
+from xpl_cli.serving.server_log import log
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from xpl.wire import codec
-    from xpl_cli.serving.workers.line import Job
+    from xpl_cli.serving.workers.job_queue import RequestJob
 
 Health = dict[str, Any]
 """What `/healthz` says: the state, places, connections and workers (docs/serving.md)."""
@@ -24,7 +24,7 @@ _OTHER = "other"
 _SECONDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0)
 
 
-class Observer:
+class RequestMonitor:
     """Is told about every request.
 
     Args:
@@ -36,7 +36,7 @@ class Observer:
     """
 
     def __init__(self, *, metrics: bool, trace: IO[str] | None) -> None:
-        self._metrics = _Metrics() if metrics else None
+        self._metrics = _PrometheusMetrics() if metrics else None
         self._trace = trace
         self.page: Callable[[], bytes] | None = None if self._metrics is None else self._metrics.page
 
@@ -45,7 +45,7 @@ class Observer:
         if self._metrics is not None:
             self._metrics.watch(health)
 
-    def answered(self, job: Job, finished: float, size: int, outcome: str) -> None:
+    def answered(self, job: RequestJob, finished: float, size: int, outcome: str) -> None:
         """Take note of a request that a worker answered.
 
         Args:
@@ -104,7 +104,7 @@ class Observer:
             self._trace = None
 
 
-class _Metrics:
+class _PrometheusMetrics:
     def __init__(self) -> None:
         from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
@@ -152,7 +152,7 @@ class _Metrics:
         for name, source in sources.items():
             self._states[name].set_function(source)
 
-    def answered(self, job: Job, finished: float, size: int, outcome: str) -> None:
+    def answered(self, job: RequestJob, finished: float, size: int, outcome: str) -> None:
         made_up = outcome == spec.ErrorCode.INVALID_FRAME and job.method not in _METHODS
         method = _OTHER if made_up else job.method
         self._requests.labels(method, outcome).inc()

@@ -35,7 +35,7 @@ LAUNCHERS = 2
 
 
 @dataclass(frozen=True)
-class Member:
+class ProcessInfo:
     """A process.
 
     Attributes:
@@ -69,7 +69,7 @@ class Member:
         return found is not None and found.started == self.started
 
 
-def descendants(pid: int) -> list[Member]:
+def descendants(pid: int) -> list[ProcessInfo]:
     """Return the processes below one, children of children too, and those of the session that it began."""
     known = list(_members())
     # Not those of its group: in a pipeline that is the user's, and its other commands are in it. A session is never
@@ -172,14 +172,14 @@ def end(leader: int) -> None:
     spawn.end_group(leader)  # all that can be seen where there is no /proc
 
 
-def end_descendants(before: Container[int]) -> list[Member]:
+def end_descendants(before: Container[int]) -> list[ProcessInfo]:
     """Kill the processes below this one, until there are none, and return them.
 
     Args:
         before: numbers of those that this process had when it began, such as the reader of its output, which a shell
             started before it became this process; they and theirs are spared.
     """
-    found: dict[Member, None] = {}
+    found: dict[ProcessInfo, None] = {}
     for _ in range(_ROUNDS):
         left = _below(os.getpid(), [one for one in _members() if one.pid not in before])
         if not left:
@@ -189,7 +189,7 @@ def end_descendants(before: Container[int]) -> list[Member]:
     return list(found)
 
 
-def end_adopted(before: Container[int]) -> list[Member]:
+def end_adopted(before: Container[int]) -> list[ProcessInfo]:
     """Kill the processes that this one has got as children, with all below them, and return them.
 
     Args:
@@ -201,7 +201,7 @@ def end_adopted(before: Container[int]) -> list[Member]:
     return _ended([*children.values(), *below.values()])
 
 
-def _ended(members: list[Member]) -> list[Member]:
+def _ended(members: list[ProcessInfo]) -> list[ProcessInfo]:
     for member in members:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(member.pid, signal.SIGKILL)
@@ -211,7 +211,7 @@ def _ended(members: list[Member]) -> list[Member]:
     return members
 
 
-def _below(pid: int, known: Sequence[Member], also: Container[int] = ()) -> list[Member]:
+def _below(pid: int, known: Sequence[ProcessInfo], also: Container[int] = ()) -> list[ProcessInfo]:
     """Return the processes below one and below some others, with these others."""
     inside = {pid}
     while True:
@@ -221,19 +221,19 @@ def _below(pid: int, known: Sequence[Member], also: Container[int] = ()) -> list
         inside = found
 
 
-def _members() -> Iterator[Member]:
+def _members() -> Iterator[ProcessInfo]:
     for name in os.listdir(_PROC) if _PROC.is_dir() else ():  # noqa: PTH208 - many, and often: names are enough
         member = _member(int(name)) if name.isdecimal() else None
         if member is not None:
             yield member
 
 
-def _member(pid: int) -> Member | None:
+def _member(pid: int) -> ProcessInfo | None:
     found = _fields(pid)
     if found is None or found[1][0] == _ZOMBIE:
         return None
     name, fields = found
-    return Member(pid, int(fields[1]), int(fields[2]), int(fields[3]), int(fields[19]), name)
+    return ProcessInfo(pid, int(fields[1]), int(fields[2]), int(fields[3]), int(fields[19]), name)
 
 
 def _fields(pid: int) -> tuple[str, list[str]] | None:

@@ -13,16 +13,16 @@ from picows import ws_create_server
 
 from xpl import _spec as spec
 from xpl.wire import codec
-from xpl_cli.serving.connection import Connection, Timing
-from xpl_cli.serving.desk import Desk, acknowledged, fault, refusal
-from xpl_cli.serving.entry import door
+from xpl_cli.serving.connection import Connection, ConnectionTimeouts
+from xpl_cli.serving.entry import connection_limiter
 from xpl_cli.serving.entry.admission import BEARER, Admission
-from xpl_cli.serving.entry.ledger import Crowd
-from xpl_cli.serving.greeting import capabilities, greeting, share_memory
-from xpl_cli.serving.logbook import Burst, log
-from xpl_cli.serving.places import Place, Places
-from xpl_cli.serving.session import RequestError
-from xpl_cli.serving.workers.pool import Worker
+from xpl_cli.serving.entry.memory_limiter import MessageMemoryLimiter
+from xpl_cli.serving.hello import capabilities, hello_answer, share_memory
+from xpl_cli.serving.request_handler import RequestHandler, acknowledged, fault, refusal
+from xpl_cli.serving.requests import RequestError
+from xpl_cli.serving.server_log import RateLimitedLog, log
+from xpl_cli.serving.slots import SlotPool, WorkerSlot
+from xpl_cli.serving.workers.worker import ModelWorker
 
 if TYPE_CHECKING:
     import ssl
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from picows import WSUpgradeRequest
 
     from xpl.contract import Announcement, Payload
-    from xpl_cli.serving.connection import Owner
-    from xpl_cli.serving.entry.names import Names
-    from xpl_cli.serving.observe import Health, Observer
-    from xpl_cli.serving.workers.worker import WorkerProcess
+    from xpl_cli.serving.connection import ConnectionOwner
+    from xpl_cli.serving.entry.allowed_hosts import AllowedHosts
+    from xpl_cli.serving.monitoring import Health, RequestMonitor
+    from xpl_cli.serving.workers.process import WorkerProcess
 
 
 _FRAMES = 100
@@ -42,7 +42,7 @@ _FRAMES = 100
 
 
 @dataclass(frozen=True)
-class Settings:
+class FrontEndSettings:
     """Where the front end listens, who may come in, and how long it waits; times in seconds.
 
     Attributes:
@@ -62,12 +62,12 @@ class Settings:
 
     host: str
     port: int
-    timing: Timing
+    timing: ConnectionTimeouts
     handshake_timeout: float | None
     request_timeout: float | None
     grace: float
     policy: Announcement
-    names: Names
+    names: AllowedHosts
     token: str | None = None
     tls: ssl.SSLContext | None = None
     debug: bool = False
@@ -75,7 +75,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Entrance:
+class Endpoint:
     """A port, and what is spoken there.
 
     Attributes:
@@ -85,7 +85,7 @@ class Entrance:
     """
 
     port: int
-    connection: Callable[[Owner, Timing], Connection]
+    connection: Callable[[ConnectionOwner, ConnectionTimeouts], Connection]
     scheme: str = BEARER
 
 
@@ -103,43 +103,47 @@ class FrontEnd:
         failed: resolves with the reason when no worker is left.
     """
 
-    def __init__(self, processes: list[WorkerProcess], settings: Settings, observer: Observer | None = None) -> None:
+    def __init__(
+        self, processes: list[WorkerProcess], settings: FrontEndSettings, observer: RequestMonitor | None = None
+    ) -> None:
         self._settings = settings
         self._changed = asyncio.Event()
-        self._desk = Desk(debug=settings.debug, observer=observer, on_change=self._changed.set, renew=settings.renew)
+        self._desk = RequestHandler(
+            debug=settings.debug, observer=observer, on_change=self._changed.set, renew=settings.renew
+        )
         self._observer = observer
         self._instance = uuid.uuid4().hex
         self._loop = asyncio.get_running_loop()
         # In the order in which they came.
         self._connections: dict[Connection, None] = {}
-        self._most, half_open = door.room()
-        self._door = door.Door(half_open)
-        self._refused = Burst("refused a frame", most=_FRAMES)
-        self._dropped = Burst("dropped a connection that had said nothing: there are more than can be served")
-        self._crowd = Crowd()
+        self._most, half_open = connection_limiter.connection_limits()
+        self._door = connection_limiter.ConnectionLimiter(half_open)
+        self._refused = RateLimitedLog("refused a frame", most=_FRAMES)
+        self._dropped = RateLimitedLog("dropped a connection that had said nothing: there are more than can be served")
+        self._crowd = MessageMemoryLimiter()
         self._waiting: list[tuple[Connection, codec.Frame]] = []
-        self._places = Places(len(processes), 1, settings.grace)
+        self._places = SlotPool(len(processes), 1, settings.grace)
         self._started = time.monotonic()
         self.state: str = spec.ServerState.LOADING
         self.workers = {
-            number: Worker(number, process, settings.request_timeout, self._desk, self._worker_failed)
+            number: ModelWorker(number, process, settings.request_timeout, self._desk, self._worker_failed)
             for number, process in enumerate(processes)
         }
         self.failed: asyncio.Future[str] = self._loop.create_future()
 
     # -- life ----------------------------------------------------------------------------------------------------------
 
-    async def listen(self, entrance: Entrance | None = None) -> list[asyncio.Server]:
+    async def listen(self, entrance: Endpoint | None = None) -> list[asyncio.Server]:
         """Bind the address, or that of another entrance, and start answering; a name may stand for several addresses.
 
         Raises:
             OSError: if the address cannot be had.
         """
         settings = self._settings
-        entrance = entrance or Entrance(settings.port, Connection)
+        entrance = entrance or Endpoint(settings.port, Connection)
         metrics = None if self._observer is None else self._observer.page
         admission = Admission(settings.token, settings.names, self.health, metrics, self._make_room, entrance.scheme)
-        trouble = Burst("a connection failed")
+        trouble = RateLimitedLog("a connection failed")
         self._loop.set_exception_handler(lambda _, context: trouble.note(_told(context)))
 
         def admit(request: WSUpgradeRequest) -> Any:
@@ -153,7 +157,7 @@ class FrontEnd:
                 websocket_handshake_timeout=settings.handshake_timeout,
                 max_frame_size=spec.LIMITS["frame_bytes"],
             )
-            for listening in self._door.sockets(settings.host, entrance.port)
+            for listening in self._door.bind(settings.host, entrance.port)
         ]
 
     def _make_room(self) -> bool:
@@ -172,7 +176,7 @@ class FrontEnd:
         """Say that the models are loaded, and answer the hellos that waited for that."""
         shared = all(worker.line.shared for worker in self.workers.values())
         clients = spec.LIMITS["clients"] if shared else 1
-        self._places = Places(len(self.workers), clients, self._settings.grace)
+        self._places = SlotPool(len(self.workers), clients, self._settings.grace)
         self.state = spec.ServerState.READY
         waiting, self._waiting = self._waiting, []
         for connection, frame in waiting:
@@ -241,7 +245,7 @@ class FrontEnd:
     def connected(self, connection: Connection) -> None:
         """Count a connection."""
         self._connections[connection] = None
-        self._door.passed(connection.descriptor)
+        self._door.note_upgrade(connection.descriptor)
 
     def holds(self, connection: Connection) -> None:
         """Count the memory of a connection's messages."""
@@ -312,7 +316,7 @@ class FrontEnd:
     def _greeting(self, connection: Connection, frame: codec.Frame) -> Payload | None:
         """Return the answer to hello: while the models load without a place, or None for who waits for them."""
         asked = capabilities(frame)
-        answer = greeting(self._settings.policy, self.state, frame, guarded=self._settings.token is not None)
+        answer = hello_answer(self._settings.policy, self.state, frame, guarded=self._settings.token is not None)
         connection.packs = bool(asked.get(spec.Capability.PACKED))
         connection.counts = bool(asked.get(spec.Capability.SEQUENCE))
         if self.state == spec.ServerState.LOADING:
@@ -338,7 +342,7 @@ class FrontEnd:
         else:
             self._desk.take(connection, place, self.workers[place.worker], frame, size)
 
-    def _place_for(self, connection: Connection, frame: codec.Frame) -> Place:
+    def _place_for(self, connection: Connection, frame: codec.Frame) -> WorkerSlot:
         """Return the place that a request is about.
 
         Raises:
@@ -356,7 +360,7 @@ class FrontEnd:
 
     # -- places and workers --------------------------------------------------------------------------------------------
 
-    def _place(self, connection: Connection, frame: codec.Frame) -> Place:
+    def _place(self, connection: Connection, frame: codec.Frame) -> WorkerSlot:
         place = self._places.of(connection)
         if place is not None:
             return place
@@ -367,7 +371,7 @@ class FrontEnd:
             lost.close(spec.CLOSE_CODES["replaced"], "the same client came back over another connection")
         return place
 
-    def _worker_failed(self, worker: Worker, reason: str) -> None:
+    def _worker_failed(self, worker: ModelWorker, reason: str) -> None:
         """Go on with the others; the clients of this one are told, and no longer served."""
         self.workers.pop(worker.number, None)
         for connection in self._places.close(worker.number):

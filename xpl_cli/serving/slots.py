@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
-from xpl_cli.serving.session import Replay, RequestError
+from xpl_cli.serving.requests import ReplayCache, RequestError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
 
 @dataclass(eq=False)
-class Place:
+class WorkerSlot:
     """A worker, or a range of environments in a shared one.
 
     Attributes:
@@ -41,11 +41,11 @@ class Place:
     tenancy: int = 0
     begun: bool = False
     stale: bool = False
-    replay: Replay = field(default_factory=Replay)
+    replay: ReplayCache = field(default_factory=ReplayCache)
     sequence: int = 0
 
 
-class Places:
+class SlotPool:
     """Gives places to connections.
 
     Args:
@@ -57,11 +57,11 @@ class Places:
 
     def __init__(self, workers: int, clients: int, grace: float, clock: Callable[[], float] = time.monotonic) -> None:
         # By client first, so that clients spread over the workers.
-        self._places = [Place(worker, client) for client in range(clients) for worker in range(workers)]
+        self._places = [WorkerSlot(worker, client) for client in range(clients) for worker in range(workers)]
         self._grace = grace
         self._clock = clock
         self._tenancies = 0
-        self._held: dict[Hashable, Place] = {}
+        self._held: dict[Hashable, WorkerSlot] = {}
 
     def __len__(self) -> int:
         return len(self._places)
@@ -70,11 +70,13 @@ class Places:
         """Return how many places are in use, those that wait for their client included."""
         return sum(not self._is_free(place) for place in self._places)
 
-    def of(self, connection: Hashable) -> Place | None:
+    def of(self, connection: Hashable) -> WorkerSlot | None:
         """Return the place of a connection, if it has one."""
         return self._held.get(connection)
 
-    def take(self, connection: Hashable, evaluation: str, session: str | None = None) -> tuple[Place, Hashable | None]:
+    def take(
+        self, connection: Hashable, evaluation: str, session: str | None = None
+    ) -> tuple[WorkerSlot, Hashable | None]:
         """Return a place for a connection, and the lost connection whose place it takes over, if any.
 
         A client comes back to its own place: by its secret even while the old connection seems alive, and by its
@@ -105,7 +107,7 @@ class Places:
         self._held[connection] = place
         return place, None
 
-    def leave(self, connection: Hashable, *, clean: bool) -> Place | None:
+    def leave(self, connection: Hashable, *, clean: bool) -> WorkerSlot | None:
         """Take a place back and return it; after a cut its client has the grace period to come back."""
         place = self._held.pop(connection, None)
         if place is None:
@@ -124,5 +126,5 @@ class Places:
             del self._held[connection]
         return lost
 
-    def _is_free(self, place: Place) -> bool:
+    def _is_free(self, place: WorkerSlot) -> bool:
         return place.holder is None and self._clock() >= place.free_at

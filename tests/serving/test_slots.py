@@ -9,8 +9,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from tests.support.examples import examples
 from xpl.wire import codec
-from xpl_cli.serving.places import Place, Places
-from xpl_cli.serving.session import RequestError
+from xpl_cli.serving.requests import RequestError
+from xpl_cli.serving.slots import SlotPool, WorkerSlot
 
 GRACE = 30.0
 
@@ -30,14 +30,14 @@ def clock() -> Clock:
     return Clock()
 
 
-def taken(places: Places, connection: str, evaluation: str = "e", session: str | None = None) -> Place:
+def taken(places: SlotPool, connection: str, evaluation: str = "e", session: str | None = None) -> WorkerSlot:
     """Return the place that a connection gets, and take over from nobody."""
     place, lost = places.take(connection, evaluation, session)
     assert lost is None
     return place
 
 
-def assert_busy(places: Places, connection: str, evaluation: str, session: str | None = None) -> None:
+def assert_busy(places: SlotPool, connection: str, evaluation: str, session: str | None = None) -> None:
     """Check that there is no place for a connection."""
     with pytest.raises(RequestError, match="in use by another client") as busy:
         places.take(connection, evaluation, session)
@@ -47,7 +47,7 @@ def assert_busy(places: Places, connection: str, evaluation: str, session: str |
 
 def test_a_lease_survives_a_cut_for_its_own_client_only(clock: Clock) -> None:
     """For the length of the grace period; a clean end frees it at once."""
-    places = Places(1, 1, GRACE, clock)
+    places = SlotPool(1, 1, GRACE, clock)
     place = taken(places, "a", "evaluation 1")
     assert places.of("a") is place
     assert_busy(places, "b", "evaluation 1")  # the first connection still stands
@@ -69,7 +69,7 @@ def test_a_lease_survives_a_cut_for_its_own_client_only(clock: Clock) -> None:
 
 def test_after_the_grace_period_a_client_finds_its_place_unless_it_was_given_away(clock: Clock) -> None:
     """The state of its episode is there still."""
-    places = Places(1, 1, GRACE, clock)
+    places = SlotPool(1, 1, GRACE, clock)
     place = taken(places, "a", "evaluation 1")
     place.begun = True
     places.leave("a", clean=False)
@@ -84,7 +84,7 @@ def test_after_the_grace_period_a_client_finds_its_place_unless_it_was_given_awa
 
 def test_a_secret_takes_its_place_back_while_the_lost_connection_seems_alive(clock: Clock) -> None:
     """A half-open connection may look alive for minutes; nobody else can take a place from it."""
-    places = Places(2, 1, GRACE, clock)
+    places = SlotPool(2, 1, GRACE, clock)
     place = taken(places, "a", "e", "secret")
     place.begun, place.sequence = True, 5
     for connection, evaluation, session in [("b", "e", "guess"), ("c", "other", "secret"), ("d", "e", None)]:
@@ -101,7 +101,7 @@ def test_a_secret_takes_its_place_back_while_the_lost_connection_seems_alive(clo
 
 def test_without_a_secret_a_place_with_one_is_not_given_back(clock: Clock) -> None:
     """An evaluation_id is no secret."""
-    places = Places(1, 1, GRACE, clock)
+    places = SlotPool(1, 1, GRACE, clock)
     taken(places, "a", "e", "secret")
     places.leave("a", clean=False)
     assert_busy(places, "b", "e")
@@ -111,7 +111,7 @@ def test_without_a_secret_a_place_with_one_is_not_given_back(clock: Clock) -> No
 
 def test_another_client_begins_anew(clock: Clock) -> None:
     """Nothing of the one before is seen; what the model may still remember is marked."""
-    places = Places(1, 1, 0.0, clock)
+    places = SlotPool(1, 1, 0.0, clock)
     place = taken(places, "a", "e")
     assert not place.stale
     place.begun, place.sequence = True, 7
@@ -125,7 +125,7 @@ def test_another_client_begins_anew(clock: Clock) -> None:
 
 def test_a_goodbye_ends_the_episode(clock: Clock) -> None:
     """Also for the client itself, should it come back; a place that saw none is not stale."""
-    places = Places(1, 1, GRACE, clock)
+    places = SlotPool(1, 1, GRACE, clock)
     place = taken(places, "a", "e")
     places.leave("a", clean=True)
     assert not place.stale
@@ -141,7 +141,7 @@ def test_a_goodbye_ends_the_episode(clock: Clock) -> None:
 
 def test_clients_spread_over_the_workers(clock: Clock) -> None:
     """Also after some have left: nobody shares a worker while another one has less to do."""
-    places = Places(3, 2, GRACE, clock)
+    places = SlotPool(3, 2, GRACE, clock)
     assert len(places) == 6
     assert [taken(places, name, name).worker for name in "abcde"] == [0, 1, 2, 0, 1]
     for name in "be":
@@ -153,7 +153,7 @@ def test_clients_spread_over_the_workers(clock: Clock) -> None:
 
 def test_a_place_is_given_to_the_next_as_late_as_possible(clock: Clock) -> None:
     """So that a client that comes back late may find its own."""
-    places = Places(1, 3, 0.0, clock)
+    places = SlotPool(1, 3, 0.0, clock)
     first = taken(places, "a", "a")
     places.leave("a", clean=False)
     for name in "bc":
@@ -163,7 +163,7 @@ def test_a_place_is_given_to_the_next_as_late_as_possible(clock: Clock) -> None:
 
 def test_with_a_worker_its_places_are_gone(clock: Clock) -> None:
     """Those who had them are told; the others go on."""
-    places = Places(2, 2, GRACE, clock)
+    places = SlotPool(2, 2, GRACE, clock)
     for name in "abc":
         taken(places, name, name)
     places.leave("c", clean=False)
@@ -183,8 +183,8 @@ class Coming(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.clock = Clock()
-        self.places = Places(2, 2, GRACE, self.clock)
-        self.held: dict[int, Place] = {}
+        self.places = SlotPool(2, 2, GRACE, self.clock)
+        self.held: dict[int, WorkerSlot] = {}
         self.count = 0
 
     @rule(evaluation=st.sampled_from("abcdef"), session=st.sampled_from([None, "s"]))

@@ -21,7 +21,7 @@ ISOLATED, APART, TRUSTED = "isolated", "apart", "trusted"
 
 
 @dataclass(frozen=True)
-class Bounds:
+class IsolationSettings:
     """What is asked for; nothing by default. May travel to another process.
 
     Attributes:
@@ -35,7 +35,7 @@ class Bounds:
     proven: str | None = None
 
     @classmethod
-    def here(cls, place: Path, *, isolate: bool) -> Bounds:
+    def here(cls, place: Path, *, isolate: bool) -> IsolationSettings:
         """Return the tightest bounds that this machine has, tried once; says so where adapters have to be trusted.
 
         Args:
@@ -76,14 +76,14 @@ class Bounds:
 
 
 @cache
-def _here(place: Path, isolate: bool) -> Bounds:  # noqa: FBT001 - what a cache is asked by
+def _here(place: Path, isolate: bool) -> IsolationSettings:  # noqa: FBT001 - what a cache is asked by
     from xpl_cli.basics import console
 
     try:
-        with Bounds(isolate=isolate, apart=not isolate).around(place) as found:
-            return Bounds(isolate, not isolate, None if found is None else found.way)
+        with IsolationSettings(isolate=isolate, apart=not isolate).around(place) as found:
+            return IsolationSettings(isolate, not isolate, None if found is None else found.way)
     except UserError as error:
         if isolate:
             raise
         console.note(f"the adapter is trusted: {error}, so it may signal and end whatever you may")
-        return Bounds()
+        return IsolationSettings()

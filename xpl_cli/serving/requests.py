@@ -101,7 +101,7 @@ def packed_payload(frame: codec.Frame) -> bytes | None:
 
 
 @dataclass
-class Entry:
+class ReplayEntry:
     """A request that was begun.
 
     Attributes:
@@ -115,17 +115,17 @@ class Entry:
     waiting: list[Callable[[bytes], None]] = field(default_factory=list)
 
 
-class Replay:
+class ReplayCache:
     """Answers by message id, so that a repeated request is answered and never run again."""
 
     def __init__(self) -> None:
-        self._entries: OrderedDict[str, Entry] = OrderedDict()
+        self._entries: OrderedDict[str, ReplayEntry] = OrderedDict()
         self.size = 0
 
     def __len__(self) -> int:
         return len(self._entries)
 
-    def find(self, frame: codec.Frame) -> Entry | None:
+    def find(self, frame: codec.Frame) -> ReplayEntry | None:
         """Return the running or finished request of this id, or None if it is new.
 
         Raises:
@@ -137,12 +137,12 @@ class Replay:
             raise RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.DUPLICATE_ID)
         return known
 
-    def begin(self, frame: codec.Frame) -> Entry:
+    def begin(self, frame: codec.Frame) -> ReplayEntry:
         """Remember a request that runs now."""
-        entry = self._entries[frame.message_id] = Entry(frame.message_type)
+        entry = self._entries[frame.message_id] = ReplayEntry(frame.message_type)
         return entry
 
-    def finish(self, message_id: str, entry: Entry, answer: bytes) -> None:
+    def finish(self, message_id: str, entry: ReplayEntry, answer: bytes) -> None:
         """Keep an answer within the limits, and tell who waits for it."""
         entry.answer = answer
         if self._entries.get(message_id) is entry:  # not forgotten in the meantime
@@ -157,7 +157,7 @@ class Replay:
         self._entries.clear()
         self.size = 0
 
-    def _shrink(self, newest: Entry) -> None:
+    def _shrink(self, newest: ReplayEntry) -> None:
         """Forget the oldest answers beyond the limits, but neither the newest nor what still runs."""
         while self._is_full():
             finished = (

@@ -10,7 +10,7 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from xpl_cli.isolation import family
+from xpl_cli.isolation import processes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,7 +28,7 @@ _TICKS = os.sysconf("SC_CLK_TCK")
 
 
 @dataclass(frozen=True)
-class Signs:
+class ActivitySnapshot:
     """What processes have done so far: processor time in s, bytes read and written, memory in bytes, their numbers."""
 
     processor: float
@@ -38,17 +38,17 @@ class Signs:
     stopped: bool
 
     @classmethod
-    def of(cls, pids: Iterable[int]) -> Signs:
+    def of(cls, pids: Iterable[int]) -> ActivitySnapshot:
         """Look at processes."""
         members = frozenset(pids)
-        activities = [family.activity(pid) for pid in members]
+        activities = [processes.activity(pid) for pid in members]
         ticks = sum(one.ticks for one in activities)
         moved = sum(one.moved for one in activities)
-        memory = sum(family.resident(pid) for pid in members)
+        memory = sum(processes.resident(pid) for pid in members)
         return cls(ticks / _TICKS, moved, memory, members, any(one.stopped for one in activities))
 
 
-class Life:
+class HangDetector:
     """Follows a process and those below it through one piece of work.
 
     Args:
@@ -60,13 +60,13 @@ class Life:
     def __init__(self, pid: int, patience: float, now: float) -> None:
         self._pid = pid
         self._patience = patience
-        self._seen = Signs.of(family.with_descendants(pid))
+        self._seen = ActivitySnapshot.of(processes.with_descendants(pid))
         self._looked = self._alive = self._ahead = now
         self.every_s = min(1.0, patience / _LOOKS)
 
     def look(self, now: float) -> str | None:
         """Look again; return why the work is to be ended, or None as long as there is hope."""
-        seen, before = Signs.of(family.with_descendants(self._pid)), self._seen
+        seen, before = ActivitySnapshot.of(processes.with_descendants(self._pid)), self._seen
         if (
             abs(seen.moved - before.moved) > _BYTES
             or abs(seen.memory - before.memory) > _MEMORY
@@ -75,7 +75,7 @@ class Life:
             self._ahead, self._seen = now, seen
         if seen.processor - before.processor > _IDLE * (now - self._looked) or self._ahead == now:
             self._alive = now
-        self._seen = Signs(seen.processor, self._seen.moved, self._seen.memory, seen.members, seen.stopped)
+        self._seen = ActivitySnapshot(seen.processor, self._seen.moved, self._seen.memory, seen.members, seen.stopped)
         self._looked = now
         if now - self._alive >= self._patience:
             how = "it is stopped by a signal" if seen.stopped else "no processor time, input or output"

@@ -9,23 +9,23 @@ from dataclasses import dataclass, field
 import pytest
 
 from xpl.wire import codec
-from xpl_cli.serving.places import Place
-from xpl_cli.serving.workers.line import Job, Line
+from xpl_cli.serving.slots import WorkerSlot
+from xpl_cli.serving.workers.job_queue import JobQueue, RequestJob
 
 READY = b"a packed map"
 
 
-def job(place: Place, method: str = "get_action", ready: bool = True) -> Job:
+def job(place: WorkerSlot, method: str = "get_action", ready: bool = True) -> RequestJob:
     """Return a job; one that is not ready has images to be decoded still."""
-    return Job(codec.Frame("call", "e"), method, place, payload=READY if ready else None)
+    return RequestJob(codec.Frame("call", "e"), method, place, payload=READY if ready else None)
 
 
-def places(count: int) -> list[Place]:
+def places(count: int) -> list[WorkerSlot]:
     """Return the places of several clients of one worker."""
-    return [Place(0, client) for client in range(count)]
+    return [WorkerSlot(0, client) for client in range(count)]
 
 
-def taken(line: Line, now: float = 1.0) -> list[Job]:
+def taken(line: JobQueue, now: float = 1.0) -> list[RequestJob]:
     jobs, wait = line.next(now)
     assert wait == 0.0
     return jobs
@@ -36,7 +36,7 @@ def taken(line: Line, now: float = 1.0) -> list[Job]:
 
 def test_requests_of_one_client_run_in_their_order() -> None:
     """Updates go together with the action that follows: one message to the worker instead of many."""
-    line, place = Line(), Place(0, 0)
+    line, place = JobQueue(), WorkerSlot(0, 0)
     methods = ["reset", "update_obs", "update_obs_batch", "get_action", "update_obs", "infer", "declared", "update_obs"]
     jobs = [job(place, method) for method in methods]
     for one in jobs:
@@ -56,14 +56,14 @@ def test_requests_of_one_client_run_in_their_order() -> None:
 
 def test_a_long_row_of_updates_is_cut() -> None:
     """So that a deadline is never that of a hundred requests."""
-    line, place = Line(), Place(0, 0)
+    line, place = JobQueue(), WorkerSlot(0, 0)
     for _ in range(40):
         line.add(job(place, "update_obs"), 1.0)
     assert [len(taken(line)) for _ in range(4)] == [16, 16, 8, 0]
 
 
 def test_a_request_whose_images_are_still_decoded_keeps_its_place() -> None:
-    line, place = Line(), Place(0, 0)
+    line, place = JobQueue(), WorkerSlot(0, 0)
     jobs = [job(place, "update_obs"), job(place, "update_obs", ready=False), job(place)]
     for one in jobs:
         line.add(one, 1.0)
@@ -76,8 +76,8 @@ def test_a_request_whose_images_are_still_decoded_keeps_its_place() -> None:
 
 def test_a_new_client_comes_after_what_the_last_one_left() -> None:
     """A worker of one client has one row at a time."""
-    line = Line()
-    left, new = Place(0, 0), Place(0, 0)
+    line = JobQueue()
+    left, new = WorkerSlot(0, 0), WorkerSlot(0, 0)
     line.add(job(left, "update_obs"), 1.0)
     line.add(job(new), 1.0)
     line.add(job(left), 1.0)
@@ -87,7 +87,7 @@ def test_a_new_client_comes_after_what_the_last_one_left() -> None:
 
 def test_a_request_can_be_taken_out() -> None:
     """Once; what runs already is not in the line any more."""
-    line, place = Line(), Place(0, 0)
+    line, place = JobQueue(), WorkerSlot(0, 0)
     first, second = job(place), job(place)
     line.add(first, 1.0)
     line.add(second, 1.0)
@@ -101,7 +101,7 @@ def test_a_request_can_be_taken_out() -> None:
 
 def test_a_line_can_be_emptied() -> None:
     """Its jobs are returned, to be answered by whoever does it."""
-    line = Line(shared=True)
+    line = JobQueue(shared=True)
     jobs = [job(place) for place in places(3)]
     for one in jobs:
         line.add(one, 1.0)
@@ -110,8 +110,18 @@ def test_a_line_can_be_emptied() -> None:
 
 
 def test_a_worker_is_sent_what_its_request_needs() -> None:
-    assert Job(codec.Frame("call", "e"), "get_action", Place(2, 3), segment=7).request() == (3, "get_action", 7, False)
-    assert Job(codec.Frame("trial_end", "e"), "on_trial_end", Place(2, 3)).request() == (3, "on_trial_end", None, True)
+    assert RequestJob(codec.Frame("call", "e"), "get_action", WorkerSlot(2, 3), segment=7).request() == (
+        3,
+        "get_action",
+        7,
+        False,
+    )
+    assert RequestJob(codec.Frame("trial_end", "e"), "on_trial_end", WorkerSlot(2, 3)).request() == (
+        3,
+        "on_trial_end",
+        None,
+        True,
+    )
 
 
 # -- a worker of several clients ---------------------------------------------------------------------------------------
@@ -119,7 +129,7 @@ def test_a_worker_is_sent_what_its_request_needs() -> None:
 
 def test_clients_that_ask_at_once_run_as_one_batch() -> None:
     """One request of each, in the order in which they came; what only updates is done first."""
-    line = Line(shared=True)
+    line = JobQueue(shared=True)
     first, second, third = places(3)
     for place, method in [
         (third, "get_action"), (first, "update_obs"), (first, "get_action"), (second, "infer"), (third, "get_action"),
@@ -132,7 +142,7 @@ def test_clients_that_ask_at_once_run_as_one_batch() -> None:
 
 def test_a_batch_is_no_larger_than_the_adapter_says() -> None:
     """Those who waited longest come first, and nobody waits for more."""
-    line = Line(shared=True, most=2)
+    line = JobQueue(shared=True, most=2)
     three = places(3)
     for place in reversed(three):
         line.add(job(place), 1.0)
@@ -141,7 +151,7 @@ def test_a_batch_is_no_larger_than_the_adapter_says() -> None:
 
 
 def test_clients_whose_images_are_decoded_hold_up_nobody_for_long() -> None:
-    line = Line(shared=True)
+    line = JobQueue(shared=True)
     slow, quick = places(2)
     late = job(slow, ready=False)
     for one in (late, job(slow, "reset"), job(quick)):
@@ -177,7 +187,7 @@ class Clients:
     now: float = 100.0
 
     def __post_init__(self) -> None:
-        self.line = Line(shared=True, most=self.most)
+        self.line = JobQueue(shared=True, most=self.most)
         self.places = places(len(self.pauses))
         self.gone: set[int] = set()
         self._busy = False
@@ -207,7 +217,7 @@ class Clients:
             self._later(self.decoding, lambda: self._decoded(one))
         self._pump()
 
-    def _decoded(self, one: Job) -> None:
+    def _decoded(self, one: RequestJob) -> None:
         one.payload = READY
         self._pump()
 
@@ -223,7 +233,7 @@ class Clients:
             self.waits.append(wait)
             self._later(wait, self._pump)
 
-    def _done(self, jobs: list[Job]) -> None:
+    def _done(self, jobs: list[RequestJob]) -> None:
         self._busy = False
         self.line.finished(jobs, self.now)
         for one in jobs:

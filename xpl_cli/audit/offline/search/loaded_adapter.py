@@ -1,0 +1,170 @@
+"""An adapter asked again in a process of its interpreter, where the model is loaded once for all mistakes.
+
+It answers under other words of its model_io block, or under changes of what its own `encode` makes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+from xpl_cli.audit.offline import inprocess
+from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.isolation import subprocess_task
+
+if TYPE_CHECKING:
+    from xpl.catalogue import Mistake
+    from xpl.contract import Entry
+    from xpl_cli.audit.offline.search.session_replay import SessionReplay
+    from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.model_io.pairs import Chunk
+
+AnswersByQuestion = Mapping[int, "Sequence[Any]"]
+"""By number of a question its answer: action steps, None for those that are not known."""
+
+_MORE_S = 30.0
+"""What an answer may take beyond the seconds that are given."""
+
+
+@dataclass(frozen=True)
+class MistakeAnswers:
+    """What an adapter answers with a mistake undone.
+
+    Attributes:
+        words, convention: of the mistake, as well as they are known now.
+        given: the answers; None where the mistake has no meaning here.
+    """
+
+    words: str
+    convention: str
+    answers: AnswersByQuestion | None
+
+
+@dataclass(frozen=True)
+class _WorkerAnswer:
+    """What `xpl.worker.encoded.play` says of a change; nothing where it has no meaning.
+
+    Attributes:
+        answers: of each question.
+        words: what the change is, if the process knows better.
+        apart: how far pictures are from those before.
+        draws: how many times something was drawn.
+    """
+
+    answers: Sequence[Chunk] | None = None
+    words: str | None = None
+    apart: float = 0.0
+    draws: int | None = None
+
+    @classmethod
+    def read(cls, told: Entry | None) -> Self:
+        if told is None:
+            return cls()
+        return cls(told["answers"], told.get("words"), told.get("apart", 0.0), told.get("draws"))
+
+
+class LoadedAdapter:
+    """One adapter and the questions that it is asked again. The process starts with the first question.
+
+    Args:
+        probe: the adapter.
+        course: the questions.
+        config: values of deploy.yml after overrides.
+        block: its model_io block, as it is used; empty without one.
+    """
+
+    def __init__(self, probe: Probe, course: SessionReplay, config: Mapping[str, object], block: Entry) -> None:
+        self._probe, self._course, self._config, self._block = probe, course, config, block
+        self._nearest: set[str] = set()
+        self._standing: subprocess_task.PersistentTask | None = None
+        self._sent: set[str] = set()
+        self.draws: int | None = None
+        """How many times numbers are drawn in some answers; None if that is not known."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._standing is not None:
+            self._standing.close()
+            self._standing = None
+
+    def answers_by_block(
+        self, blocks: Sequence[Entry], wanted: Sequence[int], seconds: float
+    ) -> list[AnswersByQuestion | None] | None:
+        """Return the answers to some questions under each model_io block, as far as the time reaches.
+
+        Args:
+            blocks: what is tried.
+            wanted: numbers of questions.
+            seconds: how long it may take.
+
+        Returns:
+            None for a block that cannot be used; None in all if the block does not say how the adapter converts, or the
+            model cannot be loaded there.
+        """
+        found = self._request({"blocks": list(blocks)}, wanted, seconds)
+        return found and [None if told is None else self._by_number(told, wanted) for told in found]
+
+    def answers_by_input_change(
+        self, changes: Sequence[Mistake], wanted: Sequence[int], seconds: float
+    ) -> list[MistakeAnswers]:
+        """Return the answers to some questions under each change of encoded inputs, as far as the time reaches.
+
+        Nothing, if the adapter does not derive from `xpl.Policy`, or cannot be loaded there. Of pictures of another
+        size the process tells how far they are from those before: the geometry of the nearest is the adapter's, and
+        where a change leaves that, the filter is the mistake.
+        """
+        found = self._request({"changes": [dict(one.encoded or {}) for one in changes]}, wanted, seconds)
+        tried = list(zip(changes, map(_WorkerAnswer.read, found or []), strict=False))
+        sizes = [(told.apart, change.geometry) for change, told in tried if told.answers and change.geometry]
+        least = min(sizes, default=(0.0, ""))[0]
+        # Of the first, which were all; with some pictures several geometries are one.
+        self._nearest = self._nearest or {geometry for apart, geometry in sizes if apart <= least}
+        self.draws = next((told.draws for _, told in tried if told.draws is not None), self.draws)
+        return [
+            MistakeAnswers(
+                change.words if told.words is None else told.words,
+                _convention_of(change, self._nearest),
+                self._by_number(told.answers, wanted) if told.answers else None,
+            )
+            for change, told in tried
+        ]
+
+    def _by_number(self, answers: Sequence[Chunk], wanted: Sequence[int]) -> AnswersByQuestion:
+        return dict(zip(self._course.with_earlier(wanted), answers, strict=True))
+
+    def _request(self, what: Mapping[str, object], wanted: Sequence[int], seconds: float) -> list[Any] | None:
+        """Return what the process says of each change, None for one that has no meaning here.
+
+        None in all if the adapter cannot be asked so, or the model cannot be loaded there.
+        """
+        standing = self._standing or self._start_process(seconds)
+        if standing is None:
+            return None
+        self._standing = standing
+        order = {**what, **self._course.worker_request(self._course.calls_for(wanted), self._sent), "seconds": seconds}
+        done = standing.ask(order, seconds + _MORE_S)
+        if done.problem is not None or not done.answers:  # the next order begins with a new process
+            self.__exit__()
+        if not done.answers or done.answers[0].result is not None:
+            return None
+        return [answer.result for answer in done.answers[1:]]
+
+    def _start_process(self, seconds: float) -> subprocess_task.PersistentTask | None:
+        self._sent.clear()
+        order = {**inprocess.loading(self._probe), "config": self._config, "block": dict(self._block)}
+        standing = subprocess_task.PersistentTask(
+            "xpl.worker.changes", order, inprocess.place(self._probe, seconds + _MORE_S)
+        )
+        try:
+            inprocess.loaded(standing.loaded)
+        except NotRun:
+            standing.close()
+            return None
+        return standing
+
+
+def _convention_of(change: Mistake, nearest: Collection[str]) -> str:
+    return "image_filter" if change.geometry and change.geometry in nearest else change.convention

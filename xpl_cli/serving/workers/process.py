@@ -1,0 +1,275 @@
+"""The worker's process, seen from the front end: start, one message at a time, end."""
+
+from __future__ import annotations
+
+import asyncio
+import codecs
+import collections
+import contextlib
+import os
+import signal
+import sys
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as spec
+from xpl.process import link, spawn
+from xpl.process.child import KEPT_START, SDK_START
+from xpl.process.link import Inbox
+from xpl.wire.frame import PackingError
+from xpl_cli.basics import exits
+from xpl_cli.isolation import processes
+
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import Callable, Coroutine, Sequence
+    from pathlib import Path
+
+    from xpl.wire.arrays import Data
+    from xpl_cli.isolation.sandbox import Isolation
+
+    Answered = Callable[[link.Head, list[memoryview]], None]
+
+_BOOTSTRAP = SDK_START + "from xpl.worker.main import main; main(int(sys.argv[2]))"
+ANSWER_BYTES = spec.LIMITS["frame_bytes"]
+"""Of the results of one batch: the adapter may write to the link itself, and announce anything."""
+_LINE = 500
+"""Characters of a printed line that clients are shown while the model loads."""
+
+
+class WorkerDiedError(Exception):
+    """The worker's process ended, or the link to it broke, before it answered."""
+
+
+class WorkerProcess:
+    """One adapter in a process of its own, asked one message at a time.
+
+    Attributes:
+        pid: the process above the adapter's, which leads a group of its own.
+        last_line: what the adapter printed last.
+        died: resolves with the reason when the link breaks.
+    """
+
+    def __init__(
+        self, process: asyncio.subprocess.Process, channel: socket.socket, label: str, *, wrapped: bool = False
+    ) -> None:
+        self._process = process
+        self._wrapped = wrapped
+        self._channel = channel
+        self._label = label
+        self._inbox = Inbox(ANSWER_BYTES)
+        self._unsent: collections.deque[memoryview] = collections.deque()
+        self._on_answer: Answered | None = None
+        self._output = asyncio.create_task(self._copy_output())
+        self._end = asyncio.create_task(self._notice_end())
+        self._watches: list[asyncio.Task[None]] = []
+        self._writing = False
+        self._loop = asyncio.get_running_loop()
+        self._loop.add_reader(channel, self._read)
+        self.pid = process.pid
+        self._found = [self.pid]
+        self.last_line = ""
+        self.died: asyncio.Future[str] = self._loop.create_future()
+
+    @classmethod
+    async def start(
+        cls, python: str, *, cwd: Path, gpu: str | None = None, label: str = "", isolation: Isolation | None = None
+    ) -> WorkerProcess:
+        """Start a worker in the interpreter `python`; it loads nothing yet.
+
+        Args:
+            python: path of the interpreter.
+            cwd: working directory of the adapter.
+            gpu: device made visible to it.
+            label: put before every line that it prints.
+            isolation: how it is kept apart, or None.
+        """
+        ours, theirs = spawn.link()
+        ours.settimeout(0.0)
+        environment = spawn.variables()
+        if gpu is not None:
+            environment["CUDA_VISIBLE_DEVICES"] = gpu
+        if isolation is not None:
+            environment = isolation.environment(environment)
+        start, prefix = (KEPT_START + _BOOTSTRAP, ()) if isolation is None else (_BOOTSTRAP, isolation.prefix)
+        with theirs:
+            process = await asyncio.create_subprocess_exec(
+                *spawn.command(python, start, str(theirs.fileno()), prefix=prefix),
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.STDOUT,
+                pass_fds=[theirs.fileno()],
+                env=environment,
+                cwd=cwd,
+                start_new_session=True,  # a group of its own, so that its children end with it
+            )
+        return cls(process, ours, label, wrapped=isolation is not None)
+
+    def send(self, head: link.Head, buffers: Sequence[Data], on_answer: Answered) -> None:
+        """Send a message; the answer arrives later, or never if the worker dies.
+
+        Raises:
+            PackingError: if the message cannot travel; nothing was sent then.
+            WorkerDiedError: if the link is broken already.
+        """
+        pieces = [memoryview(piece) for piece in link.encode(head, buffers)]
+        if self.died.done():
+            raise WorkerDiedError(self.died.result())
+        if self._on_answer is not None:
+            raise RuntimeError("a worker is sent one message at a time")
+        self._on_answer = on_answer
+        self._unsent.extend(pieces)
+        self._write()
+
+    async def ask(self, **message: Any) -> link.Head:
+        """Send a message and return the answer.
+
+        Raises:
+            PackingError: if the message cannot travel.
+            WorkerDiedError: if the worker dies first.
+        """
+        answer: asyncio.Future[link.Head] = self._loop.create_future()
+        self.send(message, (), lambda head, _: answer.set_result(head))
+        either: list[asyncio.Future[Any]] = [answer, self.died]
+        await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+        if not answer.done():
+            raise WorkerDiedError(self.died.result())
+        return answer.result()
+
+    def memory(self) -> int:
+        """Return the memory that the worker uses itself, bytes; 0 where the system does not tell."""
+        return processes.resident(self.adapter_pid())
+
+    def until_it_ends(self, watch: Coroutine[Any, Any, None]) -> None:
+        """Run something beside the worker, until it has ended; the worker ends if that fails."""
+        task = asyncio.create_task(watch)
+        task.add_done_callback(self._watched)
+        self._watches.append(task)
+
+    def show_stacks(self) -> None:
+        """Have the worker print where each of its threads is, also while it hangs."""
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.adapter_pid(), signal.SIGUSR1)
+
+    def kill(self, reason: str) -> None:
+        """End the worker and all its children at once, and give a reason for it."""
+        self._break(reason)
+        processes.end(self.pid)
+
+    async def stop(self, grace: float) -> None:
+        """End the worker and all its children: close the link, wait `grace` seconds, then kill the group."""
+        self._break("the worker was stopped")
+        with contextlib.suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(exits.exit_code(self._process), grace)
+        processes.end(self.pid)
+        await exits.exit_code(self._process)
+        # What has left the group and still holds the pipe would keep it open for ever.
+        with contextlib.suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(self._output, grace)
+
+    async def ended(self) -> str:
+        """Wait for the process to end and return how it did."""
+        code = await exits.exit_code(self._process)
+        return f"the worker {spawn.how_it_ended(code, launched=self._wrapped)}"
+
+    def _watched(self, task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            self.kill(f"the worker could not be watched: {type(error).__name__}: {error}")
+
+    def adapter_pid(self) -> int:
+        """Return the process that runs the adapter, below its keeper, or below what keeps it apart."""
+        wanted = processes.LAUNCHERS if self._wrapped else 1
+        if len(self._found) <= wanted:
+            self._found = processes.first_ones(self.pid, wanted)
+        return self._found[-1]
+
+    def _write(self) -> None:
+        """Send what there is to send, now or when the worker has read some of it."""
+        waiting = False
+        try:
+            while self._unsent:
+                sent = self._channel.sendmsg(list(self._unsent)[:64])
+                while self._unsent and sent >= len(self._unsent[0]):
+                    sent -= len(self._unsent.popleft())
+                if sent:
+                    self._unsent[0] = self._unsent[0][sent:]
+        except BlockingIOError:
+            waiting = True
+        except OSError:
+            self._break(None)
+            return
+        if waiting != self._writing:
+            self._writing = waiting
+            if waiting:
+                self._loop.add_writer(self._channel, self._write)
+            else:
+                self._loop.remove_writer(self._channel)
+
+    def _read(self) -> None:
+        try:
+            count = self._channel.recv_into(self._inbox.space())
+            messages = self._inbox.take(count) if count else None
+        except BlockingIOError:
+            return
+        except OSError:  # what was unread when the worker died
+            self._break(None)
+            return
+        except PackingError as error:
+            self._break(f"the link to the worker broke: {error}")
+            return
+        if messages is None:
+            self._break(None)
+        for message in messages or ():
+            self._answered(message)
+
+    def _answered(self, message: Data) -> None:
+        on_answer, self._on_answer = self._on_answer, None
+        try:
+            head, buffers = link.decode(message)
+        except PackingError as error:
+            self._break(f"the link to the worker broke: {error}")
+            return
+        if on_answer is None or not isinstance(head, dict):
+            self._break("the link to the worker is out of step")
+            return
+        try:
+            on_answer(head, buffers)
+        except ValueError as error:  # the head is not what was agreed on
+            self._break(f"the link to the worker is out of step: {type(error).__name__}: {error}")
+
+    async def _notice_end(self) -> None:
+        """Notice the end of the process, which its children may hide: they hold the link, too."""
+        reason = await self.ended()
+        if self._channel.fileno() >= 0:
+            self._read()  # it may have answered before it ended
+        self._break(reason)
+        processes.end(self.pid)  # an adapter may have ended its keeper, and goes on without one
+        if not self.died.done():
+            self.died.set_result(reason)
+
+    def _break(self, reason: str | None) -> None:
+        """Close the link, which ends the worker, and tell why; None means that the end of its process will tell."""
+        if self._channel.fileno() >= 0:
+            self._loop.remove_reader(self._channel)
+            self._loop.remove_writer(self._channel)
+            self._channel.close()
+        if reason and not self.died.done():
+            self.died.set_result(reason)
+
+    async def _copy_output(self) -> None:
+        """Show what the adapter prints on our standard error; nobody else writes there mid-line."""
+        stream = self._process.stdout
+        text = codecs.getincrementaldecoder("utf-8")(errors="replace")  # a chunk may end inside a character
+        at_start = True
+        while stream is not None and (chunk := await stream.read(1 << 15)):
+            shown = text.decode(chunk)
+            lines = shown.splitlines()
+            self.last_line = next((line.strip()[:_LINE] for line in reversed(lines) if line.strip()), self.last_line)
+            if self._label:
+                shown = "".join(
+                    (self._label if at_start or place else "") + line
+                    for place, line in enumerate(shown.splitlines(keepends=True))
+                )
+                at_start = chunk.endswith(b"\n")
+            sys.stderr.write(shown)
+            sys.stderr.flush()
