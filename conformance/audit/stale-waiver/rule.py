@@ -52,15 +52,15 @@ def stale_waiver(source: Source, waivers: tuple[Waiver, ...], checks: Checks, ga
             result = checks.result(entry)
             if result.outcome in {Outcome.NOT_RUN, Outcome.ERROR} or any(map(waiver.covers, result.findings)):
                 continue
-            beginning = f" whose message begins with {waiver.message!r}" if waiver.message else ""
-            wrong = f"covers nothing any more: {waiver.rule} has no finding{beginning}"
+            beginning = f" whose message starts with {waiver.message!r}" if waiver.message else ""
+            wrong = f"matches no finding: {waiver.rule} has none{beginning}"
         yield Finding(
-            f"waivers[{waiver.place}] {wrong}; the next fault of this kind would pass unseen",
+            f"waivers[{waiver.place}] {wrong}; the next finding of this kind would be hidden",
             path=sdk.File.POLICY_YML,
             line=line,
-            expected="a rule, and a finding that it has today",
+            expected="a rule with a matching finding",
             got=f"rule {waiver.rule}" + (f", message {waiver.message!r}" if waiver.message else ""),
             fix=_DELETE,
         )
     if not judged:
-        raise NotApplicable("the manifest waives nothing that this gate looks at")
+        raise NotApplicable("the manifest waives no rule of this gate")

@@ -45,19 +45,22 @@ def demonstrations_fit(demonstrations: Demonstrated) -> Iterator[Finding | Proof
         yield from _unread(demonstrations)
         return
     if best is None and not demonstrations.outcome.complete:
-        raise NotRun(f"there was no time for all conventions; of {demonstrations.outcome.tried} none fits better")
+        raise NotRun(
+            f"the time limit ended the comparison; of {demonstrations.outcome.tried} conventions none fits better"
+        )
     if best is None and demonstrations.outcome.far:
         raise NotRun(
-            f"the policy is farther from the demonstrations than holding the pose, also with what fits better "
-            f"(`{demonstrations.outcome.far[0]}`): are they of the data that it was trained on?"
+            "the policy is farther from the demonstrations than holding the pose, also with what fits better "
+            f"(`{demonstrations.outcome.far[0]}`): was it trained on these data?"
         )
     if best is None:
         yield Proof(_numbers(demonstrations))
         return
     if not best.margin.is_certain:
         raise NotRun(
-            f"{demonstrations.episodes} episodes do not tell whether `{best.words}` fits better: it leaves "
-            f"{best.margin.share:.0%} of the error, at most {best.margin.most:.0%}; about {best.margin.needed} would"
+            f"{demonstrations.episodes} episodes are too few to decide whether `{best.words}` fits better: it "
+            f"reduces the error to {best.margin.share:.0%}, at most {best.margin.most:.0%}; about "
+            f"{best.margin.needed} are enough"
         )
     yield _finding(demonstrations, best)
 
@@ -66,10 +69,10 @@ def _unread(demonstrations: Demonstrated) -> Iterator[Finding]:
     for name, convention in demonstrations.outcome.deaf:
         without = _WITHOUT.get(name, "dark")
         yield blame(
-            f"{name} does not reach the model: {without}, the policy commands the same in all demonstrations that were "
-            "tried",
-            expected=f"commands that depend on {name}, as the model_io block hands it to the model",
-            got=f"equal commands with {name} as recorded and {without}",
+            f"{name} does not reach the model: {without}, the policy's actions are the same in all "
+            "demonstrations that were tried",
+            expected=f"actions that depend on {name}, which the model_io block passes to the model",
+            got=f"equal actions with {name} as recorded and {without}",
             evidence={
                 "cause": {"words": f"{name}: unread", "convention": convention},
                 "episodes": demonstrations.episodes,
@@ -77,7 +80,7 @@ def _unread(demonstrations: Demonstrated) -> Iterator[Finding]:
             },
             fix=Fix(
                 "advice",
-                f"look for where {name} is lost on its way; take it out of the block if the model has no use for it",
+                f"find where {name} is lost; remove it from the block if the model does not use it",
             ),
         )
 
@@ -86,7 +89,11 @@ def _finding(demonstrations: Demonstrated, best: Change) -> Finding:
     from xpl_cli.audit.offline.demonstrations.picture import drawn
 
     ties = [tie.words for tie in demonstrations.outcome.ties]
-    as_well = f" (as with {', '.join(f'`{words}`' for words in ties[:3])}: they do not tell them apart)" if ties else ""
+    as_well = (
+        f" (as with {', '.join(f'`{words}`' for words in ties[:3])}: the episodes do not distinguish them)"
+        if ties
+        else ""
+    )
     given = dict(enumerate(demonstrations.given))
     picture, part = drawn(demonstrations.ruler, given, best.given, best.words)
     changed = demonstrations.ruler.errors(best.given, range(len(given)))
@@ -110,12 +117,13 @@ def _finding(demonstrations: Demonstrated, best: Change) -> Finding:
     if saved:
         evidence["file"] = saved
     finding = blame(
-        f"demonstrations fit `{best.words}` better than what is declared: it leaves {best.margin.share:.0%} of the "
-        f"error over {demonstrations.episodes} episodes, at most {best.margin.most:.0%}{as_well}",
+        f"demonstrations match `{best.words}` better than the declared convention: it reduces the error to "
+        f"{best.margin.share:.0%} over {demonstrations.episodes} episodes, at most "
+        f"{best.margin.most:.0%}{as_well}",
         expected=f"errors of {_listed(table['changed'])}, as with `{best.words}`",
         got=_listed(table["declared"]),
         evidence=evidence,
-        fix=Fix("advice", f"the model seems to mean `{best.words}`: if its training code says so, mend that {where}"),
+        fix=Fix("advice", f"the model seems to use `{best.words}`: if its training code confirms it, fix that {where}"),
     )
     return Finding(**{**vars(finding), "path": spec.File.POLICY_YML}) if best.in_block else finding
 

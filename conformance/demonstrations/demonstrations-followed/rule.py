@@ -40,12 +40,12 @@ def demonstrations_followed(demonstrations: Demonstrated) -> Iterator[Finding]:
         return
     table = demonstrations.table()
     yield blame(
-        f"the policy is farther from the demonstrations than {name}: {beside.share:.2g} times its error over "
-        f"{demonstrations.episodes} episodes, at least {beside.least:.2g} times",
+        f"the policy's error on the demonstrations is larger than that of {name}: {beside.share:.2g} times as "
+        f"large over {demonstrations.episodes} episodes, at least {beside.least:.2g} times",
         expected=f"less than {name}: {_listed(table[name])}",
         got=_listed(table["declared"]),
         evidence={"episodes": demonstrations.episodes, "errors": table},
-        fix=Fix("advice", "if XPL270 names no convention: are these the data that the weights were trained on?"),
+        fix=Fix("advice", "if XPL270 names no convention: were the weights trained on these data?"),
     )
 
 

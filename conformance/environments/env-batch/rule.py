@@ -37,7 +37,7 @@ def env_batch(stage: Stage) -> Iterator[Finding]:
     """
     stage.require_repeats()
     for offer in stage.tasks:
-        yield from stage.told(_alike(stage, offer), f"two episodes of {offer} can be played at once")
+        yield from stage.told(_alike(stage, offer), f"two episodes of {offer} can run in one batch")
 
 
 def _alike(stage: Stage, offer: Offer) -> Iterator[Finding]:
@@ -54,7 +54,7 @@ def _alike(stage: Stage, offer: Offer) -> Iterator[Finding]:
             alone = [play.trial(offer, seed)[0] for seed in SEEDS]
     if indices != [0, 1]:
         yield stage.finding(
-            f"{offer}: two environments show the indices {indices}",
+            f"{offer}: the observations of two environments have the indices {indices}",
             expected="[0, 1]",
             got=str(indices),
             advice="put the environment's index into its observations",
@@ -63,7 +63,7 @@ def _alike(stage: Stage, offer: Offer) -> Iterator[Finding]:
         where = difference(one, other, TOLERANCE)
         if where is not None:
             yield stage.finding(
-                f"{offer}: environment {env} of two plays otherwise than alone, {where}",
+                f"{offer}: the episode of environment {env} of two differs from one run alone, {where}",
                 expected="the same episode",
                 got=where,
                 advice="give each environment its own simulator state and its own generator",

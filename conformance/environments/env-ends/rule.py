@@ -33,7 +33,7 @@ def env_ends(stage: Stage) -> Iterator[Finding]:
     No automatic fix.
     """
     for offer in stage.tasks:
-        yield from stage.told(_ended(stage, offer), f"an episode of {offer} can be played")
+        yield from stage.told(_ended(stage, offer), f"an episode of {offer} can run")
 
 
 def _ended(stage: Stage, offer: Offer) -> Iterator[Finding]:

@@ -43,7 +43,7 @@ def _repeated(stage: Stage, offer: Offer) -> Iterator[Finding]:
             where = difference(Trial((seen,), {}), Trial((again,), {}))
             if where is not None:
                 yield stage.finding(
-                    f"{offer}: with last_frame the observation is another one, {where}",
+                    f"{offer}: with last_frame the observation differs, {where}",
                     expected="the last observation",
                     got=where,
                     advice="keep each environment's last observation",

@@ -39,9 +39,9 @@ def env_limits(stage: Stage) -> Iterator[Finding]:
     No automatic fix.
     """
     if stage.manifest.scripted:
-        raise NotApplicable("env.yml declares that observations follow a script: no robot is there to be protected")
+        raise NotApplicable("env.yml declares that observations follow a script: there is no robot to protect")
     for offer in _of_each_kind(stage):
-        yield from stage.told(_bounded(stage, offer), f"{offer} bears wrong commands")
+        yield from stage.told(_bounded(stage, offer), f"{offer} handles wrong commands")
 
 
 def _of_each_kind(stage: Stage) -> list[Offer]:
@@ -61,17 +61,17 @@ def _bounded(stage: Stage, offer: Offer) -> Iterator[Finding]:
                     f"{offer}: {what} {got}",
                     expected="a refusal, or a correction in the report, and a state within limits",
                     got=got,
-                    advice="bound it, and say so in corrections; xpl.safety.Supervisor does both",
+                    advice="clamp it, and report it in corrections; xpl.safety.Supervisor does both",
                 )
         play.reset(0)
         (first,) = play.observe()
         got = _after_nan(play, {key: value * np.float32("nan") for key, value in motion(offer, first, 0).items()})
         if got is not None:
             yield stage.finding(
-                f"{offer}: an action that is not a number {got}",
+                f"{offer}: an action of NaN {got}",
                 expected="a refusal, or the end of the episode, and a finite state",
                 got=got,
-                advice="look for values that are not finite before the simulator sees them",
+                advice="check for values that are not finite before the simulator gets them",
             )
 
 
@@ -94,7 +94,7 @@ def _reported(play: Play, action: dict[str, np.ndarray]) -> str | None:
     except EnvRaisedError:
         return None
     corrections = report.get("corrections") if isinstance(report, dict) else None
-    return None if corrections else f"is executed without a word: the report says {report!r}"
+    return None if corrections else f"is executed without a report: corrections are {report!r}"
 
 
 def _outside(offer: Offer, obs: Observation) -> str | None:
@@ -114,9 +114,9 @@ def _after_nan(play: Play, action: dict[str, np.ndarray]) -> str | None:
     try:
         play.act({0: action})
         if play.running():
-            return "is executed, and the episode goes on"
+            return "is executed, and the episode continues"
     except EnvRaisedError:
         pass
     state = play.observe(0)[0][sdk.Obs.STATE]
     broken = [key for key, value in state.items() if not np.isfinite(np.asarray(value, dtype=np.float64)).all()]
-    return f"gets into the state: {', '.join(broken)}" if broken else None
+    return f"reaches the state: {', '.join(broken)}" if broken else None

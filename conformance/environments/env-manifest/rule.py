@@ -36,7 +36,7 @@ def env_manifest(source: Source) -> Iterator[Finding]:
     given = values.get("name") if isinstance(values, dict) else None
     if isinstance(given, str) and given != source.path.name:
         yield Finding(
-            f"results of {source.path.name} are filed under {given}",
+            f"results of {source.path.name} are recorded under {given}",
             path=_NAME,
             line=key_line(source, _NAME, "name"),
             column=1,

@@ -48,7 +48,7 @@ def env_names(source: Source) -> Iterator[Finding]:
         parts = list(stages.values()) if isinstance(stages, dict) else []
         if parts and all(isinstance(part, (int, float)) for part in parts) and abs(sum(parts) - 1) > 1e-6:
             yield Finding(
-                f"a success in {name} scores {sum(parts):g} and not 1: scores of tasks cannot be averaged",
+                f"the stages of {name} add up to {sum(parts):g} and not 1: scores of tasks cannot be averaged",
                 path=_NAME,
                 line=_line(source, str(name)),
                 column=1,

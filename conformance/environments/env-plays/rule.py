@@ -41,10 +41,10 @@ def _played(stage: Stage, offer: Offer) -> Iterator[Finding]:
         if len(observations) != 1 or not isinstance(observations[0], dict):
             got = f"{len(observations)} observations"
             yield stage.finding(
-                f"{offer}: after a reset one environment shows {got}",
+                f"{offer}: after a reset one environment returns {got}",
                 expected="one observation, a map",
                 got=got,
-                advice="return one observation for each environment asked for",
+                advice="return one observation for each requested environment",
             )
             return
         with contextlib.suppress(NotRun):  # a state that no motion can begin from is what env-observations reports

@@ -39,10 +39,10 @@ def _shown(stage: Stage, offer: Offer) -> Iterator[Finding]:
         play.reset(0)
         if sdk.Obs.PRIVILEGED in play.observe()[0]:
             yield stage.finding(
-                f"{offer}: observations show simulator truth that was not asked for",
+                f"{offer}: observations contain ground truth that was not requested",
                 expected=f"no {sdk.Obs.PRIVILEGED}",
                 got=f"{sdk.Obs.PRIVILEGED} in the observation",
-                advice="add it where the configuration asks for it only",
+                advice="add it only if the configuration requests it",
             )
     if not stage.manifest.privileged:
         return
@@ -50,8 +50,8 @@ def _shown(stage: Stage, offer: Offer) -> Iterator[Finding]:
         play.reset(0)
         if not play.observe()[0].get(sdk.Obs.PRIVILEGED):
             yield stage.finding(
-                f"{offer}: env.yml promises simulator truth, and observations have none when it is asked for",
+                f"{offer}: env.yml declares ground truth, and observations lack it when it is requested",
                 expected=f"{sdk.Obs.PRIVILEGED} in the observation",
                 got="nothing",
-                advice=f"show it, or declare {sdk.Obs.PRIVILEGED}: false",
+                advice=f"return it, or declare {sdk.Obs.PRIVILEGED}: false",
             )

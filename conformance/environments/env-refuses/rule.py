@@ -43,7 +43,7 @@ def env_refuses(stage: Stage) -> Iterator[Finding]:
     No automatic fix.
     """
     offer = stage.offers[0]
-    expected = "an error that says what is offered"
+    expected = "an error that lists what env.yml declares"
     unknown = {"task": "no_such_task", "embodiment": "no_such_robot", sdk.Deploy.ACTION_TYPE: "telepathy"}
     if stage.manifest.scripted:
         del unknown["task"]  # a script is the same for any task
@@ -51,10 +51,10 @@ def env_refuses(stage: Stage) -> Iterator[Finding]:
         got = _made(stage, replace(offer, **{key: value}))
         if got is not None:
             yield stage.finding(
-                f"{key} {value!r} is not offered, and asking for it {got}",
+                f"{key} {value!r} is not declared, and requesting it {got}",
                 expected=expected,
                 got=got,
-                advice="raise ValueError with the names that are offered",
+                advice="raise ValueError with the declared names",
             )
     for each in dict.fromkeys((offer, *(item for item in stage.tasks if item.action_type != offer.action_type))):
         yield from stage.told(_mistakes(stage, each), f"{each} can be played")
@@ -67,7 +67,7 @@ def _made(stage: Stage, offer: Offer) -> str | None:
             play.reset(0)
     except EnvRaisedError as error:
         return _accident(error)
-    return "is answered as if it were"
+    return "is accepted"
 
 
 def _mistakes(stage: Stage, offer: Offer) -> Iterator[Finding]:
@@ -78,8 +78,8 @@ def _mistakes(stage: Stage, offer: Offer) -> Iterator[Finding]:
         key = next(iter(right))
         for what, actions in (
             (f"an action without {key}", {0: {name: value for name, value in right.items() if name != key}}),
-            ("an action with a key too many", {0: {**right, "no_such_key": np.zeros(1, np.float32)}}),
-            (f"an action with one value more in {key}", {0: {**right, key: np.append(right[key], np.float32(0))}}),
+            ("an action with an additional key", {0: {**right, "no_such_key": np.zeros(1, np.float32)}}),
+            (f"an action with an additional value in {key}", {0: {**right, key: np.append(right[key], np.float32(0))}}),
             ("an action for environment 7, of one", {7: right}),
         ):
             got = _sent(play, actions)
@@ -90,7 +90,7 @@ def _mistakes(stage: Stage, offer: Offer) -> Iterator[Finding]:
             if got is not None:
                 yield stage.finding(
                     f"{offer}: {what} {got}",
-                    expected="a refusal that says what is expected, and no motion",
+                    expected="an error that says what is expected, and no motion",
                     got=got,
                     advice="check an action before anything moves, with xpl.action",
                 )
@@ -106,4 +106,4 @@ def _sent(play: Play, actions: Mapping[int, Action]) -> str | None:
 
 
 def _accident(error: EnvRaisedError) -> str | None:
-    return f"stops with an accident of the code, {error}" if error.kind in ACCIDENTS else None
+    return f"stops with an accidental {error}" if error.kind in ACCIDENTS else None

@@ -33,7 +33,7 @@ def env_reset(stage: Stage) -> Iterator[Finding]:
     """
     stage.require_repeats()
     for offer in stage.tasks:
-        yield from stage.told(_again(stage, offer), f"three episodes of {offer} can be played")
+        yield from stage.told(_again(stage, offer), f"three episodes of {offer} can run")
 
 
 def _again(stage: Stage, offer: Offer) -> Iterator[Finding]:
@@ -45,7 +45,7 @@ def _again(stage: Stage, offer: Offer) -> Iterator[Finding]:
     if where is not None:
         yield stage.finding(
             f"{offer}: seed {SEED} gives another episode after one of seed {SEED + 1}: {where}",
-            expected="the same episode, whatever came before",
+            expected="the same episode, whatever the previous one was",
             got=where,
-            advice="put all of the state back in reset",
+            advice="restore all of the state in reset",
         )

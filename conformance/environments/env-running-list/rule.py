@@ -35,7 +35,7 @@ def env_running_list(stage: Stage) -> Iterator[Finding]:
     No automatic fix.
     """
     for offer in stage.tasks:
-        yield from stage.told(_shrinks(stage, offer), f"two episodes of {offer} can be played")
+        yield from stage.told(_shrinks(stage, offer), f"two episodes of {offer} can run")
 
 
 def _shrinks(stage: Stage, offer: Offer) -> Iterator[Finding]:
@@ -52,7 +52,7 @@ def _shrinks(stage: Stage, offer: Offer) -> Iterator[Finding]:
                 play.act({env: motion(offer, first[env], step) for env in running})
         after, results = play.running(), play.results()
         if after:
-            text = f"{offer}: {LIMIT} steps is all that was asked for, and the running list is still {after}"
+            text = f"{offer}: the step limit is {LIMIT}, and after it the running list is still {after}"
             yield _wrong(stage, text, "[]", str(after))
             return
         seen = play.observe(*envs)
@@ -68,5 +68,5 @@ def _shrinks(stage: Stage, offer: Offer) -> Iterator[Finding]:
 
 def _wrong(stage: Stage, text: str, expected: str, got: str) -> Finding:
     return stage.finding(
-        text, expected=expected, got=got, advice="keep what has ended out of the list, and out of step"
+        text, expected=expected, got=got, advice="remove ended environments from the list, and do not step them"
     )

@@ -34,9 +34,9 @@ def env_same_seed(stage: Stage) -> Iterator[Finding]:
     """
     stage.require_repeats()
     for offer in stage.tasks[:1]:
-        yield from stage.told(_repeated(stage, offer, fresh=True), f"{offer} can be played twice")
+        yield from stage.told(_repeated(stage, offer, fresh=True), f"{offer} can run twice")
     for offer in stage.tasks[1:]:
-        yield from stage.told(_repeated(stage, offer, fresh=False), f"{offer} can be played twice")
+        yield from stage.told(_repeated(stage, offer, fresh=False), f"{offer} can run twice")
 
 
 def _repeated(stage: Stage, offer: Offer, *, fresh: bool) -> Iterator[Finding]:

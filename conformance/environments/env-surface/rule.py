@@ -47,7 +47,7 @@ def env_surface(source: Source) -> Iterator[Finding]:
         if _imports(source.tree(file), _MAKE):
             raise NotApplicable(f"{file} takes {_MAKE} from a package that is not part of the environment")
         yield Finding(
-            f"{file} has no {_MAKE}: nobody can construct the environment",
+            f"{file} has no {_MAKE}: the evaluation cannot construct the environment",
             path=file,
             line=1,
             column=1,
@@ -62,13 +62,13 @@ def env_surface(source: Source) -> Iterator[Finding]:
             **source.start(make.file, make.node),
             expected=f"def {_MAKE}(config)",
             got=f"def {_MAKE}()",
-            fix=Fix("advice", "take the configuration map"),
+            fix=Fix("advice", "take the configuration, a dict"),
         )
     environment = _returned(source, make)
     if environment is None and _is_base(source, make):
         return
     if environment is None or not environment.is_closed:
-        raise NotApplicable(f"the class of what {_MAKE} returns cannot be told without running it")
+        raise NotApplicable(f"the class that {_MAKE} returns cannot be determined without running it")
     missing = [name for name in _SURFACE if not environment.has(name)]
     if missing:
         yield Finding(
@@ -82,7 +82,7 @@ def env_surface(source: Source) -> Iterator[Finding]:
         function = environment.method(name)
         if function is not None and function.node.args.vararg is None and len(parameters(function.node)) < most:
             yield Finding(
-                f"{name} takes too few arguments: a loop that gives {most} stops with a TypeError",
+                f"{name} takes too few arguments: a loop that passes {most} stops with a TypeError",
                 **source.start(function.file, function.node),
                 expected=f"{most} arguments",
                 got=f"def {name}({ast.unparse(function.node.args)})",

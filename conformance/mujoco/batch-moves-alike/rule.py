@@ -48,8 +48,8 @@ def batch_moves_alike(simulation: Simulation) -> Iterator[Finding]:
             continue
         step, there, by_itself = found
         yield blame(
-            f"in {together.course} the environment with seed {seed} is driven differently beside another one "
-            f"than alone, from step {step} on",
+            f"in {together.course} the environment with seed {seed} gets other actions in a batch than alone, "
+            f"from step {step} on",
             expected="the commands of a run by itself",
             got="other commands",
             evidence={

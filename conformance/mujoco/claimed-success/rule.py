@@ -43,11 +43,11 @@ def claimed_success(simulation: Simulation) -> Iterator[Finding]:
         if claim.success_rate not in interval:
             other = "higher" if claim.success_rate > interval.high else "lower"
             yield Finding(
-                f"the manifest claims {claim.success_rate:.0%} success in {claim.course}, {other} than what is "
-                "measured",
+                f"the manifest claims {claim.success_rate:.0%} success in {claim.course}, {other} than the "
+                "measured rate",
                 path=spec.File.POLICY_YML,
                 expected=f"a rate within {interval}, as {figure.successes} of {figure.episodes} episodes succeed",
                 got=f"{claim.success_rate:.0%}",
                 evidence=figure.as_json(),
-                fix=Fix("advice", "claim what was measured with this adapter, or find out why it no longer does it"),
+                fix=Fix("advice", "claim what was measured with this adapter, or find out why it no longer reaches it"),
             )

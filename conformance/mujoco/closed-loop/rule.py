@@ -41,7 +41,7 @@ def closed_loop(simulation: Simulation) -> Iterator[Finding]:
             settings = [part for key, value in pair.items() for part in ("--set", f"{key}={value}")]
             command = ["xpl", "eval", str(simulation.probe.package.path), "--env", ENVIRONMENT, "--task", course.task]
             yield blame(
-                f"the closed loop of {course} breaks off after {played.steps} steps: {played.problem}",
+                f"the rollout of {course} fails after {played.steps} steps: {played.problem}",
                 expected="an episode that ends by success or by the step limit",
                 got=played.problem,
                 evidence={"task": course.task, spec.Deploy.SEED: played.seeds[0], "steps": played.steps},

@@ -38,8 +38,8 @@ def few_clamps(simulation: Simulation) -> Iterator[Finding]:
         if share > TOLERATED:
             counts = played.results[0].corrections
             yield blame(
-                f"in {played.course} the environment had to clamp {share:.0%} of the commands: the robot does not do "
-                "what the policy asks",
+                f"in {played.course} the environment had to clamp {share:.0%} of the commands: the robot does "
+                "not execute what the policy commands",
                 expected=f"at most {TOLERATED:.0%} of the steps beyond a limit of joints, speed or gripper",
                 got=", ".join(f"{kind} {count} times" for kind, count in counts.items()),
                 evidence={"task": played.course.task, "steps": played.steps, "corrections": dict(counts)},

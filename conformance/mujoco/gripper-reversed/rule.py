@@ -23,7 +23,7 @@ _SELDOM = 0.25
 """Share of the questions at which a gripper may change sides where its commands agree with it."""
 _TRIED = 4
 """Episodes in each environment in which something is exchanged."""
-_COMPARE = "compare what the model is told of the gripper, and what its answer means, with the authors' own code"
+_COMPARE = "compare the model's gripper input, and the meaning of its output, with the authors' own code"
 
 
 @rule(code="XPL307", requirement="XPL-SIM-7", profile="full")
@@ -62,9 +62,9 @@ def gripper_reversed(simulation: Simulation) -> Iterator[Finding]:
             other = measure_mirrored(simulation, claim.course, _TRIED, world)
             if other.success_interval.low > real.success_rate and other.success_rate > real.success_interval.high:
                 yield blame(
-                    f"in {claim.course} the policy succeeds where {world}, and not as they are",
+                    f"in {claim.course} the policy succeeds if {world}, and not without that swap",
                     expected="success in the environment as it is",
-                    got=f"{real.successes} of {real.episodes} episodes succeed, there {other.successes} of "
+                    got=f"{real.successes} of {real.episodes} episodes succeed, with the swap {other.successes} of "
                     f"{other.episodes}",
                     fix=Fix("advice", world.advice),
                 )
@@ -76,11 +76,11 @@ def _contradictions(simulation: Simulation, played: Rollout) -> Iterator[Finding
         if not _contradicts(observed, commanded):
             continue
         worlds = list(_where_it_agrees(simulation, played, key))
-        elsewhere = f"; they agree with it where {', or where '.join(map(str, worlds))}" if worlds else ""
+        elsewhere = f"; they agree with it if {', or if '.join(map(str, worlds))}" if worlds else ""
         yield blame(
-            f"in {played.course} commands of {key} contradict the gripper at every question: it is told to close "
-            f"where it is open, and to open where it is closed{elsewhere}",
-            expected="commands that do not turn round whenever they were obeyed",
+            f"in {played.course} commands of {key} contradict the gripper at every inference: to close when it "
+            f"is open, and to open when it is closed{elsewhere}",
+            expected="commands that do not reverse after they were executed",
             got=f"{np.round(commanded[:8], 2).tolist()} for grippers at {np.round(observed[:8], 2).tolist()}",
             evidence={"task": played.course.task, "questions": len(observed), "agrees_where": list(map(str, worlds))},
             fix=Fix("advice", worlds[0].advice if worlds else _COMPARE),

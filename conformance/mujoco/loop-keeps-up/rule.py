@@ -45,8 +45,8 @@ def loop_keeps_up(simulation: Simulation) -> Iterator[Finding]:
     if slow:
         played, waits, lasts = max(slow, key=lambda entry: entry[1] / entry[2])
         yield blame(
-            f"in {played.course} showing and asking take {1e3 * waits:.0f} ms for a chunk that lasts {1e3 * lasts:.0f} "
-            f"ms at {rate:g} Hz: the robot waits",
+            f"in {played.course} update_obs and get_action take {1e3 * waits:.0f} ms for a chunk that lasts "
+            f"{1e3 * lasts:.0f} ms at {rate:g} Hz: the robot waits",
             expected=f"less than {1e3 * lasts:.0f} ms",
             got=f"{1e3 * waits:.0f} ms",
             fix=Fix("advice", f"do less for each observation, or declare a {_RATE} that can be kept"),

@@ -39,14 +39,14 @@ def newest_observation(simulation: Simulation) -> Iterator[Finding]:
         moved = ", ".join(f"{reaction.newest:.2g}" for reaction in found)
         before = ", ".join(f"{reaction.before:.2g}" for reaction in found)
         yield blame(
-            f"in {simulation.first} answers lag behind: "
+            f"in {simulation.first} actions lag behind: "
             + (
-                "what is newest at a question shows in the answer to the next one"
+                "the newest observation at an inference affects only the action of the next one"
                 if late
                 else "they follow the observation of the step before"
             )
             + (", and little in its own" if any(reaction.newest for reaction in found) else ""),
-            expected="an answer that changes with the newest observation",
+            expected="an action that changes with the newest observation",
             got=f"it moves by {moved} of its spread with the newest, by {before} with the one before",
             evidence={
                 "questions": [
@@ -61,6 +61,9 @@ def newest_observation(simulation: Simulation) -> Iterator[Finding]:
             },
             fix=Fix(
                 "advice",
-                "answer from what update_obs brought last; of a history, compare the order with the authors' own code",
+                (
+                    "compute the action from the latest update_obs; compare the order of a history with the "
+                    "authors' own code"
+                ),
             ),
         )

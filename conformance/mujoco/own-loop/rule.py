@@ -41,8 +41,8 @@ def own_loop(simulation: Simulation) -> Iterator[Finding]:
                 yield Finding(
                     f"in physics {name} {problem}",
                     path=sdk.File.DEPLOY_PY,
-                    expected="an episode that is played until the environment says that it has ended",
+                    expected="an episode that runs until the environment reports its end",
                     got=f"{stage.steps} of {list(stage.lengths)} control steps, and {stage.late} after the end",
                     evidence={"task": simulation.first.task},
-                    fix=Fix("advice", "ask is_episode_end() or get_running_env_idx_list() after every action"),
+                    fix=Fix("advice", "check is_episode_end() or get_running_env_idx_list() after every action"),
                 )

@@ -37,8 +37,8 @@ def pose_convention(simulation: Simulation) -> Iterator[Finding]:
     for played in simulation.sound_rollouts():
         for mistake in mistakes(played.robot, played.course.action_type, played.queries[0]):
             yield blame(
-                f"in {played.course} {mistake.key} is commanded as {mistake.what}: the robot does not stay where "
-                "the policy believes it to be",
+                f"in {played.course} {mistake.key} is commanded as {mistake.what}: the robot moves away from "
+                "the pose that the policy means",
                 expected=f"commands near the observed {mistake.key}, at first {list(mistake.observed)}",
                 got=f"{list(mistake.commanded)}",
                 evidence={"task": played.course.task, "questions": len(played.queries[0])},

@@ -39,7 +39,7 @@ def reachable(simulation: Simulation) -> Iterator[Finding]:
         if spec.ACTION_KEYS[played.course.action_type][0] == spec.State.EE_POSE
     ]
     if not posed:
-        raise NotApplicable("the adapter commands joints and no poses")
+        raise NotApplicable("the adapter's actions are joint positions, not poses")
     for played in posed:
         share = played.corrected(frozenset(("unreachable",))) / max(played.steps, 1)
         if share > TOLERATED:

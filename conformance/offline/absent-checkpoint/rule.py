@@ -32,14 +32,16 @@ def absent_checkpoint(configurations: Configurations) -> Iterator[Finding]:
     """
     checkpoint = configurations.probe.checkpoint
     if checkpoint is None:
-        raise NotApplicable("deploy.yml names no checkpoint that is there")
+        raise NotApplicable("deploy.yml names no checkpoint that exists")
     for name in checkpoint.absent_names():
         if configurations.changed(**{checkpoint.key: name}).refusal is None:
-            yield _finding(f"{checkpoint.key}: {name} is not there, and the adapter acts with {checkpoint.name}")
+            yield _finding(f"{checkpoint.key}: {name} does not exist, and the adapter acts with {checkpoint.name}")
     for key, step in checkpoint.step_keys():
         for other in checkpoint.absent_steps(step):
             if configurations.changed(**{key: other}).refusal is None:
-                yield _finding(f"{key}: step {other} is not there, and the adapter acts with another; {step} is there")
+                yield _finding(
+                    f"{key}: step {other} does not exist, and the adapter acts with another one; {step} exists"
+                )
         if step and 0 in checkpoint.steps() and configurations.repeats:
             first = configurations.changed(**{key: 0})
             if first.refusal is None and first.difference(configurations.changed(**{key: step})) is None:
@@ -48,8 +50,8 @@ def absent_checkpoint(configurations: Configurations) -> Iterator[Finding]:
 
 def _finding(fault: str) -> Finding:
     return blame(
-        f"{fault}: a run reports the score of a checkpoint that nobody asked for",
-        expected="an error that says what is not there",
+        f"{fault}: a run reports the score of another checkpoint than the requested one",
+        expected="an error that names the missing checkpoint or step",
         got="a server that is ready",
         fix=Fix("advice", "find it with xpl.checkpoint.resolve and resolve_step"),
     )

@@ -38,7 +38,7 @@ def acts_anywhere(configurations: Configurations) -> Iterator[Finding]:
         found = configurations.usual.difference(configurations.from_elsewhere())
     if found is not None:
         yield blame(
-            "from another working directory the adapter acts otherwise: it depends on where a launcher started it",
+            "from another working directory the adapter acts differently: it depends on where a launcher started it",
             expected="the same actions",
             got=found,
             fix=Fix("advice", "join relative paths to self.policy_dir"),

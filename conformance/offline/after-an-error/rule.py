@@ -49,16 +49,19 @@ def after_an_error(probe: Probe) -> Iterator[Finding]:
             after = probe.episode(policy, env=1)
     except ClientError as error:
         yield blame(
-            "a damaged observation ends the adapter instead of being refused: one bad frame costs the whole evaluation",
+            (
+                "an invalid observation ends the adapter instead of being refused: one bad frame ends the whole "
+                "evaluation"
+            ),
             expected="an error",
             got=str(error),
             evidence={"refused_before": refused},
-            fix=Fix("advice", "raise where an observation is damaged; never end the process"),
+            fix=Fix("advice", "raise an error for an invalid observation; never end the process"),
         )
         return
     if error_code(reset) is not None:
         yield blame(
-            "reset fails after an error: no further episode can be played",
+            "reset fails after an error: no further episode can run",
             expected="a new episode",
             got=brief(reset),
             evidence={"refused": refused},
@@ -70,7 +73,7 @@ def after_an_error(probe: Probe) -> Iterator[Finding]:
         if found is not None:
             probe.require_repeatable_afresh()
             yield blame(
-                f"the episode after one with errors goes otherwise, from step {step} on: what an error left behind "
+                f"the episode after one with errors differs, from step {step} on: state that an error left "
                 "survives reset",
                 expected="the actions of the same episode after one without errors",
                 got=found,

@@ -48,7 +48,7 @@ def antipodal_alike(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     far = turned(first, LARGE)
     pairs: dict[str, tuple[Episode, Episode]] = {
         "in the first observation": ((first,), (antipodal(first),)),
-        "where an end effector is turned far": ((far,), (antipodal(far),)),
+        "if an end effector is rotated far": ((far,), (antipodal(far),)),
         "from one observation to the next": ((first, second), (first, antipodal(second))),
     }
     answered = semantics.compare(list(pairs.values()), semantics.posed)
@@ -56,11 +56,11 @@ def antipodal_alike(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
         found = rotation_difference(*pair)
         if found is not None:
             yield blame(
-                f"quaternions that change their sign {where} change the motion, although the model_io block says that "
-                "the model is told one sign",
+                f"quaternions that change their sign {where} change the motion, although the model_io block "
+                "declares that the model gets one sign",
                 expected="the same action, up to the sign of its quaternions",
                 got=found,
-                fix=Fix("advice", "give the model in encode the sign that the block says, or correct the block"),
+                fix=Fix("advice", "convert to the block's sign in encode, or correct the block"),
             )
             return
 
@@ -73,16 +73,14 @@ def _require_a_sign(package: Package) -> None:
     """
     model_io = package.manifest.model_io
     if not model_io and (package.path / names.PAIRS).is_file():
-        raise NotApplicable("golden-parity compares the answers to both signs with the model's own")
+        raise NotApplicable("golden-parity compares the actions for both signs with the model's own")
     if not model_io:
         raise NotApplicable(
-            "nothing says how the model was trained to take q and -q: no model_io block, no golden pairs"
+            "it is not declared how the model was trained on q and -q: no model_io block, no golden pairs"
         )
     told = [part for entry in model_io.state for part in entry["parts"]]
     as_they_come = told_as_they_come(model_io)
     if as_they_come:
-        raise NotApplicable(
-            f"the model is told signs as they come ({', '.join(as_they_come)}), and may tell them apart"
-        )
+        raise NotApplicable(f"the model gets unchanged signs ({', '.join(as_they_come)}), and may distinguish them")
     if model_io.code and not any("rotation" in part for part in told):
-        raise NotApplicable("the model_io block leaves conversions to code, and does not say which sign they give")
+        raise NotApplicable("the model_io block leaves conversions to code, and does not declare their sign")

@@ -41,7 +41,7 @@ def ask_twice(probe: Probe) -> Iterator[Finding]:
         policy.update_obs(probe.observation())
         shown_again = policy.get_action()
     if error_code(first) is not None:
-        raise NotApplicable(f"the first question is answered by {brief(first)}")
+        raise NotApplicable(f"the first get_action returned {brief(first)}")
     if error_code(second) is not None:
         yield blame(
             "a second get_action on the same observation fails: the first one damaged what was stored",
@@ -59,21 +59,21 @@ def ask_twice(probe: Probe) -> Iterator[Finding]:
     }
     if same(first, shown_again):
         yield blame(
-            "a second get_action on the same observation is answered otherwise, although the observation shown again "
-            "is answered alike: the first one changed what was stored",
+            "a second get_action on the same observation returns another action, although the same observation "
+            "sent again gives the same one: the first call changed what was stored",
             **details,
             fix=Fix("advice", "never change a stored observation in place; copy before normalising or popping keys"),
         )
     elif _remembers(probe) and same(second, shown_again) and probe.repeats_in_place:
         yield blame(
-            "a second get_action on the same observation is answered as if the observation had been shown again: "
-            "memory advances with every question",
+            "a second get_action on the same observation returns the action for an observation sent twice: "
+            "memory advances with every inference",
             **details,
             fix=Fix("advice", "keep recurrent state in self.memory(env): it advances once for each observation"),
         )
     else:
         # Random numbers and averaging over time do that, and nobody can tell what else does.
-        raise NotApplicable("answers change from question to question, also where the same observation is shown again")
+        raise NotApplicable("actions change from inference to inference, also if the same observation is sent again")
 
 
 def _remembers(probe: Probe) -> bool:

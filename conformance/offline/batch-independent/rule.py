@@ -44,9 +44,9 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
             found = probe.apart(alone, batch[env : env + 1] if answers(batch) else batch)
             if found is not None:
                 yield blame(
-                    f"environment {env} acts differently beside others than alone, from step {step} on: "
-                    "state is shared, and results depend on how many run at once",
-                    expected="the actions of a run by itself",
+                    f"environment {env} acts differently in a batch than alone, from step {step} on: state is "
+                    "shared, and results depend on how many run at once",
+                    expected="the actions of a run alone",
                     got=found,
                     evidence={
                         "environment": env,

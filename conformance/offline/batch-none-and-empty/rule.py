@@ -34,12 +34,12 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     batch = probe.observations(envs)
     listed, implied, empty = (probe.batch_answer(batch, wanted) for wanted in (envs, None, []))
     if error_code(empty) or not hasattr(empty, "__len__") or len(empty) != 0:
-        follows = "an evaluation stops" if error_code(empty) else "a batch is acted on again"
+        follows = "an evaluation stops" if error_code(empty) else "a second get_action_batch on one batch works"
         yield blame(
-            f"get_action_batch([]) is not answered by []: {follows} when all of its environments have ended",
+            f"get_action_batch([]) does not return []: {follows} when all of its environments have ended",
             expected="[]",
             got=brief(empty),
-            fix=Fix("advice", "test `env_idx_list is None`; `env_idx_list or default` takes an empty list for missing"),
+            fix=Fix("advice", "test `env_idx_list is None`; `env_idx_list or default` treats an empty list as missing"),
         )
     found = difference(listed, implied)
     if found is not None:

@@ -34,7 +34,7 @@ def batch_of_one(probe: Probe) -> Iterator[Finding]:
     env = 5
     batch = probe.batch_episode([env])
     if not any(answers(chunks, 1) for chunks in batch):
-        raise NotApplicable(f"get_action_batch([{env}]) is never answered, which XPL203 reports")
+        raise NotApplicable(f"get_action_batch([{env}]) always fails, which XPL203 reports")
     with probe.run() as policy:
         single = [[chunk] for chunk in probe.episode(policy, env)]
     with probe.run() as policy:
@@ -48,9 +48,9 @@ def batch_of_one(probe: Probe) -> Iterator[Finding]:
             found = difference(expected, answer)
             if found is not None:
                 yield blame(
-                    f"{form} answers environment {env} differently than get_action_batch([{env}]), from step "
+                    f"{form} gives environment {env} other actions than get_action_batch([{env}]), from step "
                     f"{step} on: the score depends on whether an evaluation is batched",
-                    expected=f"the answer to get_action_batch([{env}])",
+                    expected=f"the actions of get_action_batch([{env}])",
                     got=found,
                     evidence={
                         "environment": env,
@@ -58,6 +58,6 @@ def batch_of_one(probe: Probe) -> Iterator[Finding]:
                         "batch": first_step(expected[0]) if answers(expected) else None,
                         "other": first_step(answer[0]) if answers(answer) else None,
                     },
-                    fix=Fix("advice", "answer a single call by the batched one, with a list of one environment"),
+                    fix=Fix("advice", "implement the single call with the batched one, with a list of one environment"),
                 )
                 break

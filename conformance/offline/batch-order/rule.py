@@ -40,7 +40,10 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
         yield blame(
             f"get_action_batch({envs}) fails: no environment of a batched evaluation gets a command"
             if failed
-            else f"get_action_batch({envs}) does not give one chunk per environment: robots get no command, or others'",
+            else (
+                f"get_action_batch({envs}) does not return one chunk per environment: robots get no command, or "
+                "that of another one"
+            ),
             expected=f"{len(envs)} chunks",
             got=textwrap.shorten(str(whole), 200) if failed else brief(whole),
             fix=Fix("advice", "return one chunk per entry of env_idx_list"),

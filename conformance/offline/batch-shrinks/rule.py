@@ -64,9 +64,9 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
             found = probe.apart(alone, beside)
             if found is not None:
                 yield blame(
-                    f"environment {env} acts differently beside others that end than alone, from step {step} on: "
-                    "its state is kept by position in the batch",
-                    expected="the actions of a run by itself",
+                    f"environment {env} acts differently in a batch whose other environments end than alone, "
+                    f"from step {step} on: its state is stored by position in the batch",
+                    expected="the actions of a run alone",
                     got=found,
                     evidence={
                         "environment": env,
@@ -75,6 +75,6 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
                         "alone": first_step(alone[0]) if answers(alone) else None,
                         "beside": first_step(beside[0]) if answers(beside) else None,
                     },
-                    fix=Fix("advice", "keep whatever outlives a call in a dict keyed by environment index"),
+                    fix=Fix("advice", "store all state between calls in a dict keyed by environment index"),
                 )
                 return

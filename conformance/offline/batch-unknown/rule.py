@@ -37,8 +37,10 @@ def batch_unknown(probe: Probe) -> Iterator[Finding]:
             answer = policy.get_action_batch(wanted)
         if error_code(answer) is None:
             yield blame(
-                f"asked for {what}, the adapter makes up an answer instead of refusing",
+                f"for {what} the adapter returns an action instead of an error",
                 expected="an error that names the environment",
                 got=brief(answer),
-                fix=Fix("advice", "raise on an environment index without an observation, and on a repeated one"),
+                fix=Fix(
+                    "advice", "raise an error for an environment index without an observation, and for a repeated one"
+                ),
             )

@@ -47,7 +47,7 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
     found = difference(*episodes)
     if found is not None:
         yield blame(
-            "observations without env_idx are not told apart by their position: one environment overwrites another",
+            "observations without env_idx are not distinguished by position: one environment overwrites another",
             expected="the same actions as with env_idx 0 and 1",
             got=found,
             evidence={"asked": [[0, 1], [1]]},
@@ -59,8 +59,8 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
     own, other = (probe.batch_answer([obs], [1]) for obs in (named, unnamed))
     if same(mixed, other) and not same(own, other) and error_code(mixed) is None:
         yield blame(
-            "in a batch of which only some observations have env_idx, environment 1 is answered from an observation "
-            "that has none: its own was overwritten",
+            "in a batch of which only some observations have env_idx, environment 1 gets the action for an "
+            "observation without one: its own was overwritten",
             expected="an error, or the actions for the observation with env_idx 1",
             got="the actions for the observation without env_idx",
             evidence={"indices": [1, None], "asked": [1]},

@@ -61,11 +61,11 @@ def between_queries(probe: Probe) -> Iterator[Finding]:
     if same(all_shown, second()):
         if same(probe.answer(first), probe.answer(newest)):
             raise NotApplicable("the actions do not depend on what is observed")
-        yield _finding("is that of an adapter that saw none of them: the chunk is executed open loop", all_shown)
+        yield _finding("is that of an adapter that got none of them: the chunk is executed open loop", all_shown)
         return
     if same(all_shown, second(*between)):
         if not same(probe.answer(between[-1]), probe.answer(newest)):
-            yield _finding("follows those before, not the newest: the policy lags behind", all_shown)
+            yield _finding("depends on older ones, not on the newest: the policy lags behind", all_shown)
         return
     if span > 1:
         yield from _with_a_history(probe, second, between, newest, all_shown)
@@ -87,7 +87,7 @@ def _with_a_history(
     by_newest, by_older = scale.effect(all_shown, renewed), scale.effect(all_shown, with_older)
     if is_weak(by_newest, by_older):
         how = f"moves by {by_newest:.2g} of its spread with the newest, by {by_older:.2g} with the one {stride} before"
-        yield _finding(f"{how}: it follows what is older", all_shown)
+        yield _finding(f"{how}: it depends on older observations", all_shown)
         return
     alone: list[tuple[str, ...]] = [(_GROUPS[name],) for name in model_io.remembered]
     for parts in alone or [tuple(_GROUPS.values())]:
@@ -97,7 +97,7 @@ def _with_a_history(
         scale = Scale([all_shown, others, of_newest])
         if is_negligible(scale.effect(all_shown, others), scale.effect(all_shown, of_newest)):
             what = " and ".join(parts)
-            problem = f"leaves out {what} of the ones in between, although a history of {span} is declared"
+            problem = f"ignores {what} of the ones in between, although a history of {span} is declared"
             yield _finding(f"{problem}: frames are missing", all_shown)
 
 
@@ -110,12 +110,12 @@ def _changed(obs: ObservationDict, names: Iterable[str]) -> ObservationDict:
 
 def _finding(problem: str, second: Answer) -> Finding:
     return blame(
-        f"the answer after observations in the middle of a chunk {problem}",
-        expected="an answer that follows what was shown last, and the declared history",
+        f"the action after observations in the middle of a chunk {problem}",
+        expected="an action that depends on the newest observation, and on the declared history",
         got="the same actions as without it, or nearly",
         evidence={
             "shown": ["scene 0", "asked", "scene 1", "scene 2, ...", "asked"],
             "second_answer": first_step(second) if answers(second) else None,
         },
-        fix=Fix("advice", "take in every update_obs, and answer get_action from the newest observation"),
+        fix=Fix("advice", "process every update_obs, and compute get_action from the newest observation"),
     )

@@ -33,7 +33,7 @@ def bounded_memory(probe: Probe) -> Iterator[Finding]:
     probe.ready()
     played = long_episode(probe)
     if played is None:
-        raise NotApplicable("this system does not tell how much memory a process uses")
+        raise NotApplicable("this operating system does not report the memory of a process")
     if played.per_step is not None:
         kept, size = played.per_step / 1e3, played.observation / 1e3
         yield blame(

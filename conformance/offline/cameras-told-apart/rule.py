@@ -38,8 +38,8 @@ def cameras_told_apart(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     for change in semantics.ignored("cameras"):
         if change.input not in unseen:
             yield blame(
-                f"with {change.what} the action is the same: the policy does not know which camera sees what",
+                f"with {change.what} the action is the same: the policy does not distinguish the cameras",
                 expected="another action",
                 got="the same action",
-                fix=Fix("advice", "give each camera, by its name, a place of its own in the model's input"),
+                fix=Fix("advice", "pass each camera, by its name, to its own input of the model"),
             )

@@ -30,15 +30,15 @@ def checkpoint_intact(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     if probe.checkpoint is None:
-        raise NotApplicable("deploy.yml names no checkpoint that is there")
+        raise NotApplicable("deploy.yml names no checkpoint that exists")
     probe.ready()
     after = probe.checkpoint.state()
     changed = [path for path, state in probe.checkpoint_before.items() if after.get(path) != state]
     for path in changed:
         what = "is gone" if path not in after else "was written"
         yield blame(
-            f"{path.name} of the checkpoint {what} while the adapter was served: who loads it next gets another one, "
-            "and two servers race",
+            f"{path.name} of the checkpoint {what} while the adapter was served: its next user loads another "
+            "one, and two servers race",
             expected="checkpoint files as they were published",
             got=f"{path} {what}",
             fix=Fix("advice", "keep the change in memory, or write a copy to a temporary folder"),

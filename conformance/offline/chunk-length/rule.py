@@ -42,5 +42,5 @@ def chunk_length(probe: Probe, motions: Motions) -> Iterator[Finding]:
                 f"environment that plans by it executes too few or too many steps",
                 expected=f"temporal.chunk, {declared} action steps",
                 got=", ".join(f"{len(answer.chunk)} ({answer.where})" for answer in wrong),
-                fix=Fix("advice", "return the whole chunk, or declare in policy.yml how long it is"),
+                fix=Fix("advice", "return the whole chunk, or declare its length in policy.yml"),
             )

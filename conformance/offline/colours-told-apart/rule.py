@@ -36,8 +36,11 @@ def colours_told_apart(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     for change in semantics.ignored("colours"):
         if change.input not in unseen:
             yield blame(
-                f"with {change.what} the action is the same: the policy cannot tell a red thing from a blue one",
+                (
+                    f"with {change.what} the action is the same: the policy cannot distinguish a red object from a "
+                    "blue one"
+                ),
                 expected="another action",
                 got="the same action",
-                fix=Fix("advice", f"hand all three channels of {change.input} to the model, in the order RGB"),
+                fix=Fix("advice", f"pass all three channels of {change.input} to the model, in the order RGB"),
             )

@@ -62,8 +62,7 @@ def cut_connection(probe: Probe) -> Iterator[Finding]:
         if found is not None:
             probe.require_repeatable_afresh()
             yield blame(
-                f"after the connection was cut and came back the policy acts differently, from step {step} on: results "
-                "depend on the network",
+                f"after a reconnect the policy acts differently, from step {step} on: results depend on the network",
                 expected="the actions of the same episode without a cut",
                 got=found,
                 evidence={
@@ -72,6 +71,6 @@ def cut_connection(probe: Probe) -> Iterator[Finding]:
                     "uncut": first_step(uncut) if answers(uncut) else None,
                     "cut": first_step(answer) if answers(answer) else brief(answer),
                 },
-                fix=Fix("advice", "begin an episode in reset only, and take in what is shown once"),
+                fix=Fix("advice", "start an episode in reset only, and process each observation once"),
             )
             return

@@ -43,7 +43,7 @@ def damaged_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
         yield from judge(
             policy,
             (case for name in names if name in judged for case in damaged(obs, name)),
-            goes_on="{name} is taken as it comes ({faults}): the policy acts on it instead of stopping",
+            goes_on="an invalid {name} is accepted ({faults}): the policy acts on it instead of stopping",
             unclear="{name} is refused ({faults}), but the error does not say that {name} is the cause",
-            fix=Fix("advice", "read states with xpl.observation.pack_state and pictures with get_image"),
+            fix=Fix("advice", "read states with xpl.observation.pack_state and images with get_image"),
         )

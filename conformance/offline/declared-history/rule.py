@@ -59,8 +59,8 @@ def _too_much(probe: Probe, history: int) -> Iterator[Finding]:
     found = difference(*last)
     if found is not None:
         yield blame(
-            f"the action of step {history} depends on the observation of step 0, although the manifest declares a "
-            f"history of {history}: the policy acts on a scene that is gone",
+            f"the action of step {history} depends on the observation of step 0, although the manifest declares "
+            f"a history of {history}: the policy acts on a scene that has changed",
             expected="the same action after another first observation",
             got=found,
             evidence={
@@ -88,12 +88,14 @@ def _nothing_kept(probe: Probe, history: int) -> Iterator[Finding]:
     if not all(same(group[0], ended[0][0]) for group in ended):
         if same(*_asked_twice(probe, now[0])):
             return  # it remembers how long the episode lasts
-        raise NotApplicable("answers change from question to question: what is kept cannot be told from what is drawn")
+        raise NotApplicable(
+            "actions vary from inference to inference: memory cannot be distinguished from random numbers"
+        )
     yield blame(
-        "policy.yml declares memory, and whatever was shown before, the same observation is answered alike: nothing is "
-        "carried from one observation to the next",
-        expected="another action after other observations",
-        got="the same action after five beginnings of up to four observations",
+        "policy.yml declares memory, and whatever was observed before, the same observation gives the same "
+        "action: no state is carried from one observation to the next",
+        expected="another action after other observations before",
+        got="the same action after five sequences of up to four observations",
         evidence={"declared_history": history, "answer": first_step(ended[0][0])},
         fix=Fix("advice", "carry the recurrent state in self.memory(env), or declare the kind that the policy is"),
     )

@@ -36,7 +36,7 @@ def declared_random(configurations: Configurations) -> Iterator[Finding]:
     if first.refusal is None and first.difference(second) is None:
         yield blame(
             f"seeds {seeds[0]} and {seeds[1]} give the same actions, and policy.yml declares the policy not "
-            "deterministic: what compares actions is left out for nothing",
+            "deterministic: rules that compare actions are disabled without need",
             expected="actions that differ, or deterministic: true",
             got="the same actions in two servers",
             fix=Fix("advice", "declare deterministic: true"),

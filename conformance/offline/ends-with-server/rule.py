@@ -42,15 +42,15 @@ def ends_with_server(service: Service) -> Iterator[Finding]:
     for member in service.survivors:
         if member.pid not in known:
             yield blame(
-                f"process {member.name} still lives after the server has ended: it keeps memory and devices",
+                f"process {member.name} is still running after the server has ended: it keeps memory and devices",
                 expected="no process of the adapter",
                 got=f"process {member.pid}",
                 fix=Fix("advice", "start children in the process group of the adapter"),
             )
     if service.code != 0 and service.trouble is None:
         yield blame(
-            f"the server did not end in order when it was told to (exit code {service.code}, after "
-            f"{service.stop_seconds:.1f} s): launchers take that for a failed run",
+            f"the server did not end in order after the signal to stop (exit code {service.code}, after "
+            f"{service.stop_seconds:.1f} s): launchers treat that as a failed run",
             expected="exit code 0",
             got=f"exit code {service.code}",
             evidence={"log": service.log[-12:]},

@@ -62,10 +62,13 @@ def first_action_near(motions: Motions, parity: Parity) -> Iterator[Finding]:
 
 _FOREIGN = 2.0
 """How many times as far as the model's own first actions one has to be for the leap not to be the model's."""
-_LOOK = "look for sides exchanged, another unit or frame, or differences not added; golden-parity compares all answers"
+_LOOK = (
+    "check for swapped sides, another unit or frame, or delta actions that were not added; golden-parity compares "
+    "all actions"
+)
 _SHARED = (
-    "it is what the model does with scripted pictures, or reference.py and the adapter share a mistake: hold both "
-    "against rows of the authors' data (model_io.samples) or demonstrations"
+    "it is the model's reaction to synthetic images, or reference.py and the adapter share a mistake: compare "
+    "both with rows of the authors' data (model_io.samples) or demonstrations"
 )
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, Proof, rule
-from xpl_cli.audit.offline.parity.fact import Compared, Parity
-from xpl_cli.audit.offline.parity.search import Found
+from xpl_cli.audit.offline.parity.fact import Parity, SessionComparison
+from xpl_cli.audit.offline.parity.search import ParitySearchResult
 from xpl_cli.audit.served.probe import blame
 from xpl_cli.model_io import names
 from xpl_cli.model_io.explain import ranges
@@ -56,22 +56,22 @@ def golden_parity(parity: Parity) -> Iterator[Finding | Proof]:
     yield Proof({**numbers, "tolerance": parity.tolerance, **parity.margins})
 
 
-def _findings(parity: Parity, compared: Compared, *, explained: bool) -> Iterator[Finding]:
+def _findings(parity: Parity, compared: SessionComparison, *, explained: bool) -> Iterator[Finding]:
     if compared.refusal is not None:
         question = compared.refusal.question
         yield blame(
-            f"the adapter does not answer what the reference answers ({compared.name})",
+            f"the adapter refuses what the reference accepts ({compared.name})",
             expected="action steps, as from reference.py",
             got=f"{question.where}: {compared.refusal.answer}",
-            fix=Fix("advice", "the message says what is missing; the observation is one of the standard"),
+            fix=Fix("advice", "the message says what is missing; the observation conforms to the standard"),
         )
     elif compared.too_long is not None:
         steps, golden = compared.too_long
         yield blame(
-            f"the adapter answers {steps} steps, and the reference {golden} ({compared.name})",
+            f"the adapter returns {steps} steps, and the reference {golden} ({compared.name})",
             expected=f"at most {golden} steps",
             got=f"{steps} steps",
-            fix=Fix("advice", "hand on as many steps as the model's chunk has, and declare them as temporal.chunk"),
+            fix=Fix("advice", "return as many steps as the model's chunk has, and declare them as temporal.chunk"),
         )
     elif compared.session.takes > 1:
         yield from _shifted(parity, compared, explained=explained)
@@ -79,7 +79,7 @@ def _findings(parity: Parity, compared: Compared, *, explained: bool) -> Iterato
         yield from _deviating(parity, compared, explained=explained)
 
 
-def _deviating(parity: Parity, compared: Compared, *, explained: bool) -> Iterator[Finding]:
+def _deviating(parity: Parity, compared: SessionComparison, *, explained: bool) -> Iterator[Finding]:
     judged = parity.judge(compared)
     found = judged.deviation
     if found is None:
@@ -87,7 +87,7 @@ def _deviating(parity: Parity, compared: Compared, *, explained: bool) -> Iterat
     cause = None if explained else parity.cause(compared)
     questions = len(compared.session.questions)
     message = (
-        f"{found.part} is not what the reference says ({compared.name}): off by {found.share:.2g} of its span, "
+        f"{found.part} differs from the reference ({compared.name}): by {found.share:.2g} of its range, "
         f"{found.pairs} of {questions} pairs differ, first at step {found.step}"
     )
     yield _blamed(
@@ -114,15 +114,15 @@ def _deviating(parity: Parity, compared: Compared, *, explained: bool) -> Iterat
     )
 
 
-def _shifted(parity: Parity, compared: Compared, *, explained: bool) -> Iterator[Finding]:
+def _shifted(parity: Parity, compared: SessionComparison, *, explained: bool) -> Iterator[Finding]:
     found = parity.shift(compared)
     if found is None:
         return
     cause = None if explained else parity.cause(compared)
     where = "over all" if found.step is None else f"at step {found.step} of question {found.question}"
     message = (
-        f"{found.part} is not distributed as the reference's ({compared.name}): its {found.what} is "
-        f"{found.sigmas:.0f} standard errors away over {compared.session.takes} answers"
+        f"{found.part} has another distribution than the reference's ({compared.name}): its {found.what} is "
+        f"{found.sigmas:.0f} standard errors away over {compared.session.takes} samples"
     )
     yield _blamed(
         message,
@@ -143,10 +143,12 @@ def _shifted(parity: Parity, compared: Compared, *, explained: bool) -> Iterator
     )
 
 
-def _blamed(message: str, cause: Found | None, *, expected: str, got: str, evidence: dict[str, Any]) -> Finding:
+def _blamed(
+    message: str, cause: ParitySearchResult | None, *, expected: str, got: str, evidence: dict[str, Any]
+) -> Finding:
     explanation = None if cause is None else cause.explanation
     told = "" if explanation is None else explanation.text
-    advice = f"compare the authors' code with the adapter; `{names.CODE}` names where it says what"
+    advice = f"compare the authors' code with the adapter; `{names.CODE}` cites the lines"
     best = None if explanation is None else explanation.leads
     if isinstance(best, Pattern):
         evidence["cause"] = {
@@ -157,9 +159,9 @@ def _blamed(message: str, cause: Found | None, *, expected: str, got: str, evide
         }
     elif best is not None:
         where = "in the block `model_io`" if cause is not None and cause.in_block else "in encode, predict or decode"
-        advice = f"the answers would match with {best.told}: if the authors' code says so, change that {where}"
+        advice = f"the actions would match with {best.told}: if the authors' code confirms it, change that {where}"
         if explanation is not None and explanation.cause is None:
-            advice = f"{best.told} comes nearest: look at what the authors' code says of it, and at the rest"
+            advice = f"{best.told} is the closest match: compare it, and the rest, with the authors' code"
         evidence["cause"] = {
             "words": " and ".join((best.words, *(best.besides or ())[:1])),
             "convention": best.convention,

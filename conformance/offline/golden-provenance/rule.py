@@ -45,14 +45,16 @@ def golden_provenance(probe: Probe) -> Iterator[Finding]:
         return
     for problem in provenance.code_problems(package.path, recorded.provenance, _python(probe)):
         yield _finding(
-            f"the golden pairs are of other reference code: {problem}",
-            "the files that were asked",
+            f"the golden pairs were recorded with other reference code: {problem}",
+            "the files that were recorded",
             problem,
         )
     settings = {**recorded.provenance["settings"], **probe.options.overrides}
     before, now = recorded.provenance["weights"], provenance.weights(package, package.config(settings))
     if (before or {}).get("digest") != (now or {}).get("digest"):
-        yield _finding("the golden pairs are of other weights than those that are served", _told(before), _told(now))
+        yield _finding(
+            "the golden pairs were recorded with other weights than those that are served", _told(before), _told(now)
+        )
     covered = {(session.embodiment, session.action_type) for session in recorded.sessions}
     lacking = [
         f"{session.embodiment} {session.action_type}"
@@ -61,7 +63,7 @@ def golden_provenance(probe: Probe) -> Iterator[Finding]:
     ]
     if lacking:
         yield _finding(
-            f"the golden pairs leave out what the manifest declares: {', '.join(lacking)}",
+            f"the golden pairs lack what the manifest declares: {', '.join(lacking)}",
             "pairs of every robot and action type",
             f"pairs of {', '.join(' '.join(one) for one in sorted(covered))}",
         )
@@ -81,6 +83,6 @@ def _told(weights: dict[str, str] | None) -> str:
 
 def _finding(message: str, expected: str, got: str) -> Finding:
     fix = Fix(
-        "advice", "`xpl model-io record POLICY --diff` tells which answers would change; without it they are written"
+        "advice", "`xpl model-io record POLICY --diff` reports which actions would change; without it they are written"
     )
     return Finding(message, path=names.PAIRS, expected=expected, got=got, fix=fix)

@@ -40,7 +40,7 @@ def gripper_between(probe: Probe, motions: Motions) -> Iterator[Finding]:
     """
     gripper = probe.package.manifest.gripper
     if gripper is None or gripper.command != "binary":
-        raise NotApplicable("the manifest does not declare that only closed and open are meant")
+        raise NotApplicable("the manifest does not declare a binary gripper")
     arms = [(motion, arm) for motion in motions.sound for arm in motion.embodiment.arms if arm.gripper != _HAND]
     if not arms:
         raise NotApplicable("no robot has a gripper that opens and closes")
@@ -54,9 +54,9 @@ def gripper_between(probe: Probe, motions: Motions) -> Iterator[Finding]:
             if away[worst] > _EXACT and (motion.embodiment.name, key) not in told:
                 told.add((motion.embodiment.name, key))
                 yield blame(
-                    f"{key} of {motion.embodiment.name} is commanded to {commands[worst]:.3g}, and only closed and "
-                    f"open are declared: a gripper of two states would decide for itself",
+                    f"{key} of {motion.embodiment.name} is commanded to {commands[worst]:.3g}, and only closed "
+                    "and open are declared: a gripper of two states would round it",
                     expected=f"{sdk.GRIPPER_CLOSED:g} or {sdk.GRIPPER_OPEN:g}, or a declared position",
                     got=f"{commands[worst]:.4g} ({answer.where}, action {worst} of the chunk)",
-                    fix=Fix("advice", "round in decode, or declare that the command is an opening"),
+                    fix=Fix("advice", "round in decode, or declare command: position"),
                 )

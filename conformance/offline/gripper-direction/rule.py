@@ -76,7 +76,8 @@ def gripper_direction(probe: Probe) -> Iterator[Finding]:
             )
     if undecided and is_sound:
         raise NotApplicable(
-            f"commands of {', '.join(undecided)} are no copy of what is observed: what they mean only the model knows"
+            f"commands of {', '.join(undecided)} are no copy of the observed opening: only the model's own "
+            "pipeline shows their meaning"
         )
 
 
@@ -91,7 +92,7 @@ def _answers(probe: Probe, keys: Sequence[str], scene: int) -> list[Answer]:
                 obs = with_gripper(obs, key, float(_OPENINGS[_ORDERS[number % 2][place]]))
             chunks.append(policy.act(obs))
     if any(structure_problem(chunk, probe.embodiment, probe.action_type) for chunk in chunks):
-        raise NotApplicable("not every opening is answered by an action")
+        raise NotApplicable("some observed openings give no action")
     return chunks
 
 
@@ -110,11 +111,11 @@ def _fault(own: float, others: Sequence[float], offset: float, steps: int) -> st
     """Return what is wrong with a line that commands follow, None if it is right or tells nothing."""
     of_others = max(others, key=abs, default=0.0)
     if abs(own) < _NEAR and abs(abs(of_others) - 1) < _NEAR and abs(offset - (of_others < 0)) < _NEAR:
-        return "of the other arm's: grippers are exchanged between the arms"
+        return "of the other arm's: the arms' grippers are swapped"
     if abs(of_others) > _NEAR:
         return None
     if abs(own + 1) < _NEAR and abs(offset - 1) < _NEAR:
-        return "open and closed are exchanged: the gripper would open where it has to hold"
+        return "open and closed are swapped: the gripper would open when it has to hold"
     is_share = _EXACT < own < (1 - _NEAR if steps > 1 else _UNIT)
     if is_share and abs(offset) <= _EXACT:
         return f"{own:.3g} times as far: in another unit than shares of the stroke, or scaled; it would never open"

@@ -54,7 +54,7 @@ def half_turns_kept(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     plain = next(iter(chunks.values()))[0]
     embodiment = get_embodiment(robot)
     if structure_problem(plain, embodiment, action_type) is not None:
-        raise NotApplicable(f"{action_type} actions for {robot} do not have the form that the embodiment asks for")
+        raise NotApplicable(f"{action_type} actions for {robot} do not have the form that the embodiment requires")
     for what, (_, chunk) in chunks.items():
         problem = structure_problem(chunk, embodiment, action_type)
         if problem is None and answers_poses(action_type):
@@ -94,7 +94,7 @@ def _confused(plain: Answer, about: ObservationDict) -> Iterator[Finding]:
     if alike and not all(same(plain, chunk) for chunk in about.values()):
         one, other = alike[0]
         yield blame(
-            f"half turns {one} and {other} are answered alike: the policy sees no rotation in either",
+            f"half turns {one} and {other} give the same action: the rotation is lost in both",
             expected="another action for another orientation",
             got="the same action",
             fix=_FIX,

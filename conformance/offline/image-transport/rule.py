@@ -55,9 +55,9 @@ def image_transport(probe: Probe, rehearsal: Rehearsal) -> Iterator[Finding]:
             found = difference(wanted, answer)
             if found is not None:
                 yield blame(
-                    f"pictures as {name}, {way}, are answered otherwise than the same pictures as arrays: colours "
-                    "depend on the transport",
-                    expected=f"the actions for the decoded pictures, which the codec changed by at most {error} of 255",
+                    f"images as {name}, {way}, give other actions than the same images as arrays: colours "
+                    "depend on the encoding",
+                    expected=f"the actions for the decoded images, which the codec changed by at most {error} of 255",
                     got=found,
                     evidence={
                         "form": name,
@@ -66,8 +66,6 @@ def image_transport(probe: Probe, rehearsal: Rehearsal) -> Iterator[Finding]:
                         "decoded": first_step(wanted) if answers(wanted) else None,
                         "encoded": first_step(answer) if answers(answer) else None,
                     },
-                    fix=Fix(
-                        "advice", "read pictures with xpl.observation.get_image, and decode nothing in the adapter"
-                    ),
+                    fix=Fix("advice", "read images with xpl.observation.get_image, and decode nothing in the adapter"),
                 )
                 return

@@ -36,7 +36,10 @@ def inputs_matter(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     for name in required:
         if name in unseen:
             yield Finding(
-                message=f"{name} is declared as required, but changing it changes nothing: the policy does not see it",
+                message=(
+                    f"{name} is declared as required, but changing it does not change the actions: the policy does "
+                    "not use it"
+                ),
                 path=spec.File.POLICY_YML,
                 expected=f"another action for another {name}, or {name} under inputs.unused",
                 got="the same action",

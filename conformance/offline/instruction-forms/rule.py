@@ -41,7 +41,7 @@ def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     rest = {key: value for key, value in obs.items() if key != spec.Obs.INSTRUCTION}
     forms: dict[str, ObservationDict] = {
         "`instructions`": {**rest, spec.Obs.INSTRUCTIONS: [text, "an alternative wording"]},
-        "a text under `instructions`": {**rest, spec.Obs.INSTRUCTIONS: text},
+        "a string under `instructions`": {**rest, spec.Obs.INSTRUCTIONS: text},
         "a list under `instruction`": {**rest, spec.Obs.INSTRUCTION: [text]},
     }
     wanted, *others = forms
@@ -49,8 +49,8 @@ def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     found = semantics.disagreement(*answers[wanted])
     if found is not None:
         yield blame(
-            f"an observation with {wanted} is not understood as one with `instruction`: the policy stops, or follows "
-            "another instruction",
+            f"an observation with {wanted} is not read like one with `instruction`: the policy stops, or "
+            "follows another instruction",
             expected="the action for the first of the list",
             got=found,
             fix=_FIX,
@@ -59,8 +59,8 @@ def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
         plain, answer = answers[form]
         if error_code(answer) is None and (found := semantics.disagreement(plain, answer)) is not None:
             yield blame(
-                f"{form} is read as another instruction: the policy follows one that nobody gave",
-                expected="the action for the text, or an error",
+                f"{form} is read as another instruction: the policy follows one that the user did not give",
+                expected="the action for the string, or an error",
                 got=found,
                 fix=_FIX,
             )

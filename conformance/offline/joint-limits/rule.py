@@ -53,10 +53,10 @@ def joint_limits(motions: Motions) -> Iterator[Finding]:
             joints = ", ".join(dict.fromkeys(excess.what for _, _, excess in found))
             near = "" if within else " where they are near them"
             yield blame(
-                f"joints of {robot.name} are commanded past their limits{near} ({joints}): the robot would be "
-                f"stopped, or do something else than the policy meant",
+                f"joints of {robot.name} are commanded beyond their limits{near} ({joints}): the robot would "
+                "stop, or its motion would differ from the policy's",
                 expected=f"{excess.what} up to {excess.limit:.4g} rad"
-                + (f", or past it by the {moves:.2g} rad that the policy moves elsewhere" if near else ""),
+                + (f", or beyond it by the {moves:.2g} rad that the policy moves elsewhere" if near else ""),
                 got=f"{excess.value:.4g} rad ({answer.where}, action {index} of the chunk)",
                 fix=Fix("advice", "check units and statistics, and keep the output inside the limits in decode"),
             )

@@ -38,7 +38,7 @@ def keeps_the_rate(probe: Probe, service: Service) -> Iterator[Finding]:
     usual, lasts = service.usual, service.steps / rate
     if usual > lasts:
         yield blame(
-            f"an answer takes {1e3 * usual:.0f} ms, its {service.steps} steps last {1e3 * lasts:.0f} ms at "
+            f"an inference takes {1e3 * usual:.0f} ms, its {service.steps} steps last {1e3 * lasts:.0f} ms at "
             f"{rate:g} Hz: the robot waits, and moves slower than declared",
             expected=f"less than {1e3 * lasts:.0f} ms",
             got=f"{1e3 * usual:.0f} ms",

@@ -42,7 +42,7 @@ def kinematics_agree(probe: Probe) -> Iterator[Finding | Proof]:
     except declared.NoWitnessError as error:
         raise NotApplicable(str(error)) from None
     except ConversionError as error:
-        what = {"expected": "rows that fit the block and the robot", "got": "other ones"}
+        what = {"expected": "rows that match the block and the robot", "got": "other ones"}
         yield _finding(str(error), "mend model_io.samples", **what)
         return
     if all(verdict.outcome == witness.OPEN for verdict in found):
@@ -55,11 +55,11 @@ def kinematics_agree(probe: Probe) -> Iterator[Finding | Proof]:
 
 def _of(verdict: Verdict) -> Finding:
     if verdict.outcome == witness.UNEXPLAINED:
-        expected = "poses where the joints put them"
-        advice = "compare frame and tool with the authors' robot; what no word says is done in encode and decode"
+        expected = "poses that follow from the joints"
+        advice = "compare frame and tool with the authors' robot; convert in encode and decode what no value describes"
     else:
         expected = verdict.change
-        advice = f"say {verdict.change} in model_io, where the authors' code agrees"
+        advice = f"declare {verdict.change} in model_io, if the authors' code agrees"
     evidence = verdict.document()
     return _finding(verdict.sentence, advice, expected=expected, got=verdict.replaced, evidence=evidence)
 

@@ -31,9 +31,9 @@ def listens_itself(service: Service) -> Iterator[Finding]:
     """
     for address, member in service.listening:
         yield blame(
-            f"the adapter listens on {address} (process {member.name}): a second server on this machine "
-            "cannot, or asks the first one's model",
+            f"the adapter listens on {address} (process {member.name}): a second server on this machine cannot, "
+            "or connects to the first one's model",
             expected="no listening socket besides the server's",
             got=address,
-            fix=Fix("advice", "load the model in the adapter's own process, or talk to a child over a pipe"),
+            fix=Fix("advice", "load the model in the adapter's own process, or connect a child process by a pipe"),
         )

@@ -46,8 +46,8 @@ def lists_and_extras(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
         found = semantics.disagreement(*pair)
         if found is not None:
             yield blame(
-                f"an observation with {what} is answered differently, although the schema allows it: the policy is of "
-                "use with some benchmarks only",
+                f"an observation with {what} gives other actions, although the schema allows it: the policy "
+                "works with some benchmarks only",
                 expected="the same action",
                 got=found,
                 fix=Fix("advice", "convert with np.asarray, read by name, and ignore keys that are not needed"),

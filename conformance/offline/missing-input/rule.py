@@ -12,8 +12,8 @@ from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.inputs import present
 from xpl_cli.audit.served.probe import Probe
 
-_MADE_UP = "{faults}, the policy goes on with a made-up value of {name} instead of stopping"
-_UNREAD = "{faults}, the policy goes on instead of stopping: {name}, which the manifest requires, is never used"
+_MADE_UP = "{faults}, the policy continues with a made-up value of {name} instead of stopping"
+_UNREAD = "{faults}, the policy continues instead of stopping: {name}, which the manifest requires, is never used"
 _FIX = Fix("advice", "read required fields with xpl.observation, which raises, and never default to zeros")
 _TEXT = Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True), which raises")
 

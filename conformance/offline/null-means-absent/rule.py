@@ -42,7 +42,7 @@ def null_means_absent(configurations: Configurations) -> Iterator[Finding]:
         found = None if absent.refusal is not None else absent.difference(_null(configurations, [key]))
         if found is not None:
             yield blame(
-                f"{key}: null is not taken as not given: the default in the code does not apply",
+                f"{key}: null is not treated as missing: the default in the code does not apply",
                 expected="what the adapter does without the key",
                 got=found,
                 fix=Fix("advice", f'read it with self.setting("{key}", default)'),

@@ -36,8 +36,8 @@ def observation_intact(rehearsal: Rehearsal) -> Iterator[Finding]:
     """
     for note in rehearsal.noted(CHANGED)[:_SHOWN]:
         yield blame(
-            f"{note.method} changes {note.key} of an observation that it was shown: it fails on read-only "
-            "arrays, and spoils what others read",
+            f"{note.method} changes {note.key} of an observation that it got: it fails on read-only arrays, and "
+            "corrupts data of its caller",
             expected="the observation as it was",
             got=f"another value of {note.key} after {note.method}",
             evidence={"operation": note.method, "key": note.key},

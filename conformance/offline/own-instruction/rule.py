@@ -41,7 +41,7 @@ def own_instruction(probe: Probe) -> Iterator[Finding]:
         batch = [{**scene, spec.Obs.ENV_IDX: env, spec.Obs.INSTRUCTION: text} for env, text in enumerate(texts)]
         chunks = probe.batch_answer(batch, [0, 1])
         if not answers(chunks, 2):
-            raise NotRun("a batch of two environments is not answered: rule batch-order says how")
+            raise NotRun("a batch of two environments fails, which rule batch-order reports")
         return list(chunks)
 
     mixed, swapped, equal = answered(one, other), answered(other, other), answered(one, one)
@@ -51,8 +51,8 @@ def own_instruction(probe: Probe) -> Iterator[Finding]:
     found = difference(mixed[1], swapped[1])
     if found is not None:
         yield blame(
-            "environment 1 acts differently when only the instruction of environment 0 changes: it is given another "
-            "robot's task",
+            "environment 1 acts differently when only the instruction of environment 0 changes: it gets "
+            "another robot's task",
             expected="the same actions, as long as its own instruction is the same",
             got=found,
             evidence={**evidence, "environment_1_after": first_step(swapped[1])},
@@ -60,7 +60,7 @@ def own_instruction(probe: Probe) -> Iterator[Finding]:
         )
     elif same(mixed[1], equal[1]):
         yield blame(
-            "the instruction steers environment 0 but not environment 1: the others of a batch ignore their own task",
+            "the instruction affects environment 0 but not environment 1: the others of a batch ignore their own task",
             expected="other actions for another instruction",
             got="the same actions",
             evidence=evidence,

@@ -38,8 +38,8 @@ def own_memory(rehearsal: Rehearsal) -> Iterator[Finding]:
     distinct = {(note.method, note.beside): note for note in reversed(rehearsal.noted(SHARED))}
     for note in list(distinct.values())[:_SHOWN]:
         yield blame(
-            f"{note.key} of the answer to {note.method} lies in the memory of {note.beside} of the observation: "
-            "whoever changes one of them changes the other",
+            f"{note.key} of the result of {note.method} shares memory with {note.beside} of the observation: "
+            "changing one of them changes the other",
             expected="an array of its own",
             got=f"a view of {note.beside}",
             evidence={"operation": note.method, "key": note.key},

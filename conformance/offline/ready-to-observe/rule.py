@@ -37,10 +37,10 @@ def ready_to_observe(probe: Probe) -> Iterator[Finding]:
         policy.reset()
         if error_code(policy.act_at_once(probe.observation())) is None:
             yield blame(
-                "without a reset before it, the first observation is answered by an error: a server that was restarted "
-                "is of no use until somebody resets it",
-                expected="the same answer as after a reset",
+                "without a reset before it, the first observation raises an error: a restarted server fails "
+                "until a client resets it",
+                expected="the same action as after a reset",
                 got=brief(answer),
                 evidence={"error": str(answer)},
-                fix=Fix("advice", "set up in the constructor what observing needs, for example by calling reset there"),
+                fix=Fix("advice", "set in the constructor what update_obs needs, for example by calling reset there"),
             )

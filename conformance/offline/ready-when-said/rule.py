@@ -35,8 +35,11 @@ def ready_when_said(service: Service) -> Iterator[Finding]:
     first, usual = service.first, service.usual
     if first > _TIMES * usual and first - usual > _LONGER_S:
         yield blame(
-            f"the first answer takes {first:.1f} s, later ones {usual:.3f} s: the server was not ready when it said so",
-            expected="a first answer that takes about as long as the others",
+            (
+                f"the first action takes {first:.1f} s, later ones {usual:.3f} s: the server was not ready when it "
+                "reported so"
+            ),
+            expected="a first action that takes about as long as the others",
             got=f"{first:.1f} s",
             fix=Fix("advice", "load and warm up the model in load()"),
         )

@@ -111,13 +111,13 @@ def _finding(script: list[inprocess.Call], way: str, at: int, found: Mismatch) -
     place = "".join(f"[{part!r}]" for part in found.path) or "the whole answer"
     apart = "" if found.size is None else f" (apart by {found.size:.3g})"
     return blame(
-        f"served, the adapter answers {asked} differently from the same model in one process: what was measured there "
-        "is not what a robot gets",
+        f"served, the adapter's result of {asked} differs from that of the same model in one process: what was "
+        "measured there is not what a robot gets",
         expected=f"{found.second} at {place}, as in one process",
         got=f"{found.first}{apart}, at {when}, sent {way}",
         fix=Fix(
             "advice",
-            "let actions follow from the observation's values alone: arrays that were sent are read-only copies, so "
-            "write to copies of your own",
+            "compute actions from the observation's values alone: arrays from the wire are read-only, so write "
+            "to copies",
         ),
     )

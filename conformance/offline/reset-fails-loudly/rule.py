@@ -34,10 +34,10 @@ def reset_fails_loudly(rehearsal: Rehearsal) -> Iterator[Finding]:
         raise NotApplicable("reset calls nothing that could be made to fail")
     for note in rehearsal.noted(SWALLOWED):
         yield blame(
-            f"reset goes on although {note.key} failed: the next episode begins with the state of the last one, and "
-            "nobody is told",
-            expected="an error in answer to reset",
+            f"reset continues although {note.key} failed: the next episode starts with the state of the "
+            "previous one, unnoticed",
+            expected="an error from reset",
             got="no error",
             evidence={"failed": note.key, "tried": list(rehearsal.broken)},
-            fix=Fix("advice", "let what fails during reset raise"),
+            fix=Fix("advice", "let errors during reset pass"),
         )

@@ -47,7 +47,7 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
                 if found is not None:
                     probe.require_repeatable_afresh()
                     yield blame(
-                        f"an episode depends on the one before it, {what}: reset leaves something behind, and results "
+                        f"an episode depends on the previous one, {what}: state survives reset, and results "
                         "depend on the order of episodes",
                         expected="the actions of the same episode after one of another scene in another environment",
                         got=found,
@@ -96,7 +96,7 @@ def _play(probe: Probe, policy: Session, *other: str) -> None:
 
 _BEFORE = {
     "a longer one of another scene in the same environment with the same instruction": _same_environment,
-    "one that differed in its pictures only": _other_pictures,
+    "one that differed in its images only": _other_pictures,
     "one that differed in its state only": _other_state,
     "one of three environments": _batch,
 }

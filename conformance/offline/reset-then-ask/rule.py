@@ -43,9 +43,9 @@ def reset_then_ask(probe: Probe) -> Iterator[Finding]:
     for operation, answer in (("get_action()", single), ("get_action_batch([3])", batch)):
         if error_code(answer) is None:
             yield blame(
-                f"{operation} right after reset answers from the last episode's observation: the first command of an "
-                "episode belongs to another scene",
+                f"{operation} right after reset uses the previous episode's observation: the first command of "
+                "an episode belongs to another scene",
                 expected="an error: no observation since the last reset",
                 got=brief(answer),
-                fix=Fix("advice", "forget the observations in reset and raise while there is none"),
+                fix=Fix("advice", "clear the observations in reset and raise an error while there is none"),
             )

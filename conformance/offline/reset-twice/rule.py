@@ -41,14 +41,14 @@ def reset_twice(probe: Probe) -> Iterator[Finding]:
         twice = (policy.update_obs(obs), policy.get_action())[1]
     for answer, which in ((first, "the first"), (second, "a second")):
         if error_code(answer) is not None:
-            yield blame(f"{which} reset is answered by an error", expected="no error", got=brief(answer))
+            yield blame(f"{which} reset raises an error", expected="no error", got=brief(answer))
             return
     found = difference(once, twice)
     if found is not None:
         probe.require_repeatable_afresh()
         yield blame(
-            "resetting twice gives other actions than resetting once: clients in the field reset twice, and their "
-            "results cannot be compared with others",
+            "resetting twice gives other actions than resetting once: results of clients that reset twice "
+            "cannot be compared with others",
             expected="the same actions",
             got=found,
             fix=Fix("advice", "advance episode counters when an observation arrives, not in reset"),

@@ -56,8 +56,8 @@ def serves(probe: Probe) -> Iterator[Finding]:
 
 def _removed(loss: str) -> Finding:
     return blame(
-        f"{loss}; nobody can serve it again",
-        expected="files that stay as they are",
+        f"{loss}; it cannot be served again",
+        expected="unchanged files",
         got=loss,
         fix=Fix("advice", "write and delete in a temporary folder only"),
     )

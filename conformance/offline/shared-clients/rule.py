@@ -107,9 +107,10 @@ def _finding(client: int, alone: _Turn, beside: _Turn, found: str, other: _Turn 
     if answers(alone.answer) and answers(beside.answer, len(alone.answer)):
         place = next(at for at, pair in enumerate(zip(alone.answer, beside.answer, strict=True)) if not same(*pair))
     return blame(
-        f"{beside.method} answers a client differently beside another one than alone, from step {beside.step} of its "
-        f"episode {beside.episode} on: clients share more than the model, and results depend on who else is served",
-        expected="the answer to this client alone on the server",
+        f"{beside.method} returns other actions to a client together with another one than alone, from step "
+        f"{beside.step} of its episode {beside.episode} on: clients share more than the model, and results "
+        "depend on which other clients are served",
+        expected="the action of this client alone on the server",
         got=found,
         evidence={
             "client": client,
@@ -120,7 +121,9 @@ def _finding(client: int, alone: _Turn, beside: _Turn, found: str, other: _Turn 
             "alone": _shown(alone.answer, place),
             "beside": _shown(beside.answer, place),
         },
-        fix=Fix("advice", "keep state in maps by environment, and forget in reset_envs only the environments it names"),
+        fix=Fix(
+            "advice", "store state in dicts by environment, and clear in reset_envs only the environments it names"
+        ),
     )
 
 

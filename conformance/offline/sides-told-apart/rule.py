@@ -38,7 +38,7 @@ def sides_told_apart(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     for change in semantics.ignored("sides"):
         if change.input not in unseen:
             yield blame(
-                f"with {change.what} the action is the same: the policy does not know which arm is where",
+                f"with {change.what} the action is the same: the policy does not distinguish the arms",
                 expected="another action",
                 got="the same action",
                 fix=Fix("advice", "read both arms, each under its own key, with xpl.observation.pack_state"),

@@ -46,5 +46,7 @@ def step_size(motions: Motions) -> Iterator[Finding]:
                 f"{motions.frequency:g} Hz the robot cannot follow ({excess.what})",
                 expected=f"at most {excess.limit:.3g} {excess.unit} in one step",
                 got=f"{excess.value:.3g} {excess.unit} from action {index} to the next ({answer.where})",
-                fix=Fix("advice", "keep the order of the model's steps, and declare the frequency they are meant for"),
+                fix=Fix(
+                    "advice", "keep the order of the model's steps, and declare the frequency of its training data"
+                ),
             )

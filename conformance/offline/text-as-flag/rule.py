@@ -35,14 +35,14 @@ def text_as_flag(configurations: Configurations) -> Iterator[Finding]:
     """
     settings = dict(flags_of(configurations.own_keys()))
     if not settings:
-        raise NotApplicable("no key of deploy.yml is true or false")
+        raise NotApplicable("no key of deploy.yml is a boolean")
     configurations.require_repeats()
     for key, value in list(settings.items())[:_MOST]:
         on, off = (configurations.changed(**{key: flag}) if flag != value else configurations.usual for flag in _FLAGS)
         text = configurations.changed(**{key: "false"})
         if text.refusal is None and on.difference(off) and text.difference(on) is None:
             yield blame(
-                f'{key}: the text "false" acts as true: a launcher that passes on text does the opposite',
+                f'{key}: the string "false" acts as true: a launcher that passes strings does the opposite',
                 expected="the actions of false, or an error",
                 got=f"the actions of true: {off.difference(text)}",
                 fix=Fix("advice", f'read it with self.setting("{key}", {value})'),

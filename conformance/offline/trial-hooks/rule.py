@@ -57,16 +57,16 @@ def trial_hooks(probe: Probe) -> Iterator[Finding]:
                         expected="an answer, or no hook",
                         got=brief(answer),
                         evidence={"told": case if hook == sdk.Message.PREPARE_CASE else RESULT},
-                        fix=Fix("advice", f"take what is there, for benchmarks tell different things in {hook}"),
+                        fix=Fix("advice", f"use .get(), since benchmarks send different keys in {hook}"),
                     )
                     return
                 played.append(chunks)
     except ClientError as error:
         yield blame(
-            "a hook ends the adapter: a benchmark that sends PREPARE_CASE and TRIAL_END plays one episode",
-            expected="an adapter that goes on",
+            "a hook ends the adapter: a benchmark that sends PREPARE_CASE and TRIAL_END runs one episode",
+            expected="an adapter that continues",
             got=str(error),
-            fix=Fix("advice", "let go of nothing in a hook that the next episode needs"),
+            fix=Fix("advice", "free nothing in a hook that the next episode needs"),
         )
         return
     yield from _compared(probe, *played)
@@ -89,10 +89,10 @@ def _compared(probe: Probe, first: list[Answer], second: list[Answer]) -> Iterat
     refused = next((chunk for chunk in first if error_code(chunk) is not None), None)
     if refused is not None:
         yield blame(
-            "after prepare_case the policy answers no more: benchmarks that send it lose every episode",
+            "after prepare_case the policy returns no actions: benchmarks that send it lose every episode",
             expected="actions, as without prepare_case",
             got=brief(refused),
-            fix=Fix("advice", "let prepare_case change nothing that an episode needs"),
+            fix=Fix("advice", "change nothing in prepare_case that an episode needs"),
         )
         return
     for step, pair in enumerate(zip(first, second, strict=True)):
@@ -104,7 +104,7 @@ def _compared(probe: Probe, first: list[Answer], second: list[Answer]) -> Iterat
             if not probe.repeats_in_place:  # each episode has other random numbers, whatever the hooks do
                 return
         yield blame(
-            f"the second of two equal trials differs from step {step} on: what a hook left behind survives reset",
+            f"the second of two equal trials differs from step {step} on: state that a hook left survives reset",
             expected="the actions of the first trial",
             got=found,
             evidence={

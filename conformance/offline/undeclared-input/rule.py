@@ -40,9 +40,12 @@ def undeclared_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
             continue
         told = "declares it unused" if name in declared.unused else "does not name it"
         yield Finding(
-            message=f"the action depends on {name}, but the manifest {told}: comparisons take it for a policy without",
+            message=(
+                f"the action depends on {name}, but the manifest {told}: comparisons treat it as a policy without "
+                "this input"
+            ),
             path=spec.File.POLICY_YML,
-            expected=f"{name} under inputs.required or inputs.optional, or the same action whatever it is",
+            expected=f"{name} under inputs.required or inputs.optional, or actions that do not depend on it",
             got=f"with {change.what}: {found}",
             fix=Fix("advice", f"declare {name} in policy.yml, or stop reading it"),
         )

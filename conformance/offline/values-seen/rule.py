@@ -39,8 +39,8 @@ def values_seen(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     for name, changes in groupby(ignored, key=lambda change: change.input):
         what = ", ".join(change.what.removeprefix("another ") for change in changes)
         yield blame(
-            f"the policy does not see {what}: the rest of {name} reaches the model, this does not",
+            f"the policy does not use {what}: the rest of {name} reaches the model, this does not",
             expected="another action when one of these values changes",
             got="the same action",
-            fix=Fix("advice", "take the width of the state from the embodiment and hand on all of it"),
+            fix=Fix("advice", "take the dimension of the state from the embodiment and pass on all of it"),
         )

@@ -35,18 +35,20 @@ def worker_lives(probe: Probe, service: Service) -> Iterator[Finding]:
     """
     if probe.ended is not None:
         yield blame(
-            f"the adapter's process ended over a question that it may refuse: {probe.ended}; every environment that it "
-            "serves loses its episode",
-            expected="an exception, which is sent to whoever asked",
+            f"the adapter's process ended at a request that it may refuse: {probe.ended}; every environment "
+            "that it serves loses its episode",
+            expected="an exception, which the server sends to the client",
             got=probe.ended,
-            fix=Fix("advice", "raise an exception where a request is wrong, and never end the process"),
+            fix=Fix("advice", "raise an exception for a wrong request, and never end the process"),
         )
     if service.trouble is not None:
         yield blame(
-            f"the adapter's process cannot go on after {len(service.seconds)} answers: {service.trouble}; "
+            f"the adapter's process cannot continue after {len(service.seconds)} actions: {service.trouble}; "
             "every episode that it serves is lost",
-            expected="an answer, or an exception, to every request",
+            expected="a result, or an exception, for every request",
             got=service.trouble,
             evidence={"log": service.log[-12:]},
-            fix=Fix("advice", "close and write to no descriptor that the adapter has not opened, and raise errors"),
+            fix=Fix(
+                "advice", "close and write to no file descriptor that the adapter has not opened, and raise errors"
+            ),
         )

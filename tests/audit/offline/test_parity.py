@@ -21,9 +21,9 @@ from xpl.worker import variants
 from xpl.worker.changes import Asked
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.offline.parity import distribution
-from xpl_cli.audit.offline.parity.fact import Compared, Parity
+from xpl_cli.audit.offline.parity.fact import Parity, SessionComparison
 from xpl_cli.audit.offline.parity.judgement import Judgement
-from xpl_cli.audit.offline.search.course import Course
+from xpl_cli.audit.offline.search.session_replay import SessionReplay
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, Result
 from xpl_cli.audit.rules.options import Options
@@ -99,24 +99,24 @@ def test_a_chunk_may_be_the_beginning_of_the_golden_one_and_no_more() -> None:
     golden = session(2)
     shorter = [chunk[:2] for chunk in chunks(golden)]
     assert Judgement(golden, shorter, 1e-4, {}).deviation is None
-    assert Compared(golden, [[chunk] for chunk in shorter]).too_long is None
-    assert Compared(golden, [[chunk * 2] for chunk in chunks(golden)]).too_long == (6, 3)
+    assert SessionComparison(golden, [[chunk] for chunk in shorter]).too_long is None
+    assert SessionComparison(golden, [[chunk * 2] for chunk in chunks(golden)]).too_long == (6, 3)
 
 
 def test_questions_that_are_asked_again_keep_what_was_before_them() -> None:
     """The same episodes, with all that was asked earlier in them; nothing of other environments."""
-    course = Course(session(0))
-    assert course.everything == [0, 1, 2, 3]
+    course = SessionReplay(session(0))
+    assert course.all_questions == [0, 1, 2, 3]
     assert course.with_earlier([2]) == [0, 2]
-    assert [call for call in course.calls([2]) if call.show or call.ask] == [
+    assert [call for call in course.calls_for([2]) if call.show or call.ask] == [
         script.Call(show=((0, 0),)),
         script.Call(ask=(0,)),
         script.Call(show=((0, 1),)),
         script.Call(show=((0, 2),)),
         script.Call(ask=(0,)),
     ]
-    assert [call.reset for call in course.calls([3])].count(True) == 2
-    assert course.calls(course.everything) == list(course.session.calls)
+    assert [call.reset for call in course.calls_for([3])].count(True) == 2
+    assert course.calls_for(course.all_questions) == list(course.session.calls)
 
 
 # -- in distribution ---------------------------------------------------------------------------------------------------
@@ -312,7 +312,7 @@ def test_an_adapter_that_refuses_a_question_is_told_so(tmp_path: Path) -> None:
     """With the question and its error."""
     model = parity.MODEL.replace("rows = zip", "assert not inputs['prompt'][0].startswith('Task: open'); rows = zip")
     finding = only(audited(recorded(parity.made(tmp_path / "Foo", model=model))))
-    assert "does not answer what the reference answers" in finding.message
+    assert "refuses what the reference accepts" in finding.message
     assert "AssertionError" in str(finding.got)
 
 
@@ -376,11 +376,11 @@ def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> Non
     model = Counting(config)
     absolute = {**block, "action": {**block["action"], "reference": "absolute"}}
     broken = {**block, "action": {**block["action"], "pad": 3}}
-    course = Course(Session("franka_single", "joint", 0, {}, 1, script.brief()))
+    course = SessionReplay(Session("franka_single", "joint", 0, {}, 1, script.brief()))
     asked, known = Asked(model, block), set[str]()
 
     def answers(asked: Asked, blocks: list[Any], seconds: float = 100.0) -> list[Any]:
-        order = {"blocks": blocks, "seconds": seconds, **course.told(script.brief(), known)}
+        order = {"blocks": blocks, "seconds": seconds, **course.worker_request(script.brief(), known)}
         loaded, *found = [packed.decode(one) for one in asked.answers(order)]
         assert loaded["result"] is None
         return found

@@ -176,7 +176,7 @@ def test_an_adapter_that_dies_in_the_loop_is_a_finding(package: Callable[..., Pa
         )
     (result,) = gate(folder, "closed-loop", tasks=("push_block",)).results
     assert result.outcome is Outcome.FAIL
-    assert "breaks off" in result.findings[0].message
+    assert "fails after" in result.findings[0].message
 
 
 @pytest.mark.slow
