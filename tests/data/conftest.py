@@ -9,8 +9,8 @@ import pytest
 from tests.data import made
 from xpl_cli.basics import parallel
 from xpl_cli.basics.progress import Progress
-from xpl_cli.data.conversion import work
-from xpl_cli.data.formats.writing import Options
+from xpl_cli.data.conversion import job
+from xpl_cli.data.formats.writing import WriteOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -24,12 +24,12 @@ def libero(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def converted() -> Iterator[Callable[..., work.Report]]:
+def converted() -> Iterator[Callable[..., job.ConversionReport]]:
     """Return what converts a set in this process."""
 
-    def convert(source: Path, target: Path, to: str, **how: Any) -> work.Report:
+    def convert(source: Path, target: Path, to: str, **how: Any) -> job.ConversionReport:
         options = {name: how.pop(name) for name in ("images", "codec", "crf", "file_mb") if name in how}
-        return work.convert(work.Job(source, target, to, options=Options(**options), **how), Progress())
+        return job.convert(job.ConversionJob(source, target, to, options=WriteOptions(**options), **how), Progress())
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(parallel, "in_processes", lambda each, things, _workers: map(each, things))

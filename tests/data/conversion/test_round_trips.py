@@ -11,18 +11,18 @@ from xpl import get_embodiment, trajectory
 from xpl.convert.frames import Frame
 from xpl_cli.basics import parallel
 from xpl_cli.basics.errors import UnknownNameError
-from xpl_cli.data.formats import pictures
+from xpl_cli.data.formats import image_codec
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.summary import Summary
+from xpl_cli.data.sets.summary import DatasetSummary
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from xpl_cli.data.conversion.work import Report
-    from xpl_cli.data.sets.interface import Episode
+    from xpl_cli.data.conversion.job import ConversionReport
+    from xpl_cli.data.sets.interface import RecordedEpisode
 
     Converted = Callable[..., Any]
 
@@ -31,17 +31,19 @@ LOSSY_DB = 33.0
 """PSNR that videos and JPEGs of smooth pictures keep at least."""
 
 
-def worst(one: Episode, other: Episode) -> float:
+def worst(one: RecordedEpisode, other: RecordedEpisode) -> float:
     """Return the lowest PSNR of the images of two episodes, dB."""
     return min(
-        pictures.psnr(first, second)
+        image_codec.psnr(first, second)
         for name in one.cameras
         for first, second in zip(one.frames(name), other.frames(name), strict=True)
     )
 
 
 @pytest.fixture(scope="module")
-def in_lerobot(libero: Path, tmp_path_factory: pytest.TempPathFactory, converted: Converted) -> tuple[Path, Report]:
+def in_lerobot(
+    libero: Path, tmp_path_factory: pytest.TempPathFactory, converted: Converted
+) -> tuple[Path, ConversionReport]:
     """Return LIBERO's set as one of LeRobot with videos, and what its conversion reported."""
     target = tmp_path_factory.mktemp("lerobot") / "set"
     return target, converted(libero, target, "lerobot-v3.0", codec="h264", crf=18)
@@ -49,7 +51,7 @@ def in_lerobot(libero: Path, tmp_path_factory: pytest.TempPathFactory, converted
 
 @pytest.mark.parametrize("at_least", [LOSSY_DB, EXACT])
 def test_a_set_of_the_field_becomes_one_of_lerobot(
-    at_least: float, libero: Path, in_lerobot: tuple[Path, Report], tmp_path: Path, converted: Converted
+    at_least: float, libero: Path, in_lerobot: tuple[Path, ConversionReport], tmp_path: Path, converted: Converted
 ) -> None:
     """Numbers exactly, under names that the report tells, with sentences, rate and robot; images as the format says."""
     target, report = in_lerobot
@@ -71,10 +73,10 @@ def test_a_set_of_the_field_becomes_one_of_lerobot(
                 np.testing.assert_array_equal(other.read(name).reshape(rows.shape), rows, err_msg=name)
         for name in other.cameras:
             for first, second in zip(one.frames(old[name]), other.frames(name), strict=True):
-                assert pictures.psnr(first, second) >= at_least
+                assert image_codec.psnr(first, second) >= at_least
 
 
-def test_statistics_are_those_of_the_numbers(libero: Path, in_lerobot: tuple[Path, Report]) -> None:
+def test_statistics_are_those_of_the_numbers(libero: Path, in_lerobot: tuple[Path, ConversionReport]) -> None:
     """Mean, spread and range over all episodes, by which LeRobot's policies normalise."""
     told = json.loads((in_lerobot[0] / "meta" / "stats.json").read_text(encoding="utf-8"))["action"]
     rows = np.concatenate([open_set(libero)[index].read("actions") for index in range(3)])
@@ -115,7 +117,7 @@ def test_robotwin_is_read_in_true_colours_and_one_step_late(tmp_path: Path, conv
     source = made.robotwin(tmp_path / "robotwin")
     converted(source, tmp_path / "xpl", "xpl", by="robotwin", rate_hz=25.0)
     episode = open_set(tmp_path / "xpl")[0]
-    assert pictures.psnr(next(episode.frames("vision/cam_head/colors")), made.picture(0)) > LOSSY_DB
+    assert image_codec.psnr(next(episode.frames("vision/cam_head/colors")), made.picture(0)) > LOSSY_DB
     np.testing.assert_array_equal(
         episode.read("action/left_arm_joint_states")[:-1], episode.read("state/left_arm_joint_states")[1:]
     )
@@ -125,7 +127,7 @@ def test_robotwin_is_read_in_true_colours_and_one_step_late(tmp_path: Path, conv
     for name, rows in made.numbers(open_set(source)[0]).items():
         there = back.read(name.replace("/", ".")).reshape(rows.shape)
         np.testing.assert_array_equal(there, rows, err_msg=name)
-    assert pictures.psnr(next(back.frames("observation.head_camera.rgb")), made.picture(0)[..., ::-1]) > LOSSY_DB
+    assert image_codec.psnr(next(back.frames("observation.head_camera.rgb")), made.picture(0)[..., ::-1]) > LOSSY_DB
 
 
 def test_the_standards_series_are_one_vector_in_lerobot_and_series_again_after_it(
@@ -143,7 +145,7 @@ def test_the_standards_series_are_one_vector_in_lerobot_and_series_again_after_i
 
 
 def test_videos_are_copied_and_not_encoded_again(
-    in_lerobot: tuple[Path, Report], tmp_path: Path, converted: Converted
+    in_lerobot: tuple[Path, ConversionReport], tmp_path: Path, converted: Converted
 ) -> None:
     """Within v3.0, and from v2.1, pixels are the same, whatever file an episode lies in."""
     for source in (in_lerobot[0], made.lerobot_v21(tmp_path / "older")):
@@ -157,7 +159,11 @@ def test_videos_are_copied_and_not_encoded_again(
 
 
 def test_a_run_that_ended_goes_on(
-    libero: Path, in_lerobot: tuple[Path, Report], tmp_path: Path, converted: Converted, monkeypatch: pytest.MonkeyPatch
+    libero: Path,
+    in_lerobot: tuple[Path, ConversionReport],
+    tmp_path: Path,
+    converted: Converted,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """What is there is not written again, nothing lies at the target before, and the result is that of one run."""
     monkeypatch.setattr(parallel, "in_processes", lambda each, things, workers: _ended_after_two(each, things))
@@ -212,7 +218,7 @@ def test_what_a_simulator_told_is_one_vector_of_lerobot_and_what_it_was_after_it
     column = there.columns["observation.environment_state"]
     assert (column.shape, column.names) == ((8,), (*(f"cube.pose_{index}" for index in range(7)), "height"))
     assert there.columns["additional_info.steps.privileged.held"].dtype == "bool"
-    told = Summary.of(open_set(tmp_path / "there")).as_json()["privileged"]
+    told = DatasetSummary.of(open_set(tmp_path / "there")).as_json()["privileged"]
     assert told == {"recorded": ["cube/pose", "height", "held"], "left_out": {"task": "is no array of numbers"}}
     converted(tmp_path / "there", tmp_path / "back", "xpl")
     made.same(open_set(tmp_path / "xpl")[0], open_set(tmp_path / "back")[0])

@@ -79,8 +79,8 @@ def write(folder: str, target: str) -> None:
 def read(folder: str, target: str, made: str) -> None:
     """Save what our reader says, its episodes from the last to the first, and convert the set."""
     from xpl_cli.basics.progress import Progress
-    from xpl_cli.data.conversion import work
-    from xpl_cli.data.formats.writing import Options
+    from xpl_cli.data.conversion import job
+    from xpl_cli.data.formats.writing import WriteOptions
     from xpl_cli.data.reading import open_set
 
     found = open_set(folder)
@@ -93,8 +93,8 @@ def read(folder: str, target: str, made: str) -> None:
         kept[f"{told}/told"] = np.array(episode.instructions)
         kept[f"{told}/length"] = np.array(episode.length)
     np.savez(target, **{name.removeprefix("/raw/"): value for name, value in kept.items()})
-    options = Options(images="png")
-    work.convert(work.Job(Path(folder), Path(made), "lerobot-v3.0", rate_hz=15.0, options=options), Progress())
+    options = WriteOptions(images="png")
+    job.convert(job.ConversionJob(Path(folder), Path(made), "lerobot-v3.0", rate_hz=15.0, options=options), Progress())
 
 
 if __name__ == "__main__":

@@ -57,7 +57,7 @@ def test_jpegs_without_a_mark_are_rgb_in_the_standards_form_alone(tmp_path: Path
 def test_paths_of_a_dataset_stay_in_it(path: str) -> None:
     """Templates of info.json are filled with names and numbers, and lead nowhere else."""
     with pytest.raises(DataError):
-        layout.filled(path, {"video_key": "top"})
+        layout.fill_path(path, {"video_key": "top"})
 
 
 def test_rlds_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,8 @@ from tests.data.probe.written import LAST, NEW, ONE, TUNED
 from tests.support.recordings.demonstrations import Convention, MemorySet, write
 from tests.support.recordings.motion import Motion, motion
 from xpl_cli.data.probe import draft, page
-from xpl_cli.data.probe.answer import MARGIN, Contest
-from xpl_cli.data.probe.probe import Found, probe
+from xpl_cli.data.probe.answer import MARGIN, HypothesisRanking
+from xpl_cli.data.probe.probe import ProbeResult, probe
 from xpl_cli.standard import validate
 
 pytest.importorskip("mujoco")
@@ -31,7 +31,7 @@ OPEN = {
 """Topics that may stay unknown in a set, each for a reason."""
 
 
-def _made(written: tuple[tuple[tuple[str, str, int], ...], Convention]) -> tuple[Found, list[Motion], Convention]:
+def _made(written: tuple[tuple[tuple[str, str, int], ...], Convention]) -> tuple[ProbeResult, list[Motion], Convention]:
     motions, how = written
     played = [motion(*one) for one in motions]
     return probe(write(played, how)), played, how
@@ -103,14 +103,14 @@ def test_a_draft_is_a_model_io_block_and_what_is_open_says_why() -> None:
     """It fits its schema, and holds what was measured."""
     motions, how = TUNED["pose xyzw beside joints"]
     found = probe(write([motion(*one) for one in motions], how))
-    made = yaml.safe_load(draft.text(found))
+    made = yaml.safe_load(draft.draft_yaml(found))
     assert not validate.validate(made["model_io"], "model_io")
     parts = made["model_io"]["action"]["parts"]
     assert made["model_io"]["action"]["reference"] == "absolute"
     assert parts[1]["rotation"]["form"] == "quaternion_xyzw"
     assert parts[2]["gripper"] == {"arm": "single", "closed": 0.0, "open": 1.0}
     assert made["embodiment"] == {"robot": "franka_single"}
-    plain = yaml.safe_load(draft.text(probe(write([motion(*one) for one in ONE[:2]], Convention()))))
+    plain = yaml.safe_load(draft.draft_yaml(probe(write([motion(*one) for one in ONE[:2]], Convention()))))
     assert plain["embodiment"]["arm"]["dof"] == 7
 
 
@@ -133,6 +133,6 @@ def test_a_margin_is_over_the_best_with_another_value() -> None:
         (("form", "a"), ("frame", "y")): 0.11,
         (("form", "b"), ("frame", "x")): 0.4,
     }
-    contest = Contest(errors)
-    assert contest.judged("form") == ("a", pytest.approx(4.0), "b")
-    assert contest.judged("frame")[1] < MARGIN
+    contest = HypothesisRanking(errors)
+    assert contest.judge("form") == ("a", pytest.approx(4.0), "b")
+    assert contest.judge("frame")[1] < MARGIN

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from tests.support.recordings.demonstrations import Convention
     from tests.support.recordings.motion import Motion
-    from xpl_cli.data.probe.probe import Found
+    from xpl_cli.data.probe.probe import ProbeResult
 
 WIDTHS = {"position": 3, "gripper": 1, "fingers": 2}
 FORMS = {"quaternion_wxyz": 4, "quaternion_xyzw": 4, "matrix": 9, "rot6d_columns": 6, "rot6d_rows": 6}
@@ -97,7 +97,7 @@ FREE = {"gripper range", "idle start", "latency", "camera", "orientation", "chan
 """Topics that are checked by tests of their own, or that a convention does not fix."""
 
 
-def judge(found: Found, motions: Sequence[Motion], how: Convention) -> tuple[list[str], list[str], list[str]]:
+def judge(found: ProbeResult, motions: Sequence[Motion], how: Convention) -> tuple[list[str], list[str], list[str]]:
     """Return what a probe says right, what it says wrong, and what is true and it does not know."""
     truth = expected(motions, how)
     right, wrong, missing = [], [], []

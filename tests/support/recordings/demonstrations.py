@@ -12,7 +12,7 @@ from xpl import get_embodiment
 from xpl.conventions import rotation as rotations
 from xpl.convert.frames import Frame
 from xpl.rotation import conjugate, multiply, rotate
-from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo
 
 if TYPE_CHECKING:
     from tests.support.recordings.motion import Motion
@@ -35,17 +35,17 @@ class MemoryEpisode:
         return len(next(iter(self.numbers.values())))
 
     @property
-    def columns(self) -> dict[str, Column]:
+    def columns(self) -> dict[str, ColumnInfo]:
         """The columns."""
         return {
-            name: Column(rows.shape[1:], str(rows.dtype), self.names.get(name, ()))
+            name: ColumnInfo(rows.shape[1:], str(rows.dtype), self.names.get(name, ()))
             for name, rows in self.numbers.items()
         }
 
     @property
-    def cameras(self) -> dict[str, Camera]:
+    def cameras(self) -> dict[str, CameraInfo]:
         """The cameras."""
-        return {name: Camera(rows.shape[1], rows.shape[2]) for name, rows in self.images.items()}
+        return {name: CameraInfo(rows.shape[1], rows.shape[2]) for name, rows in self.images.items()}
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from xpl_cli.data.probe.probe import Found
+    from xpl_cli.data.probe.probe import ProbeResult
 
 MOST_NAMED: Final = 5
 """Episodes that a finding names; of more their number is told."""
@@ -74,7 +74,7 @@ class About:
 
     format: str
     robot: str | None
-    found: Found
+    found: ProbeResult
 
 
 class Check(ABC):

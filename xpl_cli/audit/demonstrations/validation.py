@@ -31,7 +31,7 @@ from xpl_cli.audit.rules.model import (
     outcome_of,
 )
 from xpl_cli.basics import parallel
-from xpl_cli.data.probe.probe import Found, probe
+from xpl_cli.data.probe.probe import ProbeResult, probe
 from xpl_cli.data.probe.sample import spread
 from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from xpl_cli.audit.demonstrations.check import Check
-    from xpl_cli.data.sets.interface import Demonstrations, Episode
+    from xpl_cli.data.sets.interface import Demonstrations, RecordedEpisode
 
 _SMALL: Final = 40
 """Pixels that first images are made smaller to."""
@@ -176,7 +176,7 @@ def _made(chosen: Sequence[type[Check]], demonstrations: Demonstrations, options
     from xpl.embodiment import embodiment_names
 
     robot = options.robot or (demonstrations.robot if demonstrations.robot in embodiment_names() else None)
-    found = Found([], [], [])
+    found = ProbeResult([], [], [])
     if not any(check.measures for check in chosen):
         return [check(About(demonstrations.format, robot, found)) for check in chosen]
     options.told("which numbers are what")
@@ -221,7 +221,7 @@ def _narrowed(looked: int, count: int, chosen: Sequence[type[Check]]) -> str:
     return ", ".join(parts)
 
 
-def _seen(episode: Episode, *, images: bool) -> Seen:
+def _seen(episode: RecordedEpisode, *, images: bool) -> Seen:
     """Read an episode: its numbers whole, its images one by one."""
     columns, shapes, errors = {}, {}, {}
     left = _MOST_NUMBERS
@@ -249,7 +249,7 @@ def _seen(episode: Episode, *, images: bool) -> Seen:
     return Seen(episode.key, episode.length, tuple(episode.instructions), columns, shapes, cameras, errors)
 
 
-def _shown(episode: Episode, camera: str) -> Shown:
+def _shown(episode: RecordedEpisode, camera: str) -> Shown:
     """Look at the images of a camera, one by one."""
     count, first, last = 0, None, b""
     same: list[bool] = []

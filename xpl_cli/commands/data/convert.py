@@ -41,14 +41,16 @@ def convert(
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import one_of
     from xpl_cli.basics.progress import progress
-    from xpl_cli.data.conversion import work
+    from xpl_cli.data.conversion import job as conversion
     from xpl_cli.data.formats.writers import writer_of
-    from xpl_cli.data.formats.writing import IMAGES, VIDEO, Options
+    from xpl_cli.data.formats.writing import IMAGES, VIDEO, WriteOptions
 
-    options = Options(one_of("--images", images, IMAGES), one_of("--codec", codec, VIDEO), crf, file_mb)
-    job = work.Job(demonstrations, target, writer_of(to).name, rate, robot, by, written_by, options, workers)
-    with progress() as told:
-        report = work.convert(job, told)
+    options = WriteOptions(one_of("--images", images, IMAGES), one_of("--codec", codec, VIDEO), crf, file_mb)
+    job = conversion.ConversionJob(
+        demonstrations, target, writer_of(to).name, rate, robot, by, written_by, options, workers
+    )
+    with progress() as reporter:
+        report = conversion.convert(job, reporter)
     if as_json:
         console.answer("xpl.data-convert/1", report.data, [f"xpl data list {target}"])
     else:

@@ -20,9 +20,9 @@ def list_(
     """List a set's episodes, and the columns and cameras that they have."""
     from xpl_cli.basics import console
     from xpl_cli.data.reading import open_set
-    from xpl_cli.data.sets.summary import Summary
+    from xpl_cli.data.sets.summary import DatasetSummary
 
-    found = Summary.of(open_set(demonstrations))
+    found = DatasetSummary.of(open_set(demonstrations))
     if as_json:
         console.answer("xpl.data-list/1", found.as_json(), [])
     else:

@@ -12,7 +12,7 @@ from xpl_cli.commands.data.listing import SET
 from xpl_cli.commands.options import JSON
 
 if TYPE_CHECKING:
-    from xpl_cli.data.probe.answer import Answer
+    from xpl_cli.data.probe.answer import ProbeAnswer
 
 
 @ends(
@@ -41,11 +41,11 @@ def probe(
             output.check(path)
     opened = open_set(demonstrations)
     with progress() as say:
-        found = measured(opened, episodes=episodes, robot=robot, told=say.detail)
+        found = measured(opened, episodes=episodes, robot=robot, report_progress=say.detail)
     if explain is not None:
         output.write(explain, page.page(found, f"Conventions of {demonstrations.name}"))
     if write is not None:
-        output.write(write, draft.text(found))
+        output.write(write, draft.draft_yaml(found))
     if as_json:
         document = {
             "path": str(demonstrations),
@@ -64,9 +64,9 @@ def probe(
             console.note(f"wrote {path}")
 
 
-def _table(answers: list[Answer]) -> str:
+def _table(answers: list[ProbeAnswer]) -> str:
     """Return the answers by what they are of."""
-    subjects: dict[str, list[Answer]] = {}
+    subjects: dict[str, list[ProbeAnswer]] = {}
     for answer in answers:
         subjects.setdefault(answer.subject, []).append(answer)
     lines = []

@@ -33,11 +33,11 @@ def show(
     from xpl_cli.basics.errors import UserError
     from xpl_cli.data.reading import open_set
     from xpl_cli.data.show import page, sheet
+    from xpl_cli.data.show.episode_view import find_episode, view
     from xpl_cli.data.show.rerun import write
-    from xpl_cli.data.show.view import chosen, view
 
     found = open_set(demonstrations)
-    one = chosen(found, episode)
+    one = find_episode(found, episode)
     target = out or Path(f"{demonstrations.resolve().stem}-{one.key.replace('/', '-')}.html")
     if target.suffix.lower() not in (".html", ".png"):
         raise UserError(f"-o takes a file .html or .png, got {target.name}")

@@ -34,7 +34,7 @@ _PLAIN_STEPS: Final = ("mirror", "rotate")
 
 
 @dataclass(frozen=True)
-class Conventions:
+class DatasetMapping:
     """A mapping, compiled for its robot.
 
     Attributes:
@@ -68,7 +68,7 @@ def digest(name: str) -> str:
     return hashlib.sha256(json.dumps(_read(_path(name), name), sort_keys=True).encode()).hexdigest()
 
 
-def load(name: str) -> Conventions:
+def load(name: str) -> DatasetMapping:
     """Return a mapping: one that is ready, by its name, or one of a file.
 
     Raises:
@@ -98,7 +98,7 @@ def load(name: str) -> Conventions:
             )
     told = entry["action"]
     rate = entry.get("rate_hz")
-    return Conventions(
+    return DatasetMapping(
         where, embodiment, rate, images, states, action, tuple(map(str, told["columns"])), int(told.get("shift", 0))
     )
 

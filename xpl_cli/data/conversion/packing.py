@@ -19,12 +19,12 @@ from xpl_cli.data.conversion.standard import NAME as STANDARD
 from xpl_cli.data.formats.writing import CONVERTED
 from xpl_cli.data.sets.delegating import DelegatingEpisode, DelegatingSet
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from xpl_cli.data.sets.interface import Demonstrations, Episode
+    from xpl_cli.data.sets.interface import Demonstrations, RecordedEpisode
 
 NAME: Final = "packed series"
 STATE, ACTION, ENVIRONMENT = "state", "action", "environment"
@@ -34,7 +34,7 @@ Layout = dict[str, list[tuple[str, int]]]
 """By vector, the series that it is made of, with their widths."""
 
 
-def layout_of(episode: Episode) -> Layout:
+def layout_of(episode: RecordedEpisode) -> Layout:
     """Return how an episode's series are packed; a group without series of an arm is left as it is.
 
     What a simulator told becomes one vector, too: its fractions, of at most one axis.
@@ -68,7 +68,7 @@ class PackedSet(DelegatingSet):
         parts = (part for parts in self.layout.values() for part, _ in parts)
         self.numbers = [part for part in parts if not first.columns[part].shape]
 
-    def _around(self, episode: Episode) -> Episode:
+    def _wrap(self, episode: RecordedEpisode) -> RecordedEpisode:
         return _Packed(episode, self.layout)
 
 
@@ -88,7 +88,7 @@ class UnpackedSet(DelegatingSet):
         super().__init__(inner, STANDARD)
         self._names, self._numbers, self._layout = names, numbers, layout
 
-    def _around(self, episode: Episode) -> Episode:
+    def _wrap(self, episode: RecordedEpisode) -> RecordedEpisode:
         try:
             return _Unpacked(episode, self._names, self._numbers, self._layout)
         except _NotPackedError as error:
@@ -101,12 +101,12 @@ class _NotPackedError(Exception):
 
 
 class _Packed(DelegatingEpisode):
-    def __init__(self, inner: Episode, layout: Layout) -> None:
+    def __init__(self, inner: RecordedEpisode, layout: Layout) -> None:
         super().__init__(inner)
         self._layout = layout
 
     @functools.cached_property
-    def columns(self) -> Mapping[str, Column]:
+    def columns(self) -> Mapping[str, ColumnInfo]:
         """The vectors, and every column that is in none of them."""
         has = self._inner.columns
         made = {}
@@ -115,7 +115,7 @@ class _Packed(DelegatingEpisode):
                 continue  # whoever writes says that this episode lacks it
             dtype = np.result_type(*(has[part].dtype for part, _ in parts)).name
             entries = tuple(entry for part, width in parts for entry in _entries(part, width))
-            made[name] = Column((len(entries),), dtype, entries)
+            made[name] = ColumnInfo((len(entries),), dtype, entries)
         used = {part for parts in self._layout.values() for part, _ in parts}
         return {**made, **{name: column for name, column in has.items() if name not in used}}
 
@@ -128,7 +128,9 @@ class _Packed(DelegatingEpisode):
 
 
 class _Unpacked(DelegatingEpisode):
-    def __init__(self, inner: Episode, names: Mapping[str, str], numbers: frozenset[str], layout: Layout) -> None:
+    def __init__(
+        self, inner: RecordedEpisode, names: Mapping[str, str], numbers: frozenset[str], layout: Layout
+    ) -> None:
         super().__init__(inner)
         self._layout, self._numbers = layout, numbers
         self._old = {names.get(name, name): name for name in (*inner.columns, *inner.cameras)}
@@ -151,22 +153,24 @@ class _Unpacked(DelegatingEpisode):
             raise _NotPackedError("two columns or cameras of one name")
 
     @functools.cached_property
-    def columns(self) -> Mapping[str, Column]:
+    def columns(self) -> Mapping[str, ColumnInfo]:
         """The series, and the other columns under their old names."""
         has = self._inner.columns
         made = {
-            part: Column(() if part in self._numbers and last - first == 1 else (last - first,), has[name].dtype)
+            part: ColumnInfo(() if part in self._numbers and last - first == 1 else (last - first,), has[name].dtype)
             for part, (name, first, last) in self._parts.items()
         }
         rest = {old: name for old, name in self._old.items() if name in has and old not in self._layout}
-        kept = {old: Column((), has[name].dtype) if self._is_number(name) else has[name] for old, name in rest.items()}
+        kept = {
+            old: ColumnInfo((), has[name].dtype) if self._is_number(name) else has[name] for old, name in rest.items()
+        }
         return {**made, **kept}
 
     def _is_number(self, name: str) -> bool:
         return name in self._numbers and math.prod(self._inner.columns[name].shape) == 1
 
     @property
-    def cameras(self) -> Mapping[str, Camera]:
+    def cameras(self) -> Mapping[str, CameraInfo]:
         """The cameras under their old names."""
         has = self._inner.cameras
         return {old: has[name] for old, name in self._old.items() if name in has}
@@ -185,7 +189,7 @@ class _Unpacked(DelegatingEpisode):
         return self._inner.frames(self._old[camera], start, stop)
 
 
-def _series(columns: Mapping[str, Column], group: str) -> list[tuple[str, int]]:
+def _series(columns: Mapping[str, ColumnInfo], group: str) -> list[tuple[str, int]]:
     found = []
     for prefix in _PREFIXES:
         by_key = {shown(tuple(name.split("/")))[-1]: name for name in columns if name.startswith(f"{group}/")}

@@ -14,14 +14,14 @@ from xpl.errors import ConversionError
 from xpl.trajectory.names import stored
 from xpl_cli.data.sets.delegating import DelegatingEpisode, DelegatingSet
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from xpl.contract import State
-    from xpl_cli.data.conversion.mapping import Conventions
-    from xpl_cli.data.sets.interface import Demonstrations, Episode
+    from xpl_cli.data.conversion.mapping import DatasetMapping
+    from xpl_cli.data.sets.interface import Demonstrations, RecordedEpisode
 
 NAME = "xpl"
 Rows = dict[str, np.ndarray]
@@ -30,7 +30,7 @@ Rows = dict[str, np.ndarray]
 class _MappedSet(DelegatingSet):
     """A set and the mapping that says what its columns mean, or shall mean."""
 
-    def __init__(self, inner: Demonstrations, mapping: Conventions, name: str | None = None) -> None:
+    def __init__(self, inner: Demonstrations, mapping: DatasetMapping, name: str | None = None) -> None:
         super().__init__(inner, name)
         self._mapping = mapping
 
@@ -40,10 +40,10 @@ class _MappedSet(DelegatingSet):
         return self._inner.rate_hz or self._mapping.rate_hz
 
 
-class StandardSet(_MappedSet):
+class StandardizedSet(_MappedSet):
     """A set of the field, read by a mapping: its episodes have the standard's names."""
 
-    def __init__(self, inner: Demonstrations, mapping: Conventions) -> None:
+    def __init__(self, inner: Demonstrations, mapping: DatasetMapping) -> None:
         super().__init__(inner, mapping, NAME)
 
     @property
@@ -51,11 +51,11 @@ class StandardSet(_MappedSet):
         """The mapping's robot."""
         return self._mapping.embodiment.name
 
-    def _around(self, episode: Episode) -> StandardEpisode:
-        return StandardEpisode(episode, self._mapping)
+    def _wrap(self, episode: RecordedEpisode) -> StandardizedEpisode:
+        return StandardizedEpisode(episode, self._mapping)
 
 
-class FieldSet(_MappedSet):
+class NativeSet(_MappedSet):
     """A set of the standard, written by a mapping."""
 
     @property
@@ -63,21 +63,21 @@ class FieldSet(_MappedSet):
         """The set's robot, else the mapping's."""
         return self._inner.robot or self._mapping.embodiment.name
 
-    def _around(self, episode: Episode) -> FieldEpisode:
-        return FieldEpisode(episode, self._mapping)
+    def _wrap(self, episode: RecordedEpisode) -> NativeEpisode:
+        return NativeEpisode(episode, self._mapping)
 
 
 class _MappedEpisode(DelegatingEpisode):
     """What an episode has whatever its columns are called."""
 
-    def __init__(self, inner: Episode, mapping: Conventions) -> None:
+    def __init__(self, inner: RecordedEpisode, mapping: DatasetMapping) -> None:
         super().__init__(inner)
         self._mapping = mapping
 
     @functools.cached_property
-    def columns(self) -> Mapping[str, Column]:
+    def columns(self) -> Mapping[str, ColumnInfo]:
         """What was converted, and every column that the mapping does not know."""
-        made = {name: Column(rows.shape[1:], rows.dtype.name) for name, rows in self._rows.items()}
+        made = {name: ColumnInfo(rows.shape[1:], rows.dtype.name) for name, rows in self._rows.items()}
         kept = {name: column for name, column in self._inner.columns.items() if name not in self._used}
         return {**made, **kept}
 
@@ -98,26 +98,28 @@ class _MappedEpisode(DelegatingEpisode):
         raise NotImplementedError
 
 
-class StandardEpisode(_MappedEpisode):
+class StandardizedEpisode(_MappedEpisode):
     """An episode of the field under the standard's names."""
 
     @functools.cached_property
-    def cameras(self) -> Mapping[str, Camera]:
+    def cameras(self) -> Mapping[str, CameraInfo]:
         """The cameras, those that the mapping does not know under their own names."""
         has = self._inner.cameras
         made = {}
-        for name, source in self._shown.items():
+        for name, source in self._camera_sources.items():
             camera = has[source]
             height, width = camera.height, camera.width
             if self._mapping.images[source].view(np.zeros((height, width, 3), np.uint8)).shape[0] != height:
                 height, width = width, height
-            made[name] = Camera(height, width, spec.Camera.COLOR, camera.encoding, camera.intrinsics, camera.extrinsics)
+            made[name] = CameraInfo(
+                height, width, spec.Camera.COLOR, camera.encoding, camera.intrinsics, camera.extrinsics
+            )
         kept = {name: camera for name, camera in has.items() if name not in self._mapping.images}
         return {**made, **kept}
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Yield images of a camera, upright and RGB."""
-        source = self._shown.get(camera)
+        source = self._camera_sources.get(camera)
         if source is None:
             if camera in self._mapping.images:
                 raise KeyError(camera)
@@ -130,7 +132,7 @@ class StandardEpisode(_MappedEpisode):
             yield image
 
     @functools.cached_property
-    def _shown(self) -> dict[str, str]:
+    def _camera_sources(self) -> dict[str, str]:
         """By the standard's name, the camera of the set; of two that show one the first that is there counts."""
         found: dict[str, str] = {}
         for source, how in self._mapping.images.items():
@@ -186,32 +188,32 @@ class StandardEpisode(_MappedEpisode):
         return rows.reshape(len(rows), -1).astype(np.float64)
 
 
-class FieldEpisode(_MappedEpisode):
+class NativeEpisode(_MappedEpisode):
     """An episode of the standard under the names and conventions that a mapping says."""
 
     @functools.cached_property
-    def cameras(self) -> Mapping[str, Camera]:
+    def cameras(self) -> Mapping[str, CameraInfo]:
         """The cameras, those that the mapping does not know under their own names."""
         has = self._inner.cameras
         made = {}
-        for name, source in self._shown.items():
+        for name, source in self._camera_sources.items():
             camera = has[source]
             shape = self._mapping.images[name].view(np.zeros((camera.height, camera.width, 3), np.uint8)).shape
-            made[name] = Camera(shape[0], shape[1], spec.Camera.COLOR, camera.encoding)
-        kept = {name: camera for name, camera in has.items() if name not in self._shown.values()}
+            made[name] = CameraInfo(shape[0], shape[1], spec.Camera.COLOR, camera.encoding)
+        kept = {name: camera for name, camera in has.items() if name not in self._camera_sources.values()}
         return {**made, **kept}
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Yield images of a camera, as the mapping says."""
-        if camera not in self._shown:
+        if camera not in self._camera_sources:
             yield from self._inner.frames(camera, start, stop)
             return
         how = self._mapping.images[camera]
-        for frame in self._inner.frames(self._shown[camera], start, stop):
+        for frame in self._inner.frames(self._camera_sources[camera], start, stop):
             yield how.view(frame)
 
     @functools.cached_property
-    def _shown(self) -> dict[str, str]:
+    def _camera_sources(self) -> dict[str, str]:
         found: dict[str, str] = {}
         for name, how in self._mapping.images.items():
             source = "/".join(stored((spec.Obs.VISION, how.cameras[0], spec.Camera.COLOR)))
@@ -269,7 +271,7 @@ class FieldEpisode(_MappedEpisode):
         return [{key: values[index] for key, values in rows.items()} for index in range(self.length)]
 
 
-def _origins(mapping: Conventions) -> dict[str, NDArray[np.float64]]:
+def _origins(mapping: DatasetMapping) -> dict[str, NDArray[np.float64]]:
     """Return a pose for each arm, of which nothing is taken where a set has both position and rotation."""
     return {
         arm.prefix + spec.State.EE_POSE: np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])

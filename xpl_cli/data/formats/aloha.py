@@ -10,7 +10,7 @@ from typing import Final
 
 from xpl.trajectory import storage
 from xpl_cli.data.formats import hdf5
-from xpl_cli.data.formats.folders import FolderSet, ToldEpisode
+from xpl_cli.data.formats.folders import FolderSet, InlineInstructionEpisode
 
 NAME: Final = "aloha"
 _STEPS: Final = ("action", "observations/qpos")
@@ -18,10 +18,12 @@ _STEPS: Final = ("action", "observations/qpos")
 
 def recognises(path: Path) -> bool:
     """Tell whether a set is one."""
-    return hdf5.is_of(path, lambda file: "action" in file and "observations" in file)
+    return hdf5.is_hdf5_set(path, lambda file: "action" in file and "observations" in file)
 
 
 def opened(path: Path) -> FolderSet:
     """Return the set."""
-    files = hdf5.Files(storage.opened)
-    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: ToldEpisode((file, files), "", key, _STEPS))
+    files = hdf5.OpenFileCache(storage.opened)
+    return FolderSet(
+        path, NAME, hdf5.files(path), lambda file, key: InlineInstructionEpisode((file, files), "", key, _STEPS)
+    )

@@ -21,7 +21,7 @@ from xpl_cli.basics import files
 from xpl_cli.data.formats import libraries
 from xpl_cli.data.sets import documents
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Extras
+from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Demonstrations, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ _CODEC: Final = {
     "properties": {"id": {"enum": ["blosc", "bz2", "delta", "gzip", "lz4", "lzma", "shuffle", "zlib", "zstd"]}},
 }
 """Those of numcodecs that compress numbers; others may unpickle, or are another library's."""
-_ARRAY_SCHEMA: Final = documents.of(
+_ARRAY_SCHEMA: Final = documents.schema_text(
     {
         "type": "object",
         "required": ["zarr_format", "shape", "chunks", "dtype", "compressor", "filters"],
@@ -75,15 +75,15 @@ class DiffusionSet(Demonstrations):
     def __init__(self, path: Path) -> None:
         super().__init__(path, NAME)
         self._path = path
-        self._store = _opened(path)
-        with _told(path):
+        self._store = _open_store(path)
+        with _data_errors(path):
             store = self._store
             ends = store.get(ENDS)
             if ends is None or "data" not in store:
                 raise DataError(f"{path} has no data and {ENDS}, which Diffusion Policy's stores have")
             self._ends: list[int] = np.asarray(ends[:], np.int64).tolist()
             self._extras: Extras = dict(store.attrs)
-            self.contents = {name: _described(name, array) for name, array in sorted(store["data"].arrays())}
+            self.contents = {name: _describe_array(name, array) for name, array in sorted(store["data"].arrays())}
         starts = [0, *self._ends]
         if any(end < start for start, end in zip(starts, self._ends, strict=False)):
             raise DataError(f"{path}: {ENDS} does not rise")
@@ -105,7 +105,7 @@ class DiffusionSet(Demonstrations):
 
     def rows(self, name: str, start: int, stop: int) -> np.ndarray:
         """Return rows of an array, counted over the set."""
-        with _told(self._path):
+        with _data_errors(self._path):
             found: np.ndarray = np.asarray(self._store["data"][name][start:stop])
         if len(found) != stop - start:
             raise DataError(f"{self._path}: {name} has {len(found)} of the rows {start} to {stop}")
@@ -123,8 +123,8 @@ class DiffusionEpisode(OutlinedEpisode):
     def outline(self) -> Outline:
         """Return what the file says without rows and images."""
         contents = self._owner.contents.items()
-        columns = {name: one for name, one in contents if isinstance(one, Column)}
-        cameras = {name: one for name, one in contents if isinstance(one, Camera)}
+        columns = {name: one for name, one in contents if isinstance(one, ColumnInfo)}
+        cameras = {name: one for name, one in contents if isinstance(one, CameraInfo)}
         return Outline(self._stop - self._start, (), columns, cameras)
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
@@ -143,20 +143,20 @@ class DiffusionEpisode(OutlinedEpisode):
             yield image if image.dtype == np.uint8 else np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def _opened(path: Path) -> Any:
+def _open_store(path: Path) -> Any:
     """Return the store, after what every array of it says of itself was checked."""
     zarr = libraries.zarr()
     for count, (name, text) in enumerate(_declarations(path), 1):
         if count > _MOST_ARRAYS:
             raise DataError(f"{path} has more than {_MOST_ARRAYS} arrays")
-        _check(documents.parsed(text, f"{path}: {name}"), f"{path}: {name}")
-    with _told(path):
+        _check(documents.parse_json(text, f"{path}: {name}"), f"{path}: {name}")
+    with _data_errors(path):
         store = zarr.storage.ZipStore(path, mode="r") if path.suffix == ".zip" else str(path)
         return zarr.open_group(store, mode="r", zarr_format=2, use_consolidated=False)
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _data_errors(path: Path) -> Iterator[None]:
     """Say in one sentence what is wrong with a store."""
     try:
         yield
@@ -196,7 +196,7 @@ def _check(declared: Any, where: str) -> None:
     Raises:
         DataError: it names a codec or type that is not known to be harmless, or has too large chunks.
     """
-    documents.checked(declared, _ARRAY_SCHEMA, where)
+    documents.validate_value(declared, _ARRAY_SCHEMA, where)
     size = math.prod(declared["chunks"]) * int(declared["dtype"][2:])
     if size > _MOST_CHUNK:
         raise DataError(f"{where} has chunks of {size} bytes, more than {_MOST_CHUNK}")
@@ -204,11 +204,11 @@ def _check(declared: Any, where: str) -> None:
         raise DataError(f"{where} claims {math.prod(declared['shape'])} episodes, more than {_MOST_EPISODES}")
 
 
-def _described(name: str, array: Any) -> Column | Camera:
+def _describe_array(name: str, array: Any) -> ColumnInfo | CameraInfo:
     """Return what an array is: a camera if its rows are images of bytes, or of floats 0..255 as in Push-T."""
     shape, dtype = array.shape, np.dtype(array.dtype)
     if dtype.kind not in "biuf":
         raise DataError(f"{name} holds {dtype}, which is not read: texts and objects need pickle")
     if len(shape) == 4 and shape[3] == 3 and min(shape[1:3]) >= _SMALLEST and shape[1] * shape[2] <= PIXELS:
-        return Camera(shape[1], shape[2], encoding="raw" if dtype == np.uint8 else dtype.name)
-    return Column(tuple(shape[1:]), dtype.name)
+        return CameraInfo(shape[1], shape[2], encoding="raw" if dtype == np.uint8 else dtype.name)
+    return ColumnInfo(tuple(shape[1:]), dtype.name)

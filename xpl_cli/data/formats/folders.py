@@ -14,7 +14,7 @@ from xpl_cli.data.formats.writing import CONVERTED
 from xpl_cli.data.sets.interface import Demonstrations, Extras
 
 if TYPE_CHECKING:
-    from xpl_cli.data.sets.interface import Episode
+    from xpl_cli.data.sets.interface import RecordedEpisode
 
 _RATE = (f"{spec.Trajectory.ADDITIONAL_INFO}/{spec.Obs.FREQUENCY}", "frequency", "fps", "control_freq")
 """Names under which files of this kind keep steps per second."""
@@ -32,7 +32,7 @@ class FolderSet(Demonstrations):
         opens: makes an episode of a file and a key.
     """
 
-    def __init__(self, path: Path, name: str, files: list[Path], opens: Callable[[Path, str], Episode]) -> None:
+    def __init__(self, path: Path, name: str, files: list[Path], opens: Callable[[Path, str], RecordedEpisode]) -> None:
         super().__init__(path, name)
         self._files, self._opens = files, opens
 
@@ -66,27 +66,27 @@ class FolderSet(Demonstrations):
         """How many episodes there are."""
         return len(self._files)
 
-    def __getitem__(self, index: int) -> Episode:
+    def __getitem__(self, index: int) -> RecordedEpisode:
         """Return an episode, by its place."""
         return self._episodes[index]
 
     @functools.cached_property
-    def _episodes(self) -> list[Episode]:
+    def _episodes(self) -> list[RecordedEpisode]:
         names = [path.stem for path in self._files]
         is_unique = len(set(names)) == len(names)
         keys = names if is_unique else [path.relative_to(self.path).with_suffix("").as_posix() for path in self._files]
         return [self._opens(path, key) for path, key in zip(self._files, keys, strict=True)]
 
 
-class ToldEpisode(Hdf5Episode):
+class InlineInstructionEpisode(Hdf5Episode):
     """An episode whose file has its sentence itself."""
 
     def _sentences(self, extras: Extras) -> tuple[str, ...]:
         """Return those in an attribute or a dataset of one of the usual names."""
-        return told_in(extras)
+        return instructions_in(extras)
 
 
-def told_in(extras: Extras) -> tuple[str, ...]:
+def instructions_in(extras: Extras) -> tuple[str, ...]:
     """Return the sentences under one of the usual names."""
     return next(filter(None, (sentences(extras.get(name)) for name in _TOLD)), ())
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from xpl.trajectory import TrajectoryError, storage
 from xpl.trajectory import pictures as stored
-from xpl_cli.data.formats import libraries, pictures
+from xpl_cli.data.formats import image_codec, libraries
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column, Extras
+from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def first(path: Path) -> Path | None:
     return next(_files(path), None)
 
 
-def is_of(path: Path, recognises: Callable[[File], bool]) -> bool:
+def is_hdf5_set(path: Path, recognises: Callable[[File], bool]) -> bool:
     """Tell whether a set is of HDF5 files of a kind, by one of them.
 
     Args:
@@ -88,7 +88,7 @@ def opened(path: Path) -> Iterator[File]:
         DataError: it is not there, is no HDF5 file, or is damaged where it is read.
     """
     libraries.h5py()
-    with told(path), storage.opened(str(path)) as file:
+    with data_errors(path), storage.opened(str(path)) as file:
         yield file
 
 
@@ -99,7 +99,7 @@ class _Closable(Protocol):
 _Opened = TypeVar("_Opened", bound=_Closable)
 
 
-class Files(Generic[_Opened]):
+class OpenFileCache(Generic[_Opened]):
     """The file that was read last, open until another one is: opening it takes longer than reading a column.
 
     Args:
@@ -116,7 +116,7 @@ class Files(Generic[_Opened]):
         """Open a file for reading, where it is not open; raises as `opened`."""
         libraries.h5py()
         try:
-            with told(path):
+            with data_errors(path):
                 if self._file is None or self._path != path:
                     self._close()
                     self._path, self._file = path, self._opens(str(path))
@@ -132,7 +132,7 @@ class Files(Generic[_Opened]):
 
 
 @contextmanager
-def told(path: str | Path) -> Iterator[None]:
+def data_errors(path: str | Path) -> Iterator[None]:
     """Say in one sentence what is wrong with a file.
 
     Raises:
@@ -164,7 +164,7 @@ class Hdf5Episode(OutlinedEpisode):
 
     def __init__(
         self,
-        file: tuple[Path, Files[File]],
+        file: tuple[Path, OpenFileCache[File]],
         group: str,
         key: str,
         steps: tuple[str, ...],
@@ -195,7 +195,9 @@ class Hdf5Episode(OutlinedEpisode):
                     yield image[..., 0] if known.kind == "depth" and image.ndim == 3 else image
                 return
             for index, data in stored.series(dataset, steps):
-                yield pictures.pixels(data.rstrip(b"\0"), f"{self._path}, {self._key}, {camera}, image {index}")
+                yield image_codec.decode_image(
+                    data.rstrip(b"\0"), f"{self._path}, {self._key}, {camera}, image {index}"
+                )
 
     def _root(self, file: File) -> Group:
         return storage.group(file, self._group) if self._group else file
@@ -206,9 +208,9 @@ class Hdf5Episode(OutlinedEpisode):
         with self._files.opened(self._path) as file:
             root = self._root(file)
             found = storage.datasets(root)
-            length = self._counted(found, where)
-            columns: dict[str, Column] = {}
-            cameras: dict[str, Camera] = {}
+            length = self._count_steps(found, where)
+            columns: dict[str, ColumnInfo] = {}
+            cameras: dict[str, CameraInfo] = {}
             extras = attributes(root)
             for path, dataset in found.items():
                 name = "/".join(path)
@@ -216,7 +218,7 @@ class Hdf5Episode(OutlinedEpisode):
                 picture = stored.found(path, dataset) if is_steps and length else None
                 if picture is not None:
                     beside = _matrices(path, found)
-                    cameras[name] = Camera(picture.height, picture.width, picture.kind, picture.encoding, **beside)
+                    cameras[name] = CameraInfo(picture.height, picture.width, picture.kind, picture.encoding, **beside)
                 elif is_steps and (column := _column(dataset)) is not None:
                     columns[name] = column
                 elif dataset.size <= storage.MOST_FACT and storage.size_of(dataset, ()) <= storage.MOST_TEXT:
@@ -228,7 +230,7 @@ class Hdf5Episode(OutlinedEpisode):
         del extras
         return self._told
 
-    def _counted(self, found: Mapping[Place, Dataset], where: str) -> int:
+    def _count_steps(self, found: Mapping[Place, Dataset], where: str) -> int:
         for name in self._steps:
             dataset = found.get(tuple(name.split("/")))
             if dataset is not None and dataset.shape:
@@ -236,11 +238,11 @@ class Hdf5Episode(OutlinedEpisode):
         raise DataError(f"{where} has no {' or '.join(self._steps)}, one of which every episode of this format has")
 
 
-def _column(dataset: Dataset) -> Column | None:
+def _column(dataset: Dataset) -> ColumnInfo | None:
     """Return what a dataset is as a column; None if it holds no numbers and no texts."""
     if libraries.h5py().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 1:
-        return Column((), "str")
-    return Column(tuple(dataset.shape[1:]), dataset.dtype.name) if dataset.dtype.kind in "biuf" else None
+        return ColumnInfo((), "str")
+    return ColumnInfo(tuple(dataset.shape[1:]), dataset.dtype.name) if dataset.dtype.kind in "biuf" else None
 
 
 def _matrices(path: Place, found: Mapping[Place, Dataset]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Final
 
 from xpl_cli.basics.extras import how_to_install
-from xpl_cli.data.sets import bounds
+from xpl_cli.data.sets import limits
 from xpl_cli.data.sets.errors import LibraryMissingError
 
 _EXTRA: Final = "data"
@@ -40,7 +40,7 @@ def zarr() -> ModuleType:
 
 def _imported(name: str, what: str) -> ModuleType:
     try:
-        with bounds.importing():
+        with limits.outside_limits():
             return importlib.import_module(name)
     except ImportError as error:
         raise LibraryMissingError(

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl.images import PIXELS, size_of
-from xpl_cli.data.sets import bounds
+from xpl_cli.data.sets import limits
 from xpl_cli.data.sets.errors import DataError, LibraryMissingError
-from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Extras
+from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Demonstrations, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class RldsSet(Demonstrations):
 
     def __init__(self, path: Path) -> None:
         try:
-            with bounds.importing(_TENSORFLOW_BYTES):
+            with limits.outside_limits(_TENSORFLOW_BYTES):
                 import tensorflow_datasets as tfds
         except ImportError as error:
             raise LibraryMissingError(
@@ -93,7 +93,7 @@ class RldsSet(Demonstrations):
     def outlines(self) -> list[Outline]:
         """What is known of each episode without its images."""
         steps = self._builder.info.features[_STEPS].feature
-        skipped = _skipped(steps, self._tfds)
+        skipped = _skip_images(steps, self._tfds)
         decoders = {_STEPS: skipped} if skipped else None
         return [self._outline(episode) for episode in self._episodes(0, decoders)]
 
@@ -130,7 +130,7 @@ class RldsSet(Demonstrations):
         sizes = dict(_images(self._builder.info.features[_STEPS].feature, "", self._tfds))
         cameras = {name: _camera(sizes[name], value) for name, value in first.items() if name in sizes}
         columns = {
-            name: Column(tuple(np.shape(value)), np.asarray(value).dtype.name)
+            name: ColumnInfo(tuple(np.shape(value)), np.asarray(value).dtype.name)
             for name, value in first.items()
             if name not in sizes and np.asarray(value).dtype.kind in "biuf"
         }
@@ -173,26 +173,26 @@ def _images(features: Any, prefix: str, tfds: ModuleType) -> Iterator[tuple[str,
             yield prefix + name, feature.shape
 
 
-def _skipped(features: Any, tfds: ModuleType) -> dict[str, Any]:
+def _skip_images(features: Any, tfds: ModuleType) -> dict[str, Any]:
     """Return how to read features without decoding an image."""
     found: dict[str, Any] = {}
     for name, feature in features.items():
         if isinstance(feature, tfds.features.FeaturesDict):
-            inner = _skipped(feature, tfds)
+            inner = _skip_images(feature, tfds)
             found |= {name: inner} if inner else {}
         elif isinstance(feature, tfds.features.Image):
             found[name] = tfds.decode.SkipDecoding()
     return found
 
 
-def _camera(shape: tuple[int | None, ...], value: Any) -> Camera:
+def _camera(shape: tuple[int | None, ...], value: Any) -> CameraInfo:
     """Return a camera by the shape that its features say, or by its first image, encoded or not."""
     is_encoded = isinstance(value, bytes)
     width, height = (shape[1], shape[0]) if None not in shape else size_of(value) if is_encoded else value.shape[1::-1]
     if not width or not height or width * height > PIXELS:
         raise DataError(f"images of {height} x {width} are not read: more than {PIXELS} pixels, or none")
     begins = {b"\xff\xd8": "jpeg", b"\x89P": "png"}
-    return Camera(int(height), int(width), encoding=begins.get(value[:2], "raw") if is_encoded else "raw")
+    return CameraInfo(int(height), int(width), encoding=begins.get(value[:2], "raw") if is_encoded else "raw")
 
 
 def _sentences(first: Mapping[str, Any]) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ _MOST_EPISODES: Final = 1_000_000
 
 def recognises(path: Path) -> bool:
     """Tell whether a set is one."""
-    return hdf5.is_of(path, _is_one)
+    return hdf5.is_hdf5_set(path, _is_one)
 
 
 def opened(path: Path) -> RobomimicSet:
@@ -91,7 +91,7 @@ class RobomimicSet(Demonstrations):
     @functools.cached_property
     def _episodes(self) -> list[Hdf5Episode]:
         found: list[Hdf5Episode] = []
-        files = hdf5.Files(storage.opened)
+        files = hdf5.OpenFileCache(storage.opened)
         for path in self._files:
             with hdf5.opened(path) as file:
                 group = storage.group(file, "data")

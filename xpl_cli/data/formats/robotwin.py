@@ -24,7 +24,7 @@ NAME: Final = "robotwin"
 _STEPS: Final = ("joint_action/vector", "joint_action/left_gripper", "endpose/left_endpose")
 _MOST: Final = 16 << 20
 _SENTENCES: Final = {"type": ["array", "null"], "items": {"type": "string"}}
-_SCHEMA: Final = documents.of(
+_SCHEMA: Final = documents.schema_text(
     {
         "anyOf": [
             {"type": "string"},
@@ -38,16 +38,16 @@ _SCHEMA: Final = documents.of(
 
 def recognises(path: Path) -> bool:
     """Tell whether a set is one."""
-    return hdf5.is_of(path, lambda file: "joint_action" in file and "observation" in file)
+    return hdf5.is_hdf5_set(path, lambda file: "joint_action" in file and "observation" in file)
 
 
 def opened(path: Path) -> FolderSet:
     """Return the set."""
-    files = hdf5.Files(storage.opened)
-    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _Episode((file, files), "", key, _STEPS))
+    files = hdf5.OpenFileCache(storage.opened)
+    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _RobotwinEpisode((file, files), "", key, _STEPS))
 
 
-class _Episode(Hdf5Episode):
+class _RobotwinEpisode(Hdf5Episode):
     """An episode, whose sentences lie in `../instructions/<the same name>.json`."""
 
     def _sentences(self, extras: Extras) -> tuple[str, ...]:
@@ -55,7 +55,9 @@ class _Episode(Hdf5Episode):
         del extras
         path = self._path.parent.parent / "instructions" / f"{self._path.stem}.json"
         try:
-            told = documents.checked(documents.parsed(bounded.content(path, _MOST), str(path)), _SCHEMA, str(path))
+            told = documents.validate_value(
+                documents.parse_json(bounded.content(path, _MOST), str(path)), _SCHEMA, str(path)
+            )
         except FileNotFoundError:
             return ()
         except OSError as error:

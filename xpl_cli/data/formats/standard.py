@@ -18,20 +18,20 @@ from xpl import _spec as spec
 from xpl import images, json_text, trajectory
 from xpl.trajectory import TrajectoryError, names
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.data.formats import hdf5, libraries, pictures
-from xpl_cli.data.formats.folders import FolderSet, told_in
-from xpl_cli.data.formats.writing import CONVERTED, Names, Piece
-from xpl_cli.data.sets import held
+from xpl_cli.data.formats import hdf5, image_codec, libraries
+from xpl_cli.data.formats.folders import FolderSet, instructions_in
+from xpl_cli.data.formats.writing import CONVERTED, NamingScheme, WrittenEpisode
+from xpl_cli.data.sets import trajectory_schema
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from xpl.trajectory import Trajectory
-    from xpl_cli.data.formats.writing import Plan
-    from xpl_cli.data.sets.interface import Episode
+    from xpl_cli.data.formats.writing import WritePlan
+    from xpl_cli.data.sets.interface import RecordedEpisode
 
 NAME: Final = "xpl"
 _SET: Final = "set"
@@ -51,19 +51,19 @@ _MATRICES: Final = {spec.Camera.INTRINSIC_MATRIX: 3, spec.Camera.EXTRINSICS_MATR
 
 def recognises(path: Path) -> bool:
     """Tell whether a set is one."""
-    return hdf5.is_of(path, lambda file: spec.Trajectory.STATE in file and not _BESIDE.isdisjoint(file))
+    return hdf5.is_hdf5_set(path, lambda file: spec.Trajectory.STATE in file and not _BESIDE.isdisjoint(file))
 
 
 def opened(path: Path) -> FolderSet:
     """Return the set; what an index beside the files says of them is not believed."""
-    files = hdf5.Files(trajectory.Trajectory)
-    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _Episode((file, files), key))
+    files = hdf5.OpenFileCache(trajectory.Trajectory)
+    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _StandardFileEpisode((file, files), key))
 
 
-class _Episode(OutlinedEpisode):
+class _StandardFileEpisode(OutlinedEpisode):
     """An episode. Its images are read from a file of their own, which is open as long as they are."""
 
-    def __init__(self, file: tuple[Path, hdf5.Files[Trajectory]], key: str) -> None:
+    def __init__(self, file: tuple[Path, hdf5.OpenFileCache[Trajectory]], key: str) -> None:
         super().__init__(key)
         self._path, self._files = file
 
@@ -82,13 +82,13 @@ class _Episode(OutlinedEpisode):
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
         """Yield images of a camera; JPEGs are RGB by the standard's rule, with its mark or exchanged without."""
         self.cameras[camera]
-        with trajectory.Trajectory(str(self._path)) as found, hdf5.told(found.path):
+        with trajectory.Trajectory(str(self._path)) as found, hdf5.data_errors(found.path):
             yield from found.frames(camera, start, stop)
 
     def outline(self) -> Outline:
         """Return what the file says without rows and images."""
         with self._files.opened(self._path) as found:
-            columns = {name: Column(shape, dtype) for name, (shape, dtype) in found.columns.items()}
+            columns = {name: ColumnInfo(shape, dtype) for name, (shape, dtype) in found.columns.items()}
             cameras = {name: _camera(found, name, picture) for name, picture in found.pictures.items()}
             extras = found.rest
             told = tuple(one for one in found.instructions if one.strip())
@@ -100,17 +100,17 @@ class _Episode(OutlinedEpisode):
                 extras.pop(_FACTS, None)
             extras |= facts
             length = len(found)
-        return Outline(length, told or told_in(extras), columns, cameras, extras)
+        return Outline(length, told or instructions_in(extras), columns, cameras, extras)
 
 
-def _camera(found: Trajectory, name: str, picture: trajectory.Picture) -> Camera:
+def _camera(found: Trajectory, name: str, picture: trajectory.Picture) -> CameraInfo:
     beside = tuple(name.split("/")[:-1])
     matrices = {
         names.shown(path)[-1]: found.rows("/".join(path))
         for path in found.datasets
         if path[:-1] == beside and names.is_image(path, *_MATRICES)
     }
-    return Camera(
+    return CameraInfo(
         picture.height,
         picture.width,
         cast("Literal['color', 'depth']", picture.kind),
@@ -123,19 +123,19 @@ class StandardWriter:
     """The standard's own files, one for each episode: a mapping has to say which column is which part."""
 
     name = NAME
-    names = Names("", "", "", f"{spec.Trajectory.VISION}/")
+    names = NamingScheme("", "", "", f"{spec.Trajectory.VISION}/")
 
-    def keeps(self, column: Column) -> str | None:
+    def column_rejection(self, column: ColumnInfo) -> str | None:
         """Return why a column cannot be kept: HDF5 keeps all of them."""
         del column
         return None
 
-    def shows(self, camera: Camera) -> str | None:
+    def camera_rejection(self, camera: CameraInfo) -> str | None:
         """Return why a camera cannot be kept: HDF5 keeps all of them."""
         del camera
         return None
 
-    def check(self, plan: Plan) -> None:
+    def check(self, plan: WritePlan) -> None:
         """Stop before anything is written."""
         if _form(plan) not in trajectory.FORMS:
             raise DataError(
@@ -154,7 +154,7 @@ class StandardWriter:
                 hint="say it by --map MAPPING; libero, aloha and robotwin are ready",
             )
 
-    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> Piece:
+    def write_episode(self, folder: Path, plan: WritePlan, index: int, episode: RecordedEpisode) -> WrittenEpisode:
         """Write one episode's file, and its line in the index."""
         libraries.h5py()
         path, form = folder / _SET / f"episode_{index}.hdf5", _form(plan)
@@ -182,23 +182,23 @@ class StandardWriter:
                 writer.subtasks = _subtasks(episode.extras.get(spec.Trajectory.SUBTASKS))
         except TrajectoryError as error:
             raise DataError(f"{episode.key}: {error}") from None
-        if problems := held.problems(path):
+        if problems := trajectory_schema.schema_problems(path):
             raise DataError(f"{episode.key} would not be of the standard's form: {replace(problems[0], file=None)}")
         worst = {name: min(values) for name, values in samples.items() if values}
-        return Piece({name: value for name, value in worst.items() if value != float("inf")})
+        return WrittenEpisode({name: value for name, value in worst.items() if value != float("inf")})
 
-    def finish(self, folder: Path, plan: Plan, pieces: list[Piece]) -> Path:
+    def finish(self, folder: Path, plan: WritePlan, pieces: list[WrittenEpisode]) -> Path:
         """Return the folder: the files are the set."""
         del plan, pieces
         return folder / _SET
 
 
-def _form(plan: Plan) -> str:
+def _form(plan: WritePlan) -> str:
     """Return how cameras are kept."""
     return trajectory.FORMS[0] if plan.options.images == "auto" else plan.options.images
 
 
-def _instruction(episode: Episode) -> dict[str, Any]:
+def _instruction(episode: RecordedEpisode) -> dict[str, Any]:
     """Return what the robot was told, under the standard's names."""
     told = list(episode.instructions)
     if len(told) > 1:
@@ -211,11 +211,11 @@ def _jpegs(frames: Iterable[np.ndarray], psnr_db: list[float]) -> Iterator[bytes
     for index, frame in enumerate(frames):
         data = images.encode_jpeg(frame)
         if index % _SAMPLED == 0:
-            psnr_db.append(pictures.psnr(frame, images.decode(data)))
+            psnr_db.append(image_codec.psnr(frame, images.decode(data)))
         yield data
 
 
-def _beside_images(episode: Episode) -> dict[str, Any]:
+def _beside_images(episode: RecordedEpisode) -> dict[str, Any]:
     """Return what the standard's files have of a camera beside its images, by place, where no column has it."""
     leaves = (*_MATRICES, spec.Camera.SHAPE)
     found = {name: value for name, value in episode.extras.items() if names.is_image(tuple(name.split("/")), *leaves)}

@@ -9,13 +9,13 @@ from xpl_cli.data.formats.lerobot.writer import LeRobotWriter
 from xpl_cli.data.formats.standard import StandardWriter
 
 if TYPE_CHECKING:
-    from xpl_cli.data.formats.writing import Writer
+    from xpl_cli.data.formats.writing import DatasetWriter
 
-WRITERS: Final[tuple[Writer, ...]] = (LeRobotWriter(), StandardWriter())
+WRITERS: Final[tuple[DatasetWriter, ...]] = (LeRobotWriter(), StandardWriter())
 WRITTEN: Final = tuple(writer.name for writer in WRITERS)
 
 
-def writer_of(name: str) -> Writer:
+def writer_of(name: str) -> DatasetWriter:
     """Return what writes a format.
 
     Raises:

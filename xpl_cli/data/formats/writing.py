@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 if TYPE_CHECKING:
-    from xpl_cli.data.sets.interface import Camera, Column, Episode, Extras
+    from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Extras, RecordedEpisode
 
 CONVERTED: Final = "converted"
 """Where a set that was made of another one says so: its format, and the names that had to change."""
@@ -18,7 +18,7 @@ VIDEO: Final = {"av1": "libsvtav1", "h264": "libx264"}
 
 
 @dataclass(frozen=True)
-class Options:
+class WriteOptions:
     """How things are written where a format leaves a choice.
 
     Attributes:
@@ -35,7 +35,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Plan:
+class WritePlan:
     """What is known of a whole set before its first episode is written.
 
     Attributes:
@@ -53,10 +53,10 @@ class Plan:
     robot: str | None
     lengths: tuple[int, ...]
     instructions: tuple[tuple[str, ...], ...]
-    columns: Mapping[str, Column]
-    cameras: Mapping[str, Camera]
+    columns: Mapping[str, ColumnInfo]
+    cameras: Mapping[str, CameraInfo]
     extras: Extras = field(default_factory=dict)
-    options: Options = field(default_factory=Options)
+    options: WriteOptions = field(default_factory=WriteOptions)
 
     @property
     def starts(self) -> tuple[int, ...]:
@@ -69,7 +69,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Names:
+class NamingScheme:
     """How a format calls what formats have in common; what none of it fits keeps its name.
 
     Attributes:
@@ -90,7 +90,7 @@ class Names:
 
 
 @dataclass(frozen=True)
-class Piece:
+class WrittenEpisode:
     """What was written of one episode, as the end of a conversion needs to know it; it is kept as JSON meanwhile.
 
     Attributes:
@@ -106,30 +106,30 @@ class Piece:
     extras: Extras = field(default_factory=dict)
 
 
-class Writer(Protocol):
+class DatasetWriter(Protocol):
     """Writes sets of one format."""
 
     name: str
-    names: Names
+    names: NamingScheme
 
-    def keeps(self, column: Column) -> str | None:
+    def column_rejection(self, column: ColumnInfo) -> str | None:
         """Return why a column cannot be kept, None if it can."""
 
-    def shows(self, camera: Camera) -> str | None:
+    def camera_rejection(self, camera: CameraInfo) -> str | None:
         """Return why a camera cannot be kept, None if it can."""
 
-    def check(self, plan: Plan) -> None:
+    def check(self, plan: WritePlan) -> None:
         """Stop before anything is written.
 
         Raises:
             DataError: something is missing that the format needs.
         """
 
-    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> Piece:
+    def write_episode(self, folder: Path, plan: WritePlan, index: int, episode: RecordedEpisode) -> WrittenEpisode:
         """Write one episode below a folder; return what the finish needs to know of it.
 
         It may be called again for an episode of which a part was written.
         """
 
-    def finish(self, folder: Path, plan: Plan, pieces: list[Piece]) -> Path:
+    def finish(self, folder: Path, plan: WritePlan, pieces: list[WrittenEpisode]) -> Path:
         """Join the pieces; return the file or folder that is the set."""

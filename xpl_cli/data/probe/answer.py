@@ -17,7 +17,7 @@ MOST_MARGIN: Final = 1000.0
 
 
 @dataclass(frozen=True)
-class Answer:
+class ProbeAnswer:
     """One convention.
 
     Attributes:
@@ -28,7 +28,7 @@ class Answer:
         margin: how many times worse the second best explains the data; None where there is no second.
         second: the second best.
         needs: of what is unknown, what would tell.
-        said: the set says so itself, and nothing measures it.
+        declared: the dataset states the value itself, and the probe did not measure it.
     """
 
     topic: str
@@ -38,7 +38,7 @@ class Answer:
     margin: float | None = None
     second: str | None = None
     needs: str | None = None
-    said: bool = False
+    declared: bool = False
 
     @property
     def is_known(self) -> bool:
@@ -51,13 +51,13 @@ class Answer:
         return {**vars(self), "margin": margin}
 
 
-def unknown(topic: str, subject: str, why: str, needs: str) -> Answer:
+def unknown(topic: str, subject: str, why: str, needs: str) -> ProbeAnswer:
     """Return that a convention cannot be known, why, and what would tell."""
-    return Answer(topic, subject, None, why, needs=needs)
+    return ProbeAnswer(topic, subject, None, why, needs=needs)
 
 
 @dataclass(frozen=True)
-class Contest:
+class HypothesisRanking:
     """Hypotheses with their errors, from which the values of one facet after the other are judged.
 
     Attributes:
@@ -83,7 +83,7 @@ class Contest:
         """The error of the best."""
         return min(self.errors.values())
 
-    def judged(self, facet: str) -> tuple[Any, float | None, Any]:
+    def judge(self, facet: str) -> tuple[Any, float | None, Any]:
         """Return the value of a facet, its margin over the best with another value, and that value.
 
         Returns:
@@ -102,6 +102,6 @@ class Contest:
         return sorted(self.errors.items(), key=lambda entry: entry[1])
 
 
-def enough(margin: float | None) -> bool:
+def is_decisive(margin: float | None) -> bool:
     """Tell whether a margin is one."""
     return margin is None or (math.isfinite(margin) and margin >= MARGIN) or margin == math.inf

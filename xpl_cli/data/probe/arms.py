@@ -11,7 +11,7 @@ from xpl import rotation
 from xpl.conventions import rotation as rotations
 from xpl.convert import ConversionError
 from xpl_cli.data.probe import tracking
-from xpl_cli.data.probe.answer import Contest
+from xpl_cli.data.probe.answer import HypothesisRanking
 from xpl_cli.data.probe.tracking import SHIFTS, Follow
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ _EXACT: Final = 2e-3
 """Errors below which each command is reached in its step: counting from state and from command is one then."""
 
 
-def told(form: tuple[str, str | None], *, degrees: bool = False) -> str:
+def format_form(form: tuple[str, str | None], *, degrees: bool = False) -> str:
     """Return a form as people read it."""
     return " ".join([form[0], *([form[1]] if form[1] else []), *(["in degrees"] if degrees else [])])
 
@@ -66,7 +66,7 @@ class Reference:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 
-def chosen(follows: Mapping[str, Follow], sharp: float, *, is_seen: bool = True) -> Reference:
+def choose_reference(follows: Mapping[str, Follow], sharp: float, *, is_seen: bool = True) -> Reference:
     """Return from what steps are counted, of how well each reading explains the motion.
 
     Args:
@@ -100,7 +100,7 @@ def of_numbers(states: Rows, commands: Rows) -> Reference:
     }
     is_summed = follows[DELTA_COMMAND].error <= tracking.PLAIN
     sharp = tracking.sharpness(states, commands, follows[DELTA_COMMAND].shift) if is_summed else 0.0
-    return chosen(follows, sharp)
+    return choose_reference(follows, sharp)
 
 
 def of_scaled(states: Rows, commands: Rows) -> Reference:
@@ -115,7 +115,7 @@ def of_scaled(states: Rows, commands: Rows) -> Reference:
             continue
         weights.append(power / float(np.var(np.concatenate(here)) or 1.0))
         found[ABSOLUTE].append(tracking.follow(here, fitted(here, there), shifts=SHIFTS))
-        rest = usual(np.concatenate(there))
+        rest = most_frequent(np.concatenate(there))
         steps = [rows - rest for rows in there]
         going.append(_goes_on(here, steps))
         found[DELTA_STATE].append(tracking.follow(here, [a + b for a, b in zip(here, steps, strict=True)]))
@@ -132,7 +132,7 @@ def of_scaled(states: Rows, commands: Rows) -> Reference:
         name: Follow(float(np.average([one.error for one in ones], weights=weights)), ones[0].shift, ones[0].gain)
         for name, ones in found.items()
     }
-    return chosen(follows, float(np.median(sharp)), is_seen=bool(np.median(going) > _GOES_ON))
+    return choose_reference(follows, float(np.median(sharp)), is_seen=bool(np.median(going) > _GOES_ON))
 
 
 def _goes_on(states: Rows, steps: Rows) -> float:
@@ -143,7 +143,7 @@ def _goes_on(states: Rows, steps: Rows) -> float:
     return float((speed[held] > 0.05 * np.quantile(speed, 0.95)).mean()) if held.sum() >= 10 else 0.0
 
 
-def usual(values: np.ndarray) -> float:
+def most_frequent(values: np.ndarray) -> float:
     """Return the number that comes most often: what steps are when nothing moves."""
     edges = np.linspace(values.min(), values.max(), 201)
     counts, _ = np.histogram(values, edges)
@@ -182,7 +182,7 @@ def order_of(states: Rows, commands: Rows) -> tuple[tuple[int, ...], float]:
         here = [rows[:, one : one + 1] for rows in states]
         for other in range(width):
             there = [rows[:, other : other + 1] for rows in commands]
-            steps = [a + b - usual(np.concatenate(there)) for a, b in zip(here, there, strict=True)]
+            steps = [a + b - most_frequent(np.concatenate(there)) for a, b in zip(here, there, strict=True)]
             errors[one, other] = min(
                 tracking.follow(here, fitted(here, there)).error, tracking.follow(here, steps).error
             )
@@ -197,7 +197,7 @@ def order_of(states: Rows, commands: Rows) -> tuple[tuple[int, ...], float]:
 
 def of_poses(
     positions: Rows, turns: Mapping[tuple[str, str | None], Rows], moves: Rows, spins: Rows, forms: Sequence[Any]
-) -> tuple[Contest, Contest]:
+) -> tuple[HypothesisRanking, HypothesisRanking]:
     """Return how well each reading of pose commands explains the motion, of positions and of rotations.
 
     Args:
@@ -223,11 +223,11 @@ def of_poses(
     spun: dict[tuple[tuple[str, Any], ...], float] = {}
     for form, quaternions in turns.items():
         for own in forms:
-            spun |= _spun(quaternions, spins, own, form)
-    return Contest(errors, 1e-4), Contest(spun, 1e-4)
+            spun |= _rotation_errors(quaternions, spins, own, form)
+    return HypothesisRanking(errors, 1e-4), HypothesisRanking(spun, 1e-4)
 
 
-def _spun(states: Rows, commands: Rows, form: tuple[str, str | None], state: object) -> dict[Any, float]:
+def _rotation_errors(states: Rows, commands: Rows, form: tuple[str, str | None], state: object) -> dict[Any, float]:
     """Return the errors of the readings of rotations (T, width) in one form."""
     try:
         said = [rotations.decode(rows, *form) for rows in commands]
@@ -235,8 +235,8 @@ def _spun(states: Rows, commands: Rows, form: tuple[str, str | None], state: obj
         return {}
     found: dict[Any, float] = {}
     follows: dict[tuple[str, str], Follow] = {}
-    summed_fixed = [_summed(here, steps, body=False) for here, steps in zip(states, said, strict=True)]
-    summed_body = [_summed(here, steps, body=True) for here, steps in zip(states, said, strict=True)]
+    summed_fixed = [_integrate_rotations(here, steps, body=False) for here, steps in zip(states, said, strict=True)]
+    summed_body = [_integrate_rotations(here, steps, body=True) for here, steps in zip(states, said, strict=True)]
     readings: dict[tuple[str, str], list[np.ndarray]] = {
         (ABSOLUTE, FIXED): said,
         (DELTA_STATE, FIXED): [rotation.multiply(step, here) for here, step in zip(states, said, strict=True)],
@@ -251,11 +251,11 @@ def _spun(states: Rows, commands: Rows, form: tuple[str, str | None], state: obj
         found[key] = follow.error
         follows[reference, applied] = follow
     for applied, summed in ((FIXED, False), (BODY, True)):
-        _unsum(found, follows, states, said, applied, body=summed, form=form, state=state)
+        _penalise_summed(found, follows, states, said, applied, body=summed, form=form, state=state)
     return found
 
 
-def _unsum(  # noqa: PLR0913 - what a reading consists of
+def _penalise_summed(  # noqa: PLR0913 - what a reading consists of
     found: dict[Any, float],
     follows: Mapping[tuple[str, str], Follow],
     states: Rows,
@@ -272,12 +272,12 @@ def _unsum(  # noqa: PLR0913 - what a reading consists of
     if summed.error > tracking.PLAIN or (counted.error < _EXACT and abs(counted.gain - 1) < 0.05):
         return
     longer = [rotation.from_axis_angle(1.25 * rotation.to_axis_angle(rows)) for rows in said]
-    other = [_summed(here, steps, body=body) for here, steps in zip(states, longer, strict=True)]
+    other = [_integrate_rotations(here, steps, body=body) for here, steps in zip(states, longer, strict=True)]
     if tracking.follow(states, other, tracking.turns, (summed.shift,)).error > _SHARP * summed.error:
         found[key] = max(found[key], 1.0)
 
 
-def _summed(states: np.ndarray, steps: np.ndarray, *, body: bool) -> np.ndarray:
+def _integrate_rotations(states: np.ndarray, steps: np.ndarray, *, body: bool) -> np.ndarray:
     """Return rotations (T, 4) that begin at the state and go on by a step each."""
     at, found = states[0], []
     for step in steps:

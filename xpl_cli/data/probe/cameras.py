@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl_cli.data.probe.answer import Answer, unknown
+from xpl_cli.data.probe.answer import ProbeAnswer, unknown
 from xpl_cli.data.probe.sample import spread, words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from xpl_cli.data.sets.interface import Episode
+    from xpl_cli.data.sets.interface import RecordedEpisode
 
 _EPISODES: Final = 6
 _FRAMES: Final = 40
@@ -34,27 +34,27 @@ _CLIP: Final = 2000
 """Frames of an episode that are decoded at most."""
 
 
-def answers(
-    episodes: Sequence[Episode],
+def probe_cameras(
+    episodes: Sequence[RecordedEpisode],
     arms: Mapping[str, Sequence[np.ndarray]],
     heights: Mapping[str, Sequence[np.ndarray]],
-    told: Callable[[str], None],
-) -> list[Answer]:
+    report_progress: Callable[[str], None],
+) -> list[ProbeAnswer]:
     """Return what is known of the cameras.
 
     Args:
         episodes: of the set.
         arms: of each arm, by episode, its joints or positions (T, D).
         heights: of each arm, by episode, how high it is in the world (T,); empty where that is unknown.
-        told: is told what is going on.
+        report_progress: called with one line for each camera.
     """
     places = spread(len(episodes), _EPISODES)
     names = (
         [name for name, camera in episodes[0].cameras.items() if camera.kind == sdk.Camera.COLOR] if episodes else []
     )
-    found: list[Answer] = []
+    found: list[ProbeAnswer] = []
     for name in names:
-        told(f"camera {name}")
+        report_progress(f"camera {name}")
         shown: list[tuple[int, np.ndarray, np.ndarray]] = []
         for place in places:
             if name not in episodes[place].cameras:
@@ -64,17 +64,17 @@ def answers(
                 shown.append((place, steps, frames))
         if not shown:
             continue
-        found.append(_mounted(name, shown, arms))
-        found.append(_upright(name, shown, heights, is_wrist=_is_wrist(found[-1])))
-        found.append(_colour(name, shown, episodes))
+        found.append(_probe_mount(name, shown, arms))
+        found.append(_probe_orientation(name, shown, heights, is_wrist=_is_wrist(found[-1])))
+        found.append(_probe_channels(name, shown, episodes))
     return found
 
 
-def _is_wrist(answer: Answer) -> bool:
+def _is_wrist(answer: ProbeAnswer) -> bool:
     return bool(answer.value and answer.value != "fixed")
 
 
-def _frames(episode: Episode, camera: str) -> tuple[np.ndarray, np.ndarray]:
+def _frames(episode: RecordedEpisode, camera: str) -> tuple[np.ndarray, np.ndarray]:
     """Return places and pictures (N, h, w, 3) of some frames, evenly spread over the first ones."""
     wanted = set(spread(min(episode.length, _CLIP), _FRAMES))
     kept = []
@@ -85,7 +85,7 @@ def _frames(episode: Episode, camera: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array([place for place, _ in kept]), np.stack([image for _, image in kept]) if kept else np.zeros(0)
 
 
-def _mounted(name: str, shown: Sequence[Any], arms: Mapping[str, Sequence[np.ndarray]]) -> Answer:
+def _probe_mount(name: str, shown: Sequence[Any], arms: Mapping[str, Sequence[np.ndarray]]) -> ProbeAnswer:
     """Return whether a camera stands still or moves with an arm: what becomes of its edges once the arm has moved."""
     if not arms:
         return unknown("camera", name, "no arm is known that it could move with", "columns of joints or poses")
@@ -106,10 +106,10 @@ def _mounted(name: str, shown: Sequence[Any], arms: Mapping[str, Sequence[np.nda
     if most.min() < _STILL:
         still = list(arms)[int(most.argmin())]
         return unknown("camera", name, f"{still} never moves, and it could be its wrist camera", f"motion of {still}")
-    return _judged(name, list(arms), np.array(moved), np.array(kept), np.array(changed))
+    return _mount_answer(name, list(arms), np.array(moved), np.array(kept), np.array(changed))
 
 
-def _judged(name: str, arms: Sequence[str], ways: np.ndarray, left: np.ndarray, seen: np.ndarray) -> Answer:
+def _mount_answer(name: str, arms: Sequence[str], ways: np.ndarray, left: np.ndarray, seen: np.ndarray) -> ProbeAnswer:
     """Return whether a camera stands still or moves with an arm.
 
     Args:
@@ -125,11 +125,11 @@ def _judged(name: str, arms: Sequence[str], ways: np.ndarray, left: np.ndarray, 
     stays, changes = min(shares)
     said = f"where an arm is far from its start {100 * stays:.0f} % of its edges stay where they are"
     if stays >= _FIXED and max(share for _, share in shares) <= 0.2:
-        return Answer("camera", name, "fixed", said, stays / _MOVING)
+        return ProbeAnswer("camera", name, "fixed", said, stays / _MOVING)
     if stays > _MOVING or changes < 0.25:
         return unknown("camera", name, f"{said}, neither few nor most", "extrinsics of the camera")
     if len(most) == 1:
-        return Answer("camera", name, "wrist", said, _FIXED / max(stays, 0.02))
+        return ProbeAnswer("camera", name, "wrist", said, _FIXED / max(stays, 0.02))
     alone = [far[:, k] & (ways[:, 1 - k] < 0.1 * most[1 - k]) for k in (0, 1)]
     own = [float(np.median(left[rows])) if rows.any() else None for rows in alone]
     for k, mine in enumerate(own):
@@ -138,10 +138,12 @@ def _judged(name: str, arms: Sequence[str], ways: np.ndarray, left: np.ndarray, 
             continue
         told = f"{said}; where only {arms[k]} moved, {100 * mine:.0f} %"
         if mine <= _MOVING and (other is None or other >= _FIXED):
-            return Answer("camera", name, f"wrist of {arms[k]}", told, (other or _FIXED) / max(mine, 0.02))
+            return ProbeAnswer("camera", name, f"wrist of {arms[k]}", told, (other or _FIXED) / max(mine, 0.02))
         if mine >= 2 * _FIXED and other is None:
-            return Answer("camera", name, f"wrist of {arms[1 - k]}", told, mine / max(stays, 0.02))
-    return Answer("camera", name, "wrist", f"{said}; the arms move together, so which wrist is open", _FIXED / _MOVING)
+            return ProbeAnswer("camera", name, f"wrist of {arms[1 - k]}", told, mine / max(stays, 0.02))
+    return ProbeAnswer(
+        "camera", name, "wrist", f"{said}; the arms move together, so which wrist is open", _FIXED / _MOVING
+    )
 
 
 def _edges(frames: np.ndarray) -> np.ndarray:
@@ -152,7 +154,9 @@ def _edges(frames: np.ndarray) -> np.ndarray:
     return found
 
 
-def _upright(name: str, shown: Sequence[Any], heights: Mapping[str, Sequence[np.ndarray]], *, is_wrist: bool) -> Answer:
+def _probe_orientation(
+    name: str, shown: Sequence[Any], heights: Mapping[str, Sequence[np.ndarray]], *, is_wrist: bool
+) -> ProbeAnswer:
     """Return whether a fixed camera sees the arm go up where it goes up."""
     if is_wrist or not heights:
         why = "it moves with the arm" if is_wrist else "how high the arm is, is unknown"
@@ -176,10 +180,10 @@ def _upright(name: str, shown: Sequence[Any], heights: Mapping[str, Sequence[np.
         return unknown("orientation", name, why, "a marked picture, or extrinsics")
     value = "upright" if link < 0 else "upside down"
     said = f"what moves in it goes {'up' if link < 0 else 'down'} as the arm goes up, correlated by {abs(link):.2f}"
-    return Answer("orientation", name, value, said, (1 + abs(link)) / (1 - abs(link) + 1e-3))
+    return ProbeAnswer("orientation", name, value, said, (1 + abs(link)) / (1 - abs(link) + 1e-3))
 
 
-def _colour(name: str, shown: Sequence[Any], episodes: Sequence[Episode]) -> Answer:
+def _probe_channels(name: str, shown: Sequence[Any], episodes: Sequence[RecordedEpisode]) -> ProbeAnswer:
     """Return whether red things are red, where instructions speak of one and of no blue thing, or vice versa."""
     red_first, blue_first = 0.0, 0.0
     for place, _, frames in shown:
@@ -200,4 +204,4 @@ def _colour(name: str, shown: Sequence[Any], episodes: Sequence[Episode]) -> Ans
     value = "rgb" if red_first > blue_first else "bgr"
     share = max(red_first, blue_first) / max(min(red_first, blue_first), floor / 4)
     evidence = "what the instruction calls red or blue has that colour, read so"
-    return Answer("channels", name, value, evidence, share)
+    return ProbeAnswer("channels", name, value, evidence, share)

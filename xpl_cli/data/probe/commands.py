@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from xpl_cli.data.probe import tracking
-from xpl_cli.data.probe.answer import MARGIN, Answer, Contest, enough, unknown
-from xpl_cli.data.probe.arms import FORMS, of_numbers, of_poses, of_scaled, order_of, told
-from xpl_cli.data.probe.parts import ARM, JOINTS, POSITION, ROTATION, THREE, Part
+from xpl_cli.data.probe.answer import MARGIN, HypothesisRanking, ProbeAnswer, is_decisive, unknown
+from xpl_cli.data.probe.arms import FORMS, format_form, of_numbers, of_poses, of_scaled, order_of
+from xpl_cli.data.probe.parts import ARM, JOINTS, POSITION, ROTATION, THREE, VectorPart
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +26,7 @@ _TURN: Final = 1.2 * 2 * np.pi
 
 
 @dataclass
-class Plot:
+class CommandPlot:
     """Two lines of one number: where the command leads, and where the robot goes."""
 
     title: str
@@ -35,7 +35,7 @@ class Plot:
 
 
 @dataclass
-class Commands:
+class CommandAnalysis:
     """What was found out of an arm's commands.
 
     Attributes:
@@ -43,11 +43,11 @@ class Commands:
         plots: what shows them.
     """
 
-    answers: list[Answer] = field(default_factory=list)
-    plots: list[Plot] = field(default_factory=list)
+    answers: list[ProbeAnswer] = field(default_factory=list)
+    plots: list[CommandPlot] = field(default_factory=list)
 
 
-def of_arm(parts: Sequence[Part], state: ArmState, *, normalised: bool) -> Commands:
+def of_arm(parts: Sequence[VectorPart], state: ArmState, *, normalised: bool) -> CommandAnalysis:
     """Return what an arm's commands are.
 
     Args:
@@ -55,16 +55,16 @@ def of_arm(parts: Sequence[Part], state: ArmState, *, normalised: bool) -> Comma
         state: the arm's state.
         normalised: whether commands or states are.
     """
-    found = Commands()
+    found = CommandAnalysis()
     joints = next((part for part in parts if part.kind in (JOINTS, ARM)), None)
     place = next((part for part in parts if part.kind in (POSITION, THREE)), None)
     turn = next((part for part in parts if part.kind == ROTATION), None)
     if joints is not None and joints.kind == ARM and _is_pose(joints, state, normalised=normalised):
         place, turn, joints = joints.cut(POSITION, 0, 3), joints.cut(ROTATION, 3, 6), None
     if joints is not None:
-        _numbers(found, joints, state, normalised=normalised)
+        _analyse_joints(found, joints, state, normalised=normalised)
     if place is not None:
-        _pose(found, place, turn, state, normalised=normalised)
+        _analyse_pose(found, place, turn, state, normalised=normalised)
     return found
 
 
@@ -79,11 +79,11 @@ def _cut(rows: Sequence[np.ndarray]) -> list[np.ndarray]:
     return kept
 
 
-def _is_pose(part: Part, state: ArmState, *, normalised: bool) -> bool:
+def _is_pose(part: VectorPart, state: ArmState, *, normalised: bool) -> bool:
     """Tell whether six numbers of a command are a pose: where joints explain them less."""
     pose_error = np.inf
     if state.position is not None and state.rotation is not None and not normalised:
-        moved, spun = _contests(part.cut(POSITION, 0, 3), part.cut(ROTATION, 3, 6), state)
+        moved, spun = _rank_pose_hypotheses(part.cut(POSITION, 0, 3), part.cut(ROTATION, 3, 6), state)
         pose_error = moved.least + (spun.least if spun.errors else 1.0)
     joint_error = np.inf
     beside = state.joints if state.joints is not None and state.joints.width == part.width else state.unsure
@@ -94,7 +94,7 @@ def _is_pose(part: Part, state: ArmState, *, normalised: bool) -> bool:
     return bool(pose_error < joint_error)
 
 
-def _numbers(found: Commands, part: Part, state: ArmState, *, normalised: bool) -> None:
+def _analyse_joints(found: CommandAnalysis, part: VectorPart, state: ArmState, *, normalised: bool) -> None:
     """Tell what commands are that are joints, or six numbers of which nobody knows what they are."""
     beside = state.joints if state.joints is not None else state.unsure
     if beside is None or beside.width != part.width:
@@ -107,23 +107,23 @@ def _numbers(found: Commands, part: Part, state: ArmState, *, normalised: bool) 
     if margin >= MARGIN:
         said = "each number moves its own of the state" if plain else "its numbers move the state's in this order"
         value = "as the state" if plain else list(order)
-        found.answers.append(Answer("order", part.subject, value, said, margin))
+        found.answers.append(ProbeAnswer("order", part.subject, value, said, margin))
         there = [rows[:, list(order)] for rows in there]
     else:
         why = "several numbers move alike"
         found.answers.append(unknown("order", part.subject, why, "episodes in which each joint moves by itself"))
     if state.joints is not None:
         said = f"they move the joints of {state.joints.subject}"
-        found.answers.append(Answer("kind", part.subject, JOINTS, said))
+        found.answers.append(ProbeAnswer("kind", part.subject, JOINTS, said))
     reference = of_scaled(here, there) if normalised else _in_unit(found, part, state, here, there)
-    _refer(found, part, reference)
+    _add_reference(found, part, reference)
     if reference.value is not None and not normalised:
-        _late(found, part, here, there, reference)
-    found.plots.append(Plot(f"{part.subject}, number {part.start}", here[0][:, 0], there[0][:, 0]))
+        _add_latency(found, part, here, there, reference)
+    found.plots.append(CommandPlot(f"{part.subject}, number {part.start}", here[0][:, 0], there[0][:, 0]))
 
 
 def _in_unit(
-    found: Commands, part: Part, state: ArmState, here: list[np.ndarray], there: list[np.ndarray]
+    found: CommandAnalysis, part: VectorPart, state: ArmState, here: list[np.ndarray], there: list[np.ndarray]
 ) -> Reference:
     """Return from what commands are counted, read in the unit in which they explain the motion; tell that unit."""
     tried = {
@@ -139,7 +139,7 @@ def _in_unit(
     known = {1.0: "rad", _DEGREES: "deg"}
     if state.unit is not None and margin >= MARGIN and tried[best].value is not None:
         said = f"so they explain where the joints go, but for {contest[best]:.2g} of the motion"
-        found.answers.append(Answer("angle unit", part.subject, known[best], said, margin))
+        found.answers.append(ProbeAnswer("angle unit", part.subject, known[best], said, margin))
     for place, rows in enumerate(there):
         there[place] = rows * (best / (state.unit or 1.0))
     return tried[best]
@@ -150,7 +150,7 @@ def _is_gain(reference: Reference) -> bool:
     return 0.02 < reference.follow.gain < 1.6
 
 
-def _refer(found: Commands, part: Part, reference: Reference) -> None:
+def _add_reference(found: CommandAnalysis, part: VectorPart, reference: Reference) -> None:
     """Tell from what commands are counted."""
     names = {"absolute": "absolute", "delta_state": "from the state", "delta_command": "from the last command"}
     errors = ", ".join(f"{names[name]} {error:.2g}" for name, error in reference.errors.items())
@@ -160,7 +160,7 @@ def _refer(found: Commands, part: Part, reference: Reference) -> None:
     elif reference.value is None:
         why = f"no reading explains where the robot goes (left unexplained: {errors})"
         answer = unknown("reference", part.subject, why, _NO_STATE)
-    elif not enough(reference.margin):
+    elif not is_decisive(reference.margin):
         why = f"two readings explain the motion nearly alike (left unexplained: {errors})"
         answer = unknown("reference", part.subject, why, "longer or faster motion")
     else:
@@ -169,11 +169,13 @@ def _refer(found: Commands, part: Part, reference: Reference) -> None:
             said += "; summed over an episode they stay with the state"
         ranked = sorted(reference.errors, key=lambda name: reference.errors[name])
         second = next(name for name in ranked if name != reference.value)
-        answer = Answer("reference", part.subject, reference.value, said, reference.margin, second)
+        answer = ProbeAnswer("reference", part.subject, reference.value, said, reference.margin, second)
     found.answers.append(answer)
 
 
-def _late(found: Commands, part: Part, here: list[np.ndarray], there: list[np.ndarray], reference: Reference) -> None:
+def _add_latency(
+    found: CommandAnalysis, part: VectorPart, here: list[np.ndarray], there: list[np.ndarray], reference: Reference
+) -> None:
     """Tell after how many steps commands are reached."""
     if reference.value == "absolute":
         lead = there
@@ -181,7 +183,7 @@ def _late(found: Commands, part: Part, here: list[np.ndarray], there: list[np.nd
         lead = [a + b for a, b in zip(here, there, strict=True)]
     else:
         lead = tracking.cumulated(here, there)
-    steps, off = tracking.reached(here, lead)
+    steps, off = tracking.tracking_delay(here, lead)
     if off > 0.5:
         return
     said = f"the state is nearest to a command {steps:.1f} steps later, {100 * off:.2g} % of the motion off"
@@ -189,10 +191,12 @@ def _late(found: Commands, part: Part, here: list[np.ndarray], there: list[np.nd
         said = "commands are a copy of the state of their own step"
     elif abs(steps - 1) < 0.1 and off < 1e-3:
         said = "commands are the state of the next step"
-    found.answers.append(Answer("latency", part.subject, round(steps, 1), said))
+    found.answers.append(ProbeAnswer("latency", part.subject, round(steps, 1), said))
 
 
-def _contests(place: Part, turn: Part | None, state: ArmState) -> tuple[Contest, Contest]:
+def _rank_pose_hypotheses(
+    place: VectorPart, turn: VectorPart | None, state: ArmState
+) -> tuple[HypothesisRanking, HypothesisRanking]:
     """Return how well readings of pose commands explain the motion."""
     assert state.position is not None  # noqa: S101 - asked only then
     positions = _cut(state.position.rows)
@@ -209,7 +213,9 @@ def _contests(place: Part, turn: Part | None, state: ArmState) -> tuple[Contest,
     return of_poses(positions, turns, _cut(place.rows), [rows * unit for rows in spins], forms)
 
 
-def _pose(found: Commands, place: Part, turn: Part | None, state: ArmState, *, normalised: bool) -> None:
+def _analyse_pose(
+    found: CommandAnalysis, place: VectorPart, turn: VectorPart | None, state: ArmState, *, normalised: bool
+) -> None:
     """Tell what commands are that are poses."""
     if state.position is None:
         why = "no column of the state says where the arm is"
@@ -217,26 +223,28 @@ def _pose(found: Commands, place: Part, turn: Part | None, state: ArmState, *, n
         return
     if normalised:
         here, there = _cut(state.position.rows), _cut(place.rows)
-        _refer(found, place, of_scaled(here, there))
+        _add_reference(found, place, of_scaled(here, there))
         return
-    moved, spun = _contests(place, turn, state)
+    moved, spun = _rank_pose_hypotheses(place, turn, state)
     if moved.least <= tracking.PLAIN:
-        found.answers.append(Answer("kind", place.subject, POSITION, f"they move {state.position.subject}"))
-    _judged(found, place, moved, ("reference", "applied"))
+        found.answers.append(ProbeAnswer("kind", place.subject, POSITION, f"they move {state.position.subject}"))
+    _add_facets(found, place, moved, ("reference", "applied"))
     value = moved.best["reference"]
     here, there = _cut(state.position.rows), _cut(place.rows)
     if moved.least <= tracking.PLAIN and not (value != "absolute" and moved.best["applied"] == "body"):
-        _late(found, place, here, there, of_numbers(here, there))
+        _add_latency(found, place, here, there, of_numbers(here, there))
     if turn is not None and spun.errors:
         if spun.least <= tracking.PLAIN:
             subject = state.rotation.subject if state.rotation is not None else place.subject
-            found.answers.append(Answer("kind", turn.subject, ROTATION, f"they turn {subject}"))
-        _judged(found, turn, spun, ("reference", "applied", "form"))
+            found.answers.append(ProbeAnswer("kind", turn.subject, ROTATION, f"they turn {subject}"))
+        _add_facets(found, turn, spun, ("reference", "applied", "form"))
         if len(state.forms) > 1 and state.rotation is not None and spun.least <= tracking.PLAIN:
-            form, margin, second = spun.judged("state")
+            form, margin, second = spun.judge("state")
             if margin is not None and margin >= MARGIN:
                 said = f"so the commands explain how it turns, but for {spun.least:.2g}"
-                answer = Answer("rotation form", state.rotation.subject, told(form), said, margin, told(second))
+                answer = ProbeAnswer(
+                    "rotation form", state.rotation.subject, format_form(form), said, margin, format_form(second)
+                )
                 state.answers[:] = [
                     one
                     for one in state.answers
@@ -244,10 +252,10 @@ def _pose(found: Commands, place: Part, turn: Part | None, state: ArmState, *, n
                 ]
                 state.answers.append(answer)
                 state.forms = (form,)
-    found.plots.append(Plot(f"{place.subject}, number {place.start}", here[0][:, 0], there[0][:, 0]))
+    found.plots.append(CommandPlot(f"{place.subject}, number {place.start}", here[0][:, 0], there[0][:, 0]))
 
 
-def _judged(found: Commands, part: Part, contest: Contest, facets: Sequence[str]) -> None:
+def _add_facets(found: CommandAnalysis, part: VectorPart, contest: HypothesisRanking, facets: Sequence[str]) -> None:
     """Tell each facet of the reading that explains most, where it is far enough ahead."""
     for facet in facets:
         topic = {"form": "rotation form"}.get(facet, facet)
@@ -255,21 +263,23 @@ def _judged(found: Commands, part: Part, contest: Contest, facets: Sequence[str]
             why = f"no reading explains where the robot goes; the best leaves {contest.least:.2g} of the motion"
             found.answers.append(unknown(topic, part.subject, why, _NO_STATE))
             continue
-        value, margin, second = contest.judged(facet)
+        value, margin, second = contest.judge(facet)
         if facet == "applied" and contest.best["reference"] == "absolute":
             continue
         degrees = facet == "form" and part.width == 3 and np.abs(part.stacked).max() > _TURN
-        name, other = (told(one, degrees=bool(degrees)) if isinstance(one, tuple) else one for one in (value, second))
+        name, other = (
+            format_form(one, degrees=bool(degrees)) if isinstance(one, tuple) else one for one in (value, second)
+        )
         if margin is not None and margin >= MARGIN:
-            left = _left(contest, facet, second)
+            left = _least_error(contest, facet, second)
             said = f"read so, commands leave {contest.least:.2g} of the motion unexplained; {other} leaves {left:.2g}"
-            found.answers.append(Answer(topic, part.subject, name, said, margin, other))
+            found.answers.append(ProbeAnswer(topic, part.subject, name, said, margin, other))
         elif margin is None:
-            found.answers.append(Answer(topic, part.subject, name, "there is no other form of so many numbers"))
+            found.answers.append(ProbeAnswer(topic, part.subject, name, "there is no other form of so many numbers"))
         else:
             why = f"{name} and {other} explain the motion nearly alike ({contest.least:.2g})"
             found.answers.append(unknown(topic, part.subject, why, "larger turns, or a robot that lags behind"))
 
 
-def _left(contest: Contest, facet: str, value: object) -> float:
+def _least_error(contest: HypothesisRanking, facet: str, value: object) -> float:
     return min(error for key, error in contest.errors.items() if dict(key)[facet] == value)

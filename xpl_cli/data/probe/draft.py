@@ -12,8 +12,8 @@ from xpl_cli.data.probe.sample import COMMAND, STATE
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from xpl_cli.data.probe.parts import Part
-    from xpl_cli.data.probe.probe import Found
+    from xpl_cli.data.probe.parts import VectorPart
+    from xpl_cli.data.probe.probe import ProbeResult
 
 _HEAD = """\
 # Drafted by `xpl data probe`; every value was measured, or says why it is not known.
@@ -25,24 +25,24 @@ _ROBOT = """\
 """
 
 
-def text(found: Found) -> str:
+def draft_yaml(found: ProbeResult) -> str:
     """Return the draft as YAML."""
     import yaml
 
-    model_io, robot = block(found), embodiment(found)
-    said = yaml.safe_dump(_apart({"model_io": model_io}), sort_keys=False, allow_unicode=True, width=110)
-    other = yaml.safe_dump(_apart({"embodiment": robot}), sort_keys=False, allow_unicode=True, width=110)
+    model_io, robot = model_io_block(found), embodiment(found)
+    said = yaml.safe_dump(_without_aliases({"model_io": model_io}), sort_keys=False, allow_unicode=True, width=110)
+    other = yaml.safe_dump(_without_aliases({"embodiment": robot}), sort_keys=False, allow_unicode=True, width=110)
     return f"{_HEAD}{said}\n{_ROBOT}{other}"
 
 
-def _apart(value: object) -> Any:
+def _without_aliases(value: object) -> Any:
     """Return a copy in which nothing is there twice, so that YAML needs no anchors."""
     if isinstance(value, dict):
-        return {key: _apart(entry) for key, entry in value.items()}
-    return [_apart(entry) for entry in value] if isinstance(value, (list, tuple)) else value
+        return {key: _without_aliases(entry) for key, entry in value.items()}
+    return [_without_aliases(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 
-def block(found: Found) -> dict[str, Any]:
+def model_io_block(found: ProbeResult) -> dict[str, Any]:
     """Return a `model_io` block (spec/v1/model_io.schema.json)."""
     made: dict[str, Any] = {}
     images = [_image(found, name) for name in _cameras(found)]
@@ -53,7 +53,7 @@ def block(found: Found) -> dict[str, Any]:
         {"input": name.replace("/", ".").replace("-", "_"), "parts": _parts(found, found.state, name, STATE)}
         for name in columns
     ]
-    parts = _joined(found)
+    parts = _command_parts(found)
     references = {
         answer.value if answer.is_known else None
         for answer in found.answers
@@ -62,11 +62,11 @@ def block(found: Found) -> dict[str, Any]:
     if len(references) == 1 and None not in references:
         made["action"] = {"reference": references.pop(), "parts": parts}
     else:
-        made["action"] = {"reference": _why(found, "reference", _subjects(found.command)), "parts": parts}
+        made["action"] = {"reference": _unknown_reason(found, "reference", _subjects(found.command)), "parts": parts}
     return made
 
 
-def embodiment(found: Found) -> dict[str, Any]:
+def embodiment(found: ProbeResult) -> dict[str, Any]:
     """Return the robot's name where it is known, else what is known for a file of its own."""
     robots = {one.value for one in found.answers if one.topic == "robot" and one.is_known}
     if len(robots) == 1:
@@ -92,11 +92,11 @@ def embodiment(found: Found) -> dict[str, Any]:
     }
 
 
-def _cameras(found: Found) -> list[str]:
+def _cameras(found: ProbeResult) -> list[str]:
     return [one.subject for one in found.answers if one.topic == "camera"]
 
 
-def _image(found: Found, name: str) -> dict[str, Any]:
+def _image(found: ProbeResult, name: str) -> dict[str, Any]:
     """Return the entry of a camera."""
     place = found.value("camera", name)
     two = len(found.arms) == 2
@@ -104,15 +104,15 @@ def _image(found: Found, name: str) -> dict[str, Any]:
     known |= {f"wrist of {side}": f"cam_{side}_wrist" for side in ("left", "right")}
     camera = known.get(place or "")
     entry: dict[str, Any] = {"input": name.replace("/", ".").replace("-", "_")}
-    entry["cameras"] = [camera] if camera else _why(found, "camera", [name])
+    entry["cameras"] = [camera] if camera else _unknown_reason(found, "camera", [name])
     if found.value("orientation", name) == "upside down":
         entry["steps"] = [{"rotate": 180}]
     channels = found.value("channels", name)
-    entry["channels"] = channels or _why(found, "channels", [name])
+    entry["channels"] = channels or _unknown_reason(found, "channels", [name])
     return {**entry, "layout": "hwc", "dtype": "uint8"}
 
 
-def _subjects(parts: Iterable[Part]) -> list[str]:
+def _subjects(parts: Iterable[VectorPart]) -> list[str]:
     """Return how parts of six numbers and their halves are told."""
     found = []
     for part in parts:
@@ -122,7 +122,7 @@ def _subjects(parts: Iterable[Part]) -> list[str]:
     return found
 
 
-def _joined(found: Found) -> Any:
+def _command_parts(found: ProbeResult) -> Any:
     """Return the parts of all columns of commands, one after the other."""
     joined: list[Any] = []
     for name in dict.fromkeys(part.series.name for part in found.command):
@@ -130,10 +130,10 @@ def _joined(found: Found) -> Any:
         if isinstance(parts, dict):
             return parts
         joined += parts
-    return joined or _open("the set has no commands")
+    return joined or _unknown("the set has no commands")
 
 
-def _parts(found: Found, parts: list[Part], column: str | None, role: str) -> Any:
+def _parts(found: ProbeResult, parts: list[VectorPart], column: str | None, role: str) -> Any:
     """Return the parts of a column; that they are open where one of them is."""
     entries: list[dict[str, Any]] = []
     for part in parts:
@@ -146,20 +146,20 @@ def _parts(found: Found, parts: list[Part], column: str | None, role: str) -> An
             entry = _part(found, half, role)
             if entry is None:
                 why = found.of("kind", half.subject)
-                return _open(f"{half.subject}: {why.evidence if why is not None else 'nobody knows what it is'}")
+                return _unknown(f"{half.subject}: {why.evidence if why is not None else 'nobody knows what it is'}")
             entries.append(entry)
     return entries
 
 
-def _part(found: Found, part: Part, role: str) -> dict[str, Any] | None:
+def _part(found: ProbeResult, part: VectorPart, role: str) -> dict[str, Any] | None:
     """Return the entry of a part, None if nobody knows what it is."""
     arm = {"arm": _side(found, part)}
     kind = GRIPPER if part.kind == GRIPPER else found.value("kind", part.subject)
     if kind == GRIPPER:
-        return {GRIPPER: {**arm, **_ends(found, part)}}
+        return {GRIPPER: {**arm, **_gripper_ends(found, part)}}
     if kind == JOINTS:
         unit = found.value("angle unit", part.subject)
-        entry = {**arm, "unit": unit or _why(found, "angle unit", [part.subject])}
+        entry = {**arm, "unit": unit or _unknown_reason(found, "angle unit", [part.subject])}
         order = found.value("joint order", part.subject)
         seen = found.arms.get(part.arm)
         if order is None and role == COMMAND and seen is not None and seen.joints is not None:
@@ -170,40 +170,43 @@ def _part(found: Found, part: Part, role: str) -> dict[str, Any] | None:
     if kind == ROTATION:
         form = found.value("rotation form", part.subject)
         words = form.split() if form else []
-        said: dict[str, Any] = {"form": words[0] if words else _why(found, "rotation form", [part.subject])}
+        said: dict[str, Any] = {"form": words[0] if words else _unknown_reason(found, "rotation form", [part.subject])}
         if len(words) > 1:
             said["euler"] = words[1]
         return {ROTATION: {**arm, **said, **_pose(found, part, length=False)}}
     return None
 
 
-def _pose(found: Found, part: Part, *, length: bool = True) -> dict[str, Any]:
+def _pose(found: ProbeResult, part: VectorPart, *, length: bool = True) -> dict[str, Any]:
     """Return frame, point, unit and where a change is applied; those of the state hold for commands, too."""
     seen = found.arms.get(part.arm)
     place = seen.position.subject if seen is not None and seen.position is not None else part.subject
     entry: dict[str, Any] = {
-        name: found.value(name, place) or _why(found, name, [place]) for name in ("point", "frame")
+        name: found.value(name, place) or _unknown_reason(found, name, [place]) for name in ("point", "frame")
     }
     if length:
-        entry["unit"] = found.value("length unit", place) or _why(found, "length unit", [place])
+        entry["unit"] = found.value("length unit", place) or _unknown_reason(found, "length unit", [place])
     applied = found.value("applied", part.subject)
     return {**entry, **({"applied": applied} if applied else {})}
 
 
-def _ends(found: Found, part: Part) -> dict[str, Any]:
+def _gripper_ends(found: ProbeResult, part: VectorPart) -> dict[str, Any]:
     """Return the values of a closed and an open gripper."""
     span, direction = found.value("gripper range", part.subject), found.value("gripper direction", part.subject)
     if direction is None or span is None:
-        open_ = _why(found, "gripper direction", [part.subject])
+        open_ = _unknown_reason(found, "gripper direction", [part.subject])
         return {"closed": open_, "open": open_}
     closed, opened = span if direction == LARGER else span[::-1]
     closed, opened = round(closed, 4), round(opened, 4)
     if part in found.state:
-        return {"closed": _open(f"{closed} is the most closed that was seen; something may be between"), "open": opened}
+        return {
+            "closed": _unknown(f"{closed} is the most closed that was seen; something may be between"),
+            "open": opened,
+        }
     return {"closed": closed, "open": opened}
 
 
-def _side(found: Found, part: Part) -> str:
+def _side(found: ProbeResult, part: VectorPart) -> str:
     """Return an arm in the standard's words; of two that nothing tells apart the first is the left one."""
     if len(found.arms) < 2:
         return "single"
@@ -213,14 +216,14 @@ def _side(found: Found, part: Part) -> str:
     return part.side or ("left", "right")[part.arm % 2]
 
 
-def _why(found: Found, topic: str, subjects: Iterable[str]) -> dict[str, str]:
+def _unknown_reason(found: ProbeResult, topic: str, subjects: Iterable[str]) -> dict[str, str]:
     """Return that a value is open, with the probe's reason."""
     for subject in subjects:
         answer = found.of(topic, subject)
         if answer is not None:
-            return _open(answer.evidence if not answer.is_known else f"the parts differ: {answer.value} and others")
-    return _open("nothing measures it")
+            return _unknown(answer.evidence if not answer.is_known else f"the parts differ: {answer.value} and others")
+    return _unknown("nothing measures it")
 
 
-def _open(why: str) -> dict[str, str]:
+def _unknown(why: str) -> dict[str, str]:
     return {"unknown": why}

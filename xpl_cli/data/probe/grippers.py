@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from xpl_cli.data.probe.answer import Answer, unknown
+from xpl_cli.data.probe.answer import ProbeAnswer, unknown
 from xpl_cli.data.probe.sample import words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.data.probe.parts import Part
+    from xpl_cli.data.probe.parts import VectorPart
 
 LARGER, SMALLER = "larger is open", "smaller is open"
 _GRASPS: Final = frozenset(
@@ -23,7 +23,9 @@ _LEAST: Final = 3
 _AGREE: Final = 0.9
 
 
-def answers(state: Part | None, command: Part | None, instructions: Sequence[Sequence[str]]) -> list[Answer]:
+def probe_gripper(
+    state: VectorPart | None, command: VectorPart | None, instructions: Sequence[Sequence[str]]
+) -> list[ProbeAnswer]:
     """Return what is known of an arm's gripper.
 
     Args:
@@ -32,7 +34,7 @@ def answers(state: Part | None, command: Part | None, instructions: Sequence[Seq
         instructions: of each episode.
     """
     found = [_range(part) for part in (state, command) if part is not None]
-    ends = _ends(state, command, instructions)
+    ends = _open_ends(state, command, instructions)
     for part, direction in zip((state, command), ends, strict=True):
         if part is None:
             continue
@@ -41,11 +43,11 @@ def answers(state: Part | None, command: Part | None, instructions: Sequence[Seq
             needs = "episodes in which the robot grasps something that its instruction names"
             found.append(unknown("gripper direction", part.subject, why, needs))
         else:
-            found.append(Answer("gripper direction", part.subject, *direction))
+            found.append(ProbeAnswer("gripper direction", part.subject, *direction))
     return found
 
 
-def _range(part: Part) -> Answer:
+def _range(part: VectorPart) -> ProbeAnswer:
     """Return the range of a gripper's numbers."""
     rows = part.stacked
     low, high = float(rows[:, 0].min()), float(rows[:, 0].max())
@@ -56,7 +58,7 @@ def _range(part: Part) -> Answer:
         other = rows[:, 1]
         turned = float(np.corrcoef(rows[:, 0], other)[0, 1]) if np.ptp(other) > 0 and np.ptp(rows[:, 0]) > 0 else 1.0
         what += f"; the second finger is {'its opposite' if turned < 0 else 'as the first'}"
-    return Answer("gripper range", part.subject, [low, high], what)
+    return ProbeAnswer("gripper range", part.subject, [low, high], what)
 
 
 def _is_two_valued(values: np.ndarray) -> bool:
@@ -68,16 +70,18 @@ def _is_two_valued(values: np.ndarray) -> bool:
     return bool(near.mean() > 0.98)
 
 
-def _ends(
-    state: Part | None, command: Part | None, instructions: Sequence[Sequence[str]]
+def _open_ends(
+    state: VectorPart | None, command: VectorPart | None, instructions: Sequence[Sequence[str]]
 ) -> tuple[tuple[str, str, float] | None, tuple[str, str, float] | None]:
     """Return for state and command which end is open, the evidence and its margin."""
     lead = command if command is not None else state
     if lead is None:
         return None, None
-    turned = _goes_with(state, command)
-    by_stop = _stops(state, command) if state is not None and command is not None and turned == 1 else None
-    by_words = _begins(lead, instructions)
+    turned = _correlation_sign(state, command)
+    by_stop = (
+        _end_by_blocked_motion(state, command) if state is not None and command is not None and turned == 1 else None
+    )
+    by_words = _end_by_first_change(lead, instructions)
     if by_stop is not None and by_words is not None and by_stop[0] != by_words[0]:
         return None, None
     said = by_stop or by_words
@@ -92,7 +96,7 @@ def _ends(
     return (other[0], f"{linked}{'' if turned == 1 else ' the other way round'}", said[2]), said
 
 
-def _goes_with(state: Part | None, command: Part | None) -> int:
+def _correlation_sign(state: VectorPart | None, command: VectorPart | None) -> int:
     """Return 1 if state and command grow together, -1 if one grows where the other shrinks, 0 if that is not clear."""
     if state is None or command is None:
         return 1
@@ -106,7 +110,7 @@ def _goes_with(state: Part | None, command: Part | None) -> int:
     return 0 if abs(best) < 0.6 else int(np.sign(best))
 
 
-def _stops(state: Part, command: Part) -> tuple[str, str, float] | None:
+def _end_by_blocked_motion(state: VectorPart, command: VectorPart) -> tuple[str, str, float] | None:
     """Return which end is open by where the gripper does not get: something is between its fingers there."""
     low, high = float(command.stacked[:, 0].min()), float(command.stacked[:, 0].max())
     span = high - low
@@ -140,7 +144,7 @@ def _runs(held: np.ndarray) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def _begins(part: Part, instructions: Sequence[Sequence[str]]) -> tuple[str, str, float] | None:
+def _end_by_first_change(part: VectorPart, instructions: Sequence[Sequence[str]]) -> tuple[str, str, float] | None:
     """Return which end is open by the first change: who is to pick something up begins by closing."""
     low, high = float(part.stacked[:, 0].min()), float(part.stacked[:, 0].max())
     if high <= low:

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from xpl_cli.data.probe.commands import Plot
-    from xpl_cli.data.probe.probe import Found
+    from xpl_cli.data.probe.commands import CommandPlot
+    from xpl_cli.data.probe.probe import ProbeResult
 
 _WIDTH, _HEIGHT, _EDGE = 720, 150, 8
 _MOST = 400
@@ -26,7 +26,7 @@ b.command { color: #d1580b; }
 """)
 
 
-def page(found: Found, title: str) -> str:
+def page(found: ProbeResult, title: str) -> str:
     """Return the page as HTML."""
     body = Markup("").join(_rows(found))
     plots = Markup("").join(map(_figure, found.plots))
@@ -41,7 +41,7 @@ def page(found: Found, title: str) -> str:
     return str(made.format(title=title, style=_STYLE, count=found.episodes, rows=found.rows, body=body, plots=plots))
 
 
-def _rows(found: Found) -> Iterator[Markup]:
+def _rows(found: ProbeResult) -> Iterator[Markup]:
     """Yield a row for each answer."""
     for one in found.answers:
         value = Markup("<b>{}</b>").format(one.value) if one.is_known else Markup('<b class="open">unknown</b>')
@@ -53,7 +53,7 @@ def _rows(found: Found) -> Iterator[Markup]:
         yield Markup("<tr>{}</tr>").format(row)
 
 
-def _figure(plot: Plot) -> Markup:
+def _figure(plot: CommandPlot) -> Markup:
     """Return two lines, each over its own range."""
     paths = Markup("").join(
         Markup('<path class="{}" d="{}"/>').format(name, _path(values))

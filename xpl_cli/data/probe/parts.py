@@ -50,7 +50,7 @@ _NUMBERED: Final = re.compile(r"(robot|arm)\d")
 
 
 @dataclass(frozen=True)
-class Part:
+class VectorPart:
     """Some numbers of a column.
 
     Attributes:
@@ -92,14 +92,14 @@ class Part:
             return self.series.name
         return f"{self.series.name}[{self.start}:{self.stop}]"
 
-    def cut(self, kind: str, start: int, stop: int, forms: tuple[str, ...] = ()) -> Part:
+    def cut(self, kind: str, start: int, stop: int, forms: tuple[str, ...] = ()) -> VectorPart:
         """Return some of its numbers as a part of another kind; places count within it."""
         return replace(self, kind=kind, start=self.start + start, stop=self.start + stop, forms=forms)
 
 
-def split(columns: Sequence[Series]) -> list[Part]:
+def split_columns(columns: Sequence[Series]) -> list[VectorPart]:
     """Return the parts of columns of one role, in their order, with their arms."""
-    found = [part for series in columns if np.isfinite(series.stacked).all() for part in _of(series)]
+    found = [part for series in columns if np.isfinite(series.stacked).all() for part in _parts_of_column(series)]
     sides = list(dict.fromkeys(side for part in found if (side := _side(part)) is not None))
     numbered = []
     for part in found:
@@ -116,7 +116,7 @@ def concentration(rows: Sequence[np.ndarray]) -> np.ndarray:
     Steps in which a number begins again at the other end, as angles do, are left out, with those of its neighbours.
     """
     steps = np.abs(np.concatenate([np.diff(episode, axis=0) for episode in rows]))
-    steps[begins_again(rows)] = 0.0
+    steps[wraps_around(rows)] = 0.0
     steps = np.sort(steps, axis=0)[::-1]
     total = steps.sum(0)
     reached = (np.cumsum(steps, 0) < 0.9 * total).sum(0) + 1
@@ -124,7 +124,7 @@ def concentration(rows: Sequence[np.ndarray]) -> np.ndarray:
     return share
 
 
-def begins_again(rows: Sequence[np.ndarray]) -> np.ndarray:
+def wraps_around(rows: Sequence[np.ndarray]) -> np.ndarray:
     """Return in which steps (N, D) numbers that may be angles begin again at the other end, or stand beside one."""
     steps = np.abs(np.concatenate([np.diff(episode, axis=0) for episode in rows]))
     most = np.abs(np.concatenate(rows)).max(0)
@@ -138,7 +138,7 @@ def begins_again(rows: Sequence[np.ndarray]) -> np.ndarray:
     return beside
 
 
-def wraps(part: Part) -> tuple[str, str, float] | None:
+def form_by_wraparound(part: VectorPart) -> tuple[str, str, float] | None:
     """Return what the places where numbers begin again tell of the form of three angles, None without any."""
     for unit in (1.0, np.pi / 180):
         count, off = 0, np.zeros(2)
@@ -166,16 +166,16 @@ def wraps(part: Part) -> tuple[str, str, float] | None:
     return None
 
 
-def _of(series: Series) -> Iterator[Part]:
+def _parts_of_column(series: Series) -> Iterator[VectorPart]:
     """Yield the parts of one column."""
     rotations = _rotations(series.stacked)
     shares = concentration(series.rows)
     edges = [(0, 0), *((start, stop) for start, stop, _ in rotations), (series.width, series.width)]
     for place, ((_, begin), (end, after)) in enumerate(itertools.pairwise(edges)):
         is_before = place < len(rotations)
-        yield from _run(series, begin, end, shares, is_before=is_before)
+        yield from _parts_between_rotations(series, begin, end, shares, is_before=is_before)
         if is_before:
-            yield Part(ROTATION, series, end, after, forms=rotations[place][2])
+            yield VectorPart(ROTATION, series, end, after, forms=rotations[place][2])
 
 
 def _rotations(rows: np.ndarray) -> list[tuple[int, int, tuple[str, ...]]]:
@@ -187,7 +187,7 @@ def _rotations(rows: np.ndarray) -> list[tuple[int, int, tuple[str, ...]]]:
     found: list[tuple[int, int, tuple[str, ...]]] = []
     free = np.array([not _switches(column) for column in rows.T])
     for size, forms in _SIZES:
-        errors = [(_off(rows[:, at : at + size]), at) for at in range(rows.shape[1] - size + 1)]
+        errors = [(_orthonormality_error(rows[:, at : at + size]), at) for at in range(rows.shape[1] - size + 1)]
         for error, at in sorted(errors):
             if error < (_UNIT if size == 4 else 2 * _UNIT) and free[at : at + size].all():
                 found.append((at, at + size, forms))
@@ -200,7 +200,7 @@ def _switches(values: np.ndarray) -> bool:
     return float(np.ptp(values)) > 0.5 and len(np.unique(values.round(6))) <= 3
 
 
-def _off(rows: np.ndarray) -> float:
+def _orthonormality_error(rows: np.ndarray) -> float:
     """Return how far rows are from quaternions, or from the first two or all three axes of a rotation."""
     width = rows.shape[1]
     if width == 4:
@@ -216,28 +216,30 @@ def _is_turn(row: np.ndarray) -> bool:
     return bool((np.abs(row) > _UNIT).sum() >= 2)
 
 
-def _run(series: Series, begin: int, end: int, shares: np.ndarray, *, is_before: bool) -> Iterator[Part]:
+def _parts_between_rotations(
+    series: Series, begin: int, end: int, shares: np.ndarray, *, is_before: bool
+) -> Iterator[VectorPart]:
     """Yield the parts of numbers between rotations that are known."""
     width = end - begin
     if not width:
         return
     place = 3 if is_before and width >= 3 else 0
     rest = width - place
-    layout = _named(series, begin, begin + rest)
+    layout = _layout_by_names(series, begin, begin + rest)
     layout = layout or _layout(shares[begin : begin + rest], followed=bool(place), preceded=begin > 0)
     if layout in ([(JOINTS, 7)], [(JOINTS, 7)] * 2) and not _says_joints(series):
         layout = [(UNKNOWN, rest)]  # the seventh may be a gripper that hardly moves
-    if begins_again([rows[:, begin : begin + rest] for rows in series.rows]).any():
+    if wraps_around([rows[:, begin : begin + rest] for rows in series.rows]).any():
         layout = [(UNKNOWN if kind == JOINTS else kind, size) for kind, size in layout]  # no joint does that
     at = begin
     for kind, size in layout:
-        yield Part(kind, series, at, at + size)
+        yield VectorPart(kind, series, at, at + size)
         at += size
     if place:
-        yield Part(POSITION, series, at, at + place)
+        yield VectorPart(POSITION, series, at, at + place)
 
 
-def _named(series: Series, begin: int, end: int) -> list[tuple[str, int]]:
+def _layout_by_names(series: Series, begin: int, end: int) -> list[tuple[str, int]]:
     """Return what numbers are where the file's names say which are grippers; nothing where they do not."""
     is_gripper = [bool(set(words(name)) & _GRIPPERS) for name in series.names[begin:end]]
     if len(is_gripper) != end - begin or not any(is_gripper):
@@ -295,7 +297,7 @@ def _layouts(width: int) -> Iterator[list[tuple[str, int]]]:
                 yield layout
 
 
-def _side(part: Part) -> str | None:
+def _side(part: VectorPart) -> str | None:
     """Return which arm the name of a column, or those of its numbers, say: left, right, or such as robot1."""
     said = set(words(part.series.name))
     for name in part.series.names[part.start : part.stop]:

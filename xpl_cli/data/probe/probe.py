@@ -10,15 +10,15 @@ import numpy as np
 from xpl.catalogue import convention as catalogue
 from xpl.embodiment import embodiment_names
 from xpl_cli.data.probe import cameras, commands, grippers, parts, states
-from xpl_cli.data.probe.answer import Answer, unknown
+from xpl_cli.data.probe.answer import ProbeAnswer, unknown
 from xpl_cli.data.probe.parts import GRIPPER, POSITION, ROTATION
-from xpl_cli.data.probe.sample import COMMAND, STATE, Sample, is_clock, take
+from xpl_cli.data.probe.sample import COMMAND, STATE, Sample, is_clock, read_sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from xpl_cli.data.probe.commands import Plot
-    from xpl_cli.data.probe.parts import Part
+    from xpl_cli.data.probe.commands import CommandPlot
+    from xpl_cli.data.probe.parts import VectorPart
     from xpl_cli.data.probe.states import ArmState
     from xpl_cli.data.sets.interface import Demonstrations
 
@@ -28,7 +28,7 @@ _SLOWEST, _FASTEST = 0.5, 500.0
 
 
 @dataclass
-class Found:
+class ProbeResult:
     """What a probe found.
 
     Attributes:
@@ -39,15 +39,15 @@ class Found:
         episodes, rows: how much was read.
     """
 
-    answers: list[Answer]
-    state: list[Part]
-    command: list[Part]
+    answers: list[ProbeAnswer]
+    state: list[VectorPart]
+    command: list[VectorPart]
     arms: dict[int, ArmState] = field(default_factory=dict)
-    plots: list[Plot] = field(default_factory=list)
+    plots: list[CommandPlot] = field(default_factory=list)
     episodes: int = 0
     rows: int = 0
 
-    def of(self, topic: str, subject: str) -> Answer | None:
+    def of(self, topic: str, subject: str) -> ProbeAnswer | None:
         """Return the answer of a topic and a subject."""
         return next((one for one in self.answers if (one.topic, one.subject) == (topic, subject)), None)
 
@@ -63,8 +63,8 @@ def probe(
     episodes: int = EPISODES,
     robot: str | None = None,
     images: bool = True,
-    told: Callable[[str], None] = lambda _: None,
-) -> Found:
+    report_progress: Callable[[str], None] = lambda _: None,
+) -> ProbeResult:
     """Measure the conventions of a set.
 
     Args:
@@ -72,15 +72,15 @@ def probe(
         episodes: how many are read, evenly spread.
         images: whether cameras are looked at.
         robot: name of the embodiment, where the user knows it; by default what the set says, if that is one.
-        told: is told what is going on.
+        report_progress: called with one line for each part of the work.
 
     Raises:
         DataError: a column or an image cannot be read.
     """
-    sample = take(demonstrations, episodes, told)
+    sample = read_sample(demonstrations, episodes, report_progress)
     named = robot or (demonstrations.robot if demonstrations.robot in embodiment_names() else None)
-    state, command = parts.split(sample.of(STATE)), parts.split(sample.of(COMMAND))
-    found = Found([_rate(sample, demonstrations)], state, command, episodes=len(sample.episodes))
+    state, command = parts.split_columns(sample.of(STATE)), parts.split_columns(sample.of(COMMAND))
+    found = ProbeResult([_rate(sample, demonstrations)], state, command, episodes=len(sample.episodes))
     found.rows = sample.steps
     if not sample.episodes:
         return found
@@ -89,16 +89,16 @@ def probe(
     is_normalised = any(answer is not None and answer.value is not None for answer in scaled.values())
     names = [episode.instructions for episode in sample.episodes]
     for arm in sorted({part.arm for part in (*state, *command)}):
-        told(f"arm {arm + 1}")
+        report_progress(f"arm {arm + 1}")
         own = [part for part in state if part.arm == arm]
         their = [part for part in command if part.arm == arm]
         seen, *others = _states(own, named) if scaled[STATE] is None else [states.plain(own)]
         found.arms[arm] = seen
         said = commands.of_arm(their, seen, normalised=is_normalised)
-        found.answers += [*seen.answers, *_new(seen, others), *said.answers]
+        found.answers += [*seen.answers, *_new_answers(seen, others), *said.answers]
         found.plots += said.plots
         pair = [next((part for part in ones if part.kind == GRIPPER), None) for ones in (own, their)]
-        found.answers += grippers.answers(pair[0], pair[1], names)
+        found.answers += grippers.probe_gripper(pair[0], pair[1], names)
     for part in (*state, *command):
         if part.kind == parts.UNKNOWN:
             why = f"{part.width} numbers that move like no arm and no gripper that is known"
@@ -106,11 +106,11 @@ def probe(
     found.answers.append(_idle(found))
     found.answers += [answer for one in catalogue.others() if one.told_by is not None for answer in one.told_by(sample)]
     if images:
-        found.answers += cameras.answers(sample.episodes, _moving(found), _heights(found), told)
+        found.answers += cameras.probe_cameras(sample.episodes, _moving(found), _heights(found), report_progress)
     return found
 
 
-def _states(own: list[Part], robot: str | None) -> list[ArmState]:
+def _states(own: list[VectorPart], robot: str | None) -> list[ArmState]:
     """Return what an arm's state is: once for each pose of it that has its own column, such as flange and tcp."""
     posed = {part.series.name for part in own if part.kind == POSITION}
     posed &= {part.series.name for part in own if part.kind == ROTATION}
@@ -122,13 +122,13 @@ def _states(own: list[Part], robot: str | None) -> list[ArmState]:
     ]
 
 
-def _new(seen: ArmState, others: list[ArmState]) -> list[Answer]:
+def _new_answers(seen: ArmState, others: list[ArmState]) -> list[ProbeAnswer]:
     """Return what other poses of an arm tell that the first does not."""
     known = {(answer.topic, answer.subject) for answer in seen.answers}
     return [answer for one in others for answer in one.answers if (answer.topic, answer.subject) not in known]
 
 
-def _rate(sample: Sample, demonstrations: Demonstrations) -> Answer:
+def _rate(sample: Sample, demonstrations: Demonstrations) -> ProbeAnswer:
     """Return the steps per second, by columns of times."""
     for series in sample.series:
         if not is_clock(series.name) or series.width != 1:
@@ -147,13 +147,15 @@ def _rate(sample: Sample, demonstrations: Demonstrations) -> Answer:
         stated = demonstrations.rate_hz
         if stated is not None and abs(stated - rate) > 0.05 * rate:
             said += f"; the set says {stated:g} Hz, which is not so"
-        return Answer("rate", "set", round(rate, 2), said)
+        return ProbeAnswer("rate", "set", round(rate, 2), said)
     if demonstrations.rate_hz is not None:
-        return Answer("rate", "set", demonstrations.rate_hz, "the set says so; no times were recorded", said=True)
+        return ProbeAnswer(
+            "rate", "set", demonstrations.rate_hz, "the set says so; no times were recorded", declared=True
+        )
     return unknown("rate", "set", "no column holds times, and the set says nothing", "a column of timestamps")
 
 
-def _normalised(sample: Sample, role: str) -> Answer | None:
+def _normalised(sample: Sample, role: str) -> ProbeAnswer | None:
     """Return that the columns of a role are normalised, None if nothing looks like it."""
     for series in sample.of(role):
         rows = series.stacked
@@ -165,16 +167,16 @@ def _normalised(sample: Sample, role: str) -> Answer | None:
         inside = (low > -1.02) & (high < 1.02)
         if inside.all() and touched.mean() > 0.8 and not (np.abs(np.median(moving, 0)) < 1e-6).all():
             said = f"{touched.sum()} of {len(touched)} numbers range from -1 to 1 exactly"
-            return Answer("normalize", series.name, "min_max", said, float(touched.sum()))
+            return ProbeAnswer("normalize", series.name, "min_max", said, float(touched.sum()))
         mean, deviation = np.abs(moving.mean(0)), moving.std(0)
         if (mean < 0.1).mean() > 0.8 and (np.abs(deviation - 1) < 0.1).mean() > 0.8:
             off = np.abs(deviation - 1).max()
             said = f"means are within {mean.max():.2g} of 0 and deviations within {off:.2g} of 1"
-            return Answer("normalize", series.name, "mean_std", said, 1 / max(float(np.median(mean)), 0.01))
+            return ProbeAnswer("normalize", series.name, "mean_std", said, 1 / max(float(np.median(mean)), 0.01))
     return None
 
 
-def _moving(found: Found) -> dict[str, list[np.ndarray]]:
+def _moving(found: ProbeResult) -> dict[str, list[np.ndarray]]:
     """Return for each arm what moves, by episode."""
     moving = {}
     for arm, seen in found.arms.items():
@@ -186,7 +188,7 @@ def _moving(found: Found) -> dict[str, list[np.ndarray]]:
     return moving
 
 
-def _heights(found: Found) -> dict[str, list[np.ndarray]]:
+def _heights(found: ProbeResult) -> dict[str, list[np.ndarray]]:
     """Return for each arm how high it is, by episode, where poses of the world or of an upright base say so."""
     heights = {}
     for arm, seen in found.arms.items():
@@ -195,7 +197,7 @@ def _heights(found: Found) -> dict[str, list[np.ndarray]]:
     return heights
 
 
-def _idle(found: Found) -> Answer:
+def _idle(found: ProbeResult) -> ProbeAnswer:
     """Return how long episodes stand still before they begin."""
     waits: list[int] = []
     moving = list(_moving(found).values())
@@ -208,4 +210,4 @@ def _idle(found: Found) -> Answer:
         waits.append(int(begun[0]) if len(begun) else len(speed))
     middle = int(np.median(waits))
     said = f"the arm stands still for {middle} steps in the middle of {len(waits)} episodes, for {max(waits)} at most"
-    return Answer("idle start", "set", middle, said)
+    return ProbeAnswer("idle start", "set", middle, said)

@@ -12,7 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from xpl_cli.data.sets.interface import Demonstrations, Episode
+    from xpl_cli.data.sets.interface import Demonstrations, RecordedEpisode
 
 STATE, COMMAND, OTHER = "state", "command", "other"
 _COMMANDS: Final = frozenset(("action", "actions", "command", "commands", "target", "targets", "ctrl", "desired"))
@@ -104,7 +104,7 @@ class Sample:
     """
 
     series: tuple[Series, ...]
-    episodes: tuple[Episode, ...]
+    episodes: tuple[RecordedEpisode, ...]
     steps: int
 
     def of(self, role: str) -> list[Series]:
@@ -139,14 +139,16 @@ def is_clock(name: str) -> bool:
     return bool(set(words(name)) & _CLOCKS)
 
 
-def take(demonstrations: Demonstrations, most: int, told: Callable[[str], None] = lambda _: None) -> Sample:
+def read_sample(
+    demonstrations: Demonstrations, most: int, report_progress: Callable[[str], None] = lambda _: None
+) -> Sample:
     """Read the numbers of up to `most` episodes, evenly spread; images are not read.
 
     Raises:
         DataError: a column cannot be read.
     """
     places = spread(len(demonstrations), most)
-    episodes: list[Episode] = []
+    episodes: list[RecordedEpisode] = []
     rows: dict[str, list[np.ndarray]] = {}
     names: dict[str, tuple[str, ...]] = {}
     read = 0
@@ -154,7 +156,7 @@ def take(demonstrations: Demonstrations, most: int, told: Callable[[str], None] 
         episode = demonstrations[place]
         if read >= _ROWS or episode.length < 2:
             continue
-        told(f"{episode.key}: numbers")
+        report_progress(f"{episode.key}: numbers")
         for name, column in episode.columns.items():
             if not np.issubdtype(np.dtype(column.dtype), np.number) and column.dtype != "bool":
                 continue

@@ -11,11 +11,11 @@ import numpy as np
 from xpl import get_embodiment, poses, rotation
 from xpl.conventions import rotation as rotations
 from xpl.convert import ConversionError
-from xpl_cli.data.probe import chains
-from xpl_cli.data.probe.answer import MARGIN, Answer, Contest, enough, unknown
-from xpl_cli.data.probe.arms import FORMS, told
-from xpl_cli.data.probe.chains import FITS_MM, Reading
-from xpl_cli.data.probe.parts import ARM, JOINTS, POSITION, ROTATION, THREE, Part, wraps
+from xpl_cli.data.probe import kinematics
+from xpl_cli.data.probe.answer import MARGIN, HypothesisRanking, ProbeAnswer, is_decisive, unknown
+from xpl_cli.data.probe.arms import FORMS, format_form
+from xpl_cli.data.probe.kinematics import FITS_MM, KinematicFit
+from xpl_cli.data.probe.parts import ARM, JOINTS, POSITION, ROTATION, THREE, VectorPart, form_by_wraparound
 from xpl_cli.data.probe.sample import words
 
 if TYPE_CHECKING:
@@ -44,15 +44,15 @@ class ArmState:
         angles: rad of one number of a rotation of three numbers.
     """
 
-    joints: Part | None = None
+    joints: VectorPart | None = None
     unit: float | None = None
-    position: Part | None = None
-    rotation: Part | None = None
+    position: VectorPart | None = None
+    rotation: VectorPart | None = None
     forms: tuple[tuple[str, str | None], ...] = ()
-    reading: Reading | None = None
+    reading: KinematicFit | None = None
     angles: float = 1.0
-    unsure: Part | None = None
-    answers: list[Answer] = field(default_factory=list)
+    unsure: VectorPart | None = None
+    answers: list[ProbeAnswer] = field(default_factory=list)
 
     def turns(self) -> dict[tuple[str, str | None], list[np.ndarray]]:
         """Return the rotations (T, 4) of each episode, in each form in which they may be written."""
@@ -66,30 +66,30 @@ class ArmState:
         return found
 
 
-def of_arm(parts: Sequence[Part], robot: str | None) -> ArmState:
+def of_arm(parts: Sequence[VectorPart], robot: str | None) -> ArmState:
     """Return what the parts of one arm's state are."""
     arm = ArmState()
     joints = [part for part in parts if part.kind in (JOINTS, ARM)]
     places = [part for part in parts if part.kind in (POSITION, THREE)]
     places += [part.cut(POSITION, 0, 3) for part in parts if part.kind == ARM]
-    _witness(arm, joints, places, robot)
+    _identify_by_kinematics(arm, joints, places, robot)
     for part in parts:
-        _settled(arm, part)
+        _assign_part(arm, part)
     if arm.joints is not None:
-        arm.answers.append(_kind(arm.joints, JOINTS, arm))
-        arm.answers += _angles(arm)
+        arm.answers.append(_kind_answer(arm.joints, JOINTS, arm))
+        arm.answers += _angle_unit_answers(arm)
     if arm.position is not None:
-        arm.answers.append(_kind(arm.position, POSITION, arm))
-        arm.answers += _place(arm)
+        arm.answers.append(_kind_answer(arm.position, POSITION, arm))
+        arm.answers += _length_and_frame_answers(arm)
     if arm.rotation is not None:
-        arm.answers += [_turning(arm.rotation), *_form(arm)]
+        arm.answers += [_rotation_kind_answer(arm.rotation), *_rotation_form_answers(arm)]
     if arm.unsure is not None:
         why = "six numbers that are no quaternion, matrix or 6D form: joints or a pose, and nothing tells which"
         arm.answers.append(unknown("kind", arm.unsure.subject, why, f"names of the numbers, or {_BESIDE}"))
     return arm
 
 
-def plain(parts: Sequence[Part]) -> ArmState:
+def plain(parts: Sequence[VectorPart]) -> ArmState:
     """Return an arm's state of which nothing can be told but its numbers, as normalised ones are."""
     arm = ArmState()
     arm.unsure = next((part for part in parts if part.kind in (JOINTS, ARM)), None)
@@ -100,7 +100,9 @@ def plain(parts: Sequence[Part]) -> ArmState:
     return arm
 
 
-def _witness(arm: ArmState, joints: Sequence[Part], places: Sequence[Part], robot: str | None) -> None:
+def _identify_by_kinematics(
+    arm: ArmState, joints: Sequence[VectorPart], places: Sequence[VectorPart], robot: str | None
+) -> None:
     """Let kinematics tell which parts are joints and which are a position, and of which robot."""
     pairs = [
         (part, place)
@@ -110,9 +112,9 @@ def _witness(arm: ArmState, joints: Sequence[Part], places: Sequence[Part], robo
     best = None
     for orders in (False, True):
         for part, place in pairs:
-            names = chains.candidates(part.width, robot)
+            names = kinematics.candidates(part.width, robot)
             for unit in _units(part.stacked) if orders else (1.0, DEGREES):
-                found = chains.readings(part.stacked * unit, place.stacked, names, orders=orders)
+                found = kinematics.kinematic_fits(part.stacked * unit, place.stacked, names, orders=orders)
                 if found and (best is None or found[0].error < best[0]):
                     best = (found[0].error, part, place, found[0], unit, found)
         if best is not None and best[0] <= FITS_MM:
@@ -124,14 +126,18 @@ def _witness(arm: ArmState, joints: Sequence[Part], places: Sequence[Part], robo
     if span * {"m": 1000.0, "cm": 10.0, "mm": 1.0}[reading.length] < 4 * FITS_MM:
         return  # it hardly moves: any robot would do
     arm.joints, arm.unit, arm.position, arm.reading = part, unit, place, reading
-    arm.answers += [_robot(part, reading, found), _order(part, reading, found), *_placed(place, reading, found)]
+    arm.answers += [
+        _robot_answer(part, reading, found),
+        _joint_order_answer(part, reading, found),
+        *_position_answers(place, reading, found),
+    ]
 
 
-def _overlap(one: Part, other: Part) -> bool:
+def _overlap(one: VectorPart, other: VectorPart) -> bool:
     return one.series is other.series and one.start < other.stop and other.start < one.stop
 
 
-def _robot(part: Part, reading: Reading, found: Sequence[Reading]) -> Answer:
+def _robot_answer(part: VectorPart, reading: KinematicFit, found: Sequence[KinematicFit]) -> ProbeAnswer:
     """Return which robot explains the poses."""
     least = max(reading.error, _EXACT_MM)
     others = [one for one in found if one.robot != reading.robot]
@@ -141,25 +147,25 @@ def _robot(part: Part, reading: Reading, found: Sequence[Reading]) -> Answer:
         return unknown("robot", part.subject, why, "the robot's name: --robot")
     margin = others[0].error / least if others else None
     second = others[0].robot if others else None
-    return Answer("robot", part.subject, reading.robot, _explains(reading), margin, second)
+    return ProbeAnswer("robot", part.subject, reading.robot, _explains(reading), margin, second)
 
 
-def _order(part: Part, reading: Reading, found: Sequence[Reading]) -> Answer:
+def _joint_order_answer(part: VectorPart, reading: KinematicFit, found: Sequence[KinematicFit]) -> ProbeAnswer:
     """Return which number is which joint."""
     least = max(reading.error, _EXACT_MM)
     rivals = [one for one in found if one.robot == reading.robot and one.order != reading.order]
     margin = rivals[0].error / least if rivals else None
-    if not enough(margin):
+    if not is_decisive(margin):
         why = f"other orders explain the poses within {rivals[0].error:.2g} mm too"
         return unknown("joint order", part.subject, why, "episodes in which each joint moves")
     names = get_embodiment(reading.robot).arms[0].joint_names or tuple(map(str, reading.order))
     value = [names[reading.order.index(place)] for place in range(part.width)]
     is_plain = reading.order == tuple(range(part.width))
     what = "in the embodiment's order they explain the poses" if is_plain else "only in this order they do"
-    return Answer("joint order", part.subject, value, f"{what}, to {reading.error:.2g} mm", margin)
+    return ProbeAnswer("joint order", part.subject, value, f"{what}, to {reading.error:.2g} mm", margin)
 
 
-def _placed(place: Part, reading: Reading, found: Sequence[Reading]) -> Iterator[Answer]:
+def _position_answers(place: VectorPart, reading: KinematicFit, found: Sequence[KinematicFit]) -> Iterator[ProbeAnswer]:
     """Yield frame, point and arm of a position."""
     for facet in ("frame", "point", "side"):
         value = getattr(reading, facet)
@@ -168,14 +174,14 @@ def _placed(place: Part, reading: Reading, found: Sequence[Reading]) -> Iterator
         other = [one for one in found if one.robot == reading.robot and getattr(one, facet) != value]
         margin = other[0].error / max(reading.error, _EXACT_MM) if other else None
         second = getattr(other[0], facet) if other else None
-        if enough(margin):
-            yield Answer(facet, place.subject, value, _explains(reading), margin, second)
+        if is_decisive(margin):
+            yield ProbeAnswer(facet, place.subject, value, _explains(reading), margin, second)
         else:
             why = f"{value} and {second} explain the poses alike"
             yield unknown(facet, place.subject, why, "poses that turn the tool")
 
 
-def _explains(reading: Reading) -> str:
+def _explains(reading: KinematicFit) -> str:
     return f"its kinematics puts the {reading.point} within {reading.error:.2g} mm of what was recorded"
 
 
@@ -184,7 +190,7 @@ def _units(rows: np.ndarray) -> tuple[float, ...]:
     return (DEGREES,) if np.abs(rows).max() > _TURN * 1.2 else (1.0,)
 
 
-def _settled(arm: ArmState, part: Part) -> None:
+def _assign_part(arm: ArmState, part: VectorPart) -> None:
     """Take a part for what it can only be."""
     if part.kind == JOINTS and arm.joints is None:
         arm.joints = part
@@ -194,23 +200,23 @@ def _settled(arm: ArmState, part: Part) -> None:
         arm.rotation, arm.forms = part, FORMS[part.width]
     elif part.kind == ARM and part is not arm.joints:
         is_place = arm.position is not None and arm.position.start == part.start and arm.position.series is part.series
-        begins = bool(wraps(part.cut(ROTATION, 3, 6)))
-        said = _said(part)
+        begins = bool(form_by_wraparound(part.cut(ROTATION, 3, 6)))
+        said = _kind_by_names(part)
         if is_place or (arm.joints is not None and arm.joints.width >= 5) or begins or said == POSITION:
             arm.position = part.cut(POSITION, 0, 3)
             arm.rotation, arm.forms = part.cut(ROTATION, 3, 6), FORMS[3]
-        elif said == JOINTS or chains.begins_at_home(part.rows):
+        elif said == JOINTS or kinematics.robot_at_home(part.rows):
             arm.joints = part
         else:
             arm.unsure = part
     elif part.kind == THREE and (arm.position is None or part.subject != arm.position.subject):
-        if arm.position is None and not wraps(part):
+        if arm.position is None and not form_by_wraparound(part):
             arm.position = part
         elif arm.rotation is None:
             arm.rotation, arm.forms = part, FORMS[3]
 
 
-def _said(part: Part) -> str | None:
+def _kind_by_names(part: VectorPart) -> str | None:
     """Return whether the file's own names say joints or a pose."""
     names = [words(name) for name in part.series.names[part.start : part.stop]] or [words(part.series.name)]
     every = {word for name in names for word in name}
@@ -222,34 +228,36 @@ def _said(part: Part) -> str | None:
     return None
 
 
-def _kind(part: Part, kind: str, arm: ArmState) -> Answer:
+def _kind_answer(part: VectorPart, kind: str, arm: ArmState) -> ProbeAnswer:
     """Return what a part is, with what tells it."""
     if arm.reading is not None:
         said = f"kinematics of {arm.reading.robot} explains them to {arm.reading.error:.2g} mm"
-        return Answer("kind", part.subject, kind, said)
+        return ProbeAnswer("kind", part.subject, kind, said)
     if kind == POSITION:
-        return Answer("kind", part.subject, kind, "three numbers beside a rotation")
-    home = chains.begins_at_home(part.rows)
+        return ProbeAnswer("kind", part.subject, kind, "three numbers beside a rotation")
+    home = kinematics.robot_at_home(part.rows)
     if home is not None:
-        return Answer("kind", part.subject, kind, f"episodes begin at the home pose of {home}, to 0.05 rad")
-    if _said(part) == JOINTS:
-        return Answer("kind", part.subject, kind, "the names in the file say so", said=True)
-    return Answer("kind", part.subject, kind, f"{part.width} numbers of an arm, and no rotation among them")
+        return ProbeAnswer("kind", part.subject, kind, f"episodes begin at the home pose of {home}, to 0.05 rad")
+    if _kind_by_names(part) == JOINTS:
+        return ProbeAnswer("kind", part.subject, kind, "the names in the file say so", declared=True)
+    return ProbeAnswer("kind", part.subject, kind, f"{part.width} numbers of an arm, and no rotation among them")
 
 
-def _turning(part: Part) -> Answer:
+def _rotation_kind_answer(part: VectorPart) -> ProbeAnswer:
     """Return that a part is a rotation, with what tells it."""
     if part.forms:
         what = {4: "a length of 1", 6: "two unit vectors at a right angle", 9: "three unit vectors at right angles"}
-        return Answer("kind", part.subject, ROTATION, f"its {part.width} numbers have {what[part.width]} in every row")
-    if wraps(part):
-        return Answer("kind", part.subject, ROTATION, "it begins again at the other end, as no joint does")
-    if _said(part) is not None:
-        return Answer("kind", part.subject, ROTATION, "the names in the file say so", said=True)
-    return Answer("kind", part.subject, ROTATION, "three numbers behind the position")
+        return ProbeAnswer(
+            "kind", part.subject, ROTATION, f"its {part.width} numbers have {what[part.width]} in every row"
+        )
+    if form_by_wraparound(part):
+        return ProbeAnswer("kind", part.subject, ROTATION, "it begins again at the other end, as no joint does")
+    if _kind_by_names(part) is not None:
+        return ProbeAnswer("kind", part.subject, ROTATION, "the names in the file say so", declared=True)
+    return ProbeAnswer("kind", part.subject, ROTATION, "three numbers behind the position")
 
 
-def _angles(arm: ArmState) -> list[Answer]:
+def _angle_unit_answers(arm: ArmState) -> list[ProbeAnswer]:
     """Return the unit of joints."""
     part = arm.joints
     assert part is not None  # noqa: S101 - asked only then
@@ -258,59 +266,59 @@ def _angles(arm: ArmState) -> list[Answer]:
     if arm.reading is not None:
         value = "deg" if arm.unit == DEGREES else "rad"
         said = f"so they explain the poses, to {arm.reading.error:.2g} mm"
-        return [Answer("angle unit", part.subject, value, said, _TURN)]
+        return [ProbeAnswer("angle unit", part.subject, value, said, _TURN)]
     if most > _TURN * 1.2:
         arm.unit = DEGREES
         said = f"a joint stands at {most:.4g}, which is {most / _TURN:.1f} turns in radians"
-        return [Answer("angle unit", part.subject, "deg", said, most / _TURN)]
+        return [ProbeAnswer("angle unit", part.subject, "deg", said, most / _TURN)]
     if span > 0.15:
         arm.unit = 1.0
         said = f"the joint that moves most moves through {span:.3g}, which in degrees would be hardly any motion"
-        return [Answer("angle unit", part.subject, "rad", said, min(57.3, 10 * span / 0.15))]
+        return [ProbeAnswer("angle unit", part.subject, "rad", said, min(57.3, 10 * span / 0.15))]
     return [unknown("angle unit", part.subject, f"no joint moves through more than {span:.2g}", "longer motion")]
 
 
-def _place(arm: ArmState) -> list[Answer]:
+def _length_and_frame_answers(arm: ArmState) -> list[ProbeAnswer]:
     """Return the unit of a position, and its frame where kinematics does not know it."""
     part = arm.position
     assert part is not None  # noqa: S101 - asked only then
     if arm.reading is not None:
         said = f"so kinematics explains it, to {arm.reading.error:.2g} mm"
-        return [Answer("length unit", part.subject, arm.reading.length, said, 10.0)]
+        return [ProbeAnswer("length unit", part.subject, arm.reading.length, said, 10.0)]
     most = float(np.abs(part.stacked).max())
-    found: list[Answer] = []
+    found: list[ProbeAnswer] = []
     if 0.08 <= most <= 3:
         said = f"the farthest it is from its origin is {most:.3g}; an arm reaches as far in metres"
-        found.append(Answer("length unit", part.subject, "m", said, 3 / most + 1))
+        found.append(ProbeAnswer("length unit", part.subject, "m", said, 3 / most + 1))
     elif most > 80:
         said = f"the farthest it is from its origin is {most:.4g}; an arm reaches as far in millimetres"
-        found.append(Answer("length unit", part.subject, "mm", said, most / 40))
+        found.append(ProbeAnswer("length unit", part.subject, "mm", said, most / 40))
     else:
         found.append(unknown("length unit", part.subject, f"the farthest it is from its origin is {most:.3g}", _BESIDE))
     why = "there are no joints that say where the arm is"
     return [*found, *(unknown(facet, part.subject, why, _BESIDE) for facet in ("frame", "point"))]
 
 
-def _form(arm: ArmState) -> list[Answer]:
+def _rotation_form_answers(arm: ArmState) -> list[ProbeAnswer]:
     """Return how a rotation is written: by kinematics, or by where its numbers begin again."""
     part = arm.rotation
     assert part is not None  # noqa: S101 - asked only then
     if arm.reading is not None and arm.joints is not None:
         return _by_kinematics(arm, part)
     if part.width == 9:
-        return [Answer("rotation form", part.subject, "matrix", "three unit vectors at right angles, row by row")]
+        return [ProbeAnswer("rotation form", part.subject, "matrix", "three unit vectors at right angles, row by row")]
     if part.width == 3:
         rows = part.stacked
         if float(np.abs(rows).max()) > _TURN * 1.2:
             arm.angles = DEGREES
-        found = wraps(part)
+        found = form_by_wraparound(part)
         if found:
             form, said, margin = found
             kept = tuple(one for one in FORMS[3] if one[0] == form)
             arm.forms = kept
             if form == "axis_angle":
-                return [Answer("rotation form", part.subject, form, said, margin)]
-            return _smoothest(part, said)
+                return [ProbeAnswer("rotation form", part.subject, form, said, margin)]
+            return _euler_axes_unknown(part, said)
     why = {
         3: "no number begins again at the other end, and three angles look alike in all forms until one does",
         4: "a quaternion turns as far in either order",
@@ -319,7 +327,7 @@ def _form(arm: ArmState) -> list[Answer]:
     return [unknown("rotation form", part.subject, why, f"{_BESIDE}; or commands that are deltas")]
 
 
-def _by_kinematics(arm: ArmState, part: Part) -> list[Answer]:
+def _by_kinematics(arm: ArmState, part: VectorPart) -> list[ProbeAnswer]:
     """Return the form in which a rotation agrees with the joints."""
     reading = arm.reading
     assert reading is not None  # noqa: S101 - asked only then
@@ -327,8 +335,8 @@ def _by_kinematics(arm: ArmState, part: Part) -> list[Answer]:
     robot = get_embodiment(reading.robot)
     joints = arm.joints.stacked[:, list(reading.order)] * (arm.unit or 1.0)
     few = np.linspace(0, len(joints) - 1, 200).astype(int)
-    outer, inner = chains.places(robot, reading.side)[reading.point, reading.frame]
-    expected = poses.compose(poses.compose(outer, chains.flange(robot.data, joints[few])), inner)[:, 3:]
+    outer, inner = kinematics.tool_offsets(robot, reading.side)[reading.point, reading.frame]
+    expected = poses.compose(poses.compose(outer, kinematics.flange(robot.data, joints[few])), inner)[:, 3:]
     rows = part.stacked[few]
     errors: dict[Any, float] = {}
     for form in FORMS[part.width]:
@@ -339,23 +347,23 @@ def _by_kinematics(arm: ArmState, part: Part) -> list[Answer]:
                 continue
             off = np.rad2deg(rotation.angle_between(read, expected))
             errors[("form", form), ("unit", unit)] = float(np.sqrt(np.mean(off * off)))
-    contest = Contest(errors, 0.1)
-    form, margin, second = contest.judged("form")
-    if contest.least > _FITS_DEGREES or not enough(margin):
-        turned = _turned(rows, expected, part.width)
+    contest = HypothesisRanking(errors, 0.1)
+    form, margin, second = contest.judge("form")
+    if contest.least > _FITS_DEGREES or not is_decisive(margin):
+        turned = _form_up_to_tool_rotation(rows, expected, part.width)
         if turned is not None:
             arm.forms = (turned[0],)
             said = f"with a fixed turn of the tool it agrees with the joints to {turned[1]:.2g} degrees"
-            return [Answer("rotation form", part.subject, told(turned[0]), said, turned[2])]
+            return [ProbeAnswer("rotation form", part.subject, format_form(turned[0]), said, turned[2])]
         why = f"no form agrees with the joints by less than {contest.least:.2g} degrees"
         return [unknown("rotation form", part.subject, why, "the frame and the tool that poses are of")]
     arm.forms, arm.angles = (form,), contest.best["unit"]
     said = f"so it agrees with the joints to {contest.least:.2g} degrees"
-    name = told(form, degrees=arm.angles != 1.0)
-    return [Answer("rotation form", part.subject, name, said, margin, told(second) if second else None)]
+    name = format_form(form, degrees=arm.angles != 1.0)
+    return [ProbeAnswer("rotation form", part.subject, name, said, margin, format_form(second) if second else None)]
 
 
-def _turned(rows: np.ndarray, expected: np.ndarray, width: int) -> tuple[Any, float, float] | None:
+def _form_up_to_tool_rotation(rows: np.ndarray, expected: np.ndarray, width: int) -> tuple[Any, float, float] | None:
     """Return the form in which a rotation agrees with the joints but for one fixed turn of the tool; error, margin."""
     errors: dict[Any, float] = {}
     for form in FORMS[width]:
@@ -374,7 +382,7 @@ def _turned(rows: np.ndarray, expected: np.ndarray, width: int) -> tuple[Any, fl
     return (ranked[0][0], ranked[0][1], margin) if margin >= MARGIN else None
 
 
-def _smoothest(part: Part, said: str) -> list[Answer]:
+def _euler_axes_unknown(part: VectorPart, said: str) -> list[ProbeAnswer]:
     """Return that the axes of Euler angles are open: every order begins again alike."""
     why = f"{said}; which axes they are about it does not tell"
     answer = unknown("rotation form", part.subject, why, _BESIDE)

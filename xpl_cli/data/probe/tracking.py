@@ -69,12 +69,12 @@ def follow(
         minus: the way between two of them.
         shifts: how late commands may come into effect, steps.
     """
-    found = [_followed(states, commands, minus, shift) for shift in shifts]
+    found = [_follow_at_shift(states, commands, minus, shift) for shift in shifts]
     least = min(one.error for one in found)
     return next(one for one in found if one.error <= 1.02 * least + 1e-9)
 
 
-def reached(states: Sequence[np.ndarray], commands: Sequence[np.ndarray]) -> tuple[float, float]:
+def tracking_delay(states: Sequence[np.ndarray], commands: Sequence[np.ndarray]) -> tuple[float, float]:
     """Return after how many steps commands are reached, and how far off they still are then, a share of the motion.
 
     Both are means: the first is where a parabola through the least error and its neighbours has its bottom.
@@ -106,7 +106,7 @@ def sharpness(states: Sequence[np.ndarray], steps: Sequence[np.ndarray], shift: 
     Steps that are counted from the state explain motion at any scale, as gains are free. Summed over an episode they
     stay with the state at one scale only.
     """
-    own = _followed(states, cumulated(states, steps, scale), numbers, shift).error
+    own = _follow_at_shift(states, cumulated(states, steps, scale), numbers, shift).error
     others = [
         follow(states, cumulated(states, steps, scale * other), numbers, (shift, shift + 1)).error for other in _SHARP
     ]
@@ -122,7 +122,7 @@ def scaled(states: Sequence[np.ndarray], steps: Sequence[np.ndarray]) -> tuple[f
     return min(tried, key=lambda entry: entry[1].error)
 
 
-def _followed(states: Sequence[np.ndarray], commands: Sequence[np.ndarray], minus: Minus, shift: int) -> Follow:
+def _follow_at_shift(states: Sequence[np.ndarray], commands: Sequence[np.ndarray], minus: Minus, shift: int) -> Follow:
     """Return the share of the motion that commands leave unexplained, and their gain."""
     begin, late = max(shift + _LAGS - 1, _LAGS - 1), max(-shift, 0)
     gram, moment, power = np.zeros((_LAGS, _LAGS)), np.zeros(_LAGS), 0.0
@@ -139,11 +139,11 @@ def _followed(states: Sequence[np.ndarray], commands: Sequence[np.ndarray], minu
         power += float((step * step).sum())
     if power <= 0:
         return Follow(1.0, shift)
-    left, gain = _left(gram, moment, power)
+    left, gain = _unexplained_share(gram, moment, power)
     return Follow(left, shift, gain)
 
 
-def _left(gram: np.ndarray, moment: np.ndarray, power: float) -> tuple[float, float]:
+def _unexplained_share(gram: np.ndarray, moment: np.ndarray, power: float) -> tuple[float, float]:
     """Return what the best gains that are not negative leave of a power, and their sum; all sets of gains are tried."""
     best, gain = power, 0.0
     size = len(moment)

@@ -1,4 +1,4 @@
-"""A set whose files are read in a process of its own, within bounds (`bounds.py`)."""
+"""A set whose files are read in a process of its own, within bounds (`limits.py`)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from xpl.process.parent import Process, ProcessLostError
 from xpl.registry import EntryPointError
 from xpl.wire import packed
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.data.sets.bounds import Bounds
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Clip, Column, Demonstrations, Extras
+from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Demonstrations, Extras, VideoClip
+from xpl_cli.data.sets.limits import ReadLimits
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 _START: Final = """
@@ -55,7 +55,7 @@ def open_set(path: str | Path) -> Demonstrations:
     return _RemoteSet(path)
 
 
-class _Reader:
+class _ReaderProcess:
     """The process that reads a set: started when something is asked, once more after it was lost or this one forked.
 
     Args:
@@ -70,13 +70,13 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         self._path, self._lock = path, threading.Lock()
-        self._bounds = Bounds.of(path)
+        self._bounds = ReadLimits.of(path)
         self._process: Process | None = None
         self._owner = 0
         self.opened: dict[str, Any] = {}
         self._start()
 
-    def ask(self, do: str, *arguments: Any) -> Any:
+    def request(self, do: str, *arguments: Any) -> Any:
         """Return what the process answers; its arrays are read-only.
 
         Raises:
@@ -85,22 +85,22 @@ class _Reader:
         with self._lock:
             if self._process is None or self._owner != os.getpid():  # a forked process must not share the link
                 self._start()
-            return self._asked(do, *arguments)
+            return self._request_locked(do, *arguments)
 
-    def forget(self, number: int) -> None:
+    def end_frames(self, number: int) -> None:
         """Let go of images of which no more are asked for, where the process that reads them is still there."""
         with self._lock:
             if self._process is not None and self._owner == os.getpid():
-                self._asked("end", number)
+                self._request_locked("end", number)
 
     def _start(self) -> None:
         start = _START.format(paths=[str(Path(path).resolve()) for path in sys.path if path])
         self._process = process = Process(start, environment={**os.environ, **_FRUGAL}, largest=_MOST_ANSWER)
         self._owner = os.getpid()
         weakref.finalize(self, _end, process, self._owner)
-        self.opened = self._asked("open", str(self._path), asdict(self._bounds))
+        self.opened = self._request_locked("open", str(self._path), asdict(self._bounds))
 
-    def _asked(self, do: str, *arguments: Any) -> Any:
+    def _request_locked(self, do: str, *arguments: Any) -> Any:
         process = self._process
         assert process is not None  # noqa: S101 - `ask` has started it
         try:
@@ -131,14 +131,14 @@ class _RemoteSet(Demonstrations):
     """A set that another process reads."""
 
     def __init__(self, path: Path) -> None:
-        self._reader = _Reader(path)
+        self._reader = _ReaderProcess(path)
         opened = self._reader.opened
         super().__init__(opened["path"], opened["format"])
         self._length = int(opened["length"])
 
     @functools.cached_property
     def _about(self) -> dict[str, Any]:
-        return self._reader.ask("about")  # type: ignore[no-any-return]
+        return self._reader.request("about")  # type: ignore[no-any-return]
 
     @property
     def rate_hz(self) -> float | None:
@@ -167,47 +167,47 @@ class _RemoteSet(Demonstrations):
 class _RemoteEpisode(OutlinedEpisode):
     """An episode that another process reads."""
 
-    def __init__(self, reader: _Reader, index: int) -> None:
+    def __init__(self, reader: _ReaderProcess, index: int) -> None:
         self._reader, self._index = reader, index
 
     @functools.cached_property
     def key(self) -> str:
         """Its name in the set."""
-        return self._reader.ask("key", self._index)  # type: ignore[no-any-return]
+        return self._reader.request("key", self._index)  # type: ignore[no-any-return]
 
     def outline(self) -> Outline:
         """Return what the file says without rows and images."""
-        self.key, length, instructions, columns, cameras, extras = self._reader.ask("outline", self._index)
+        self.key, length, instructions, columns, cameras, extras = self._reader.request("outline", self._index)
         return Outline(
             length,
             tuple(instructions),
-            {name: Column(tuple(one["shape"]), one["dtype"], tuple(one["names"])) for name, one in columns.items()},
-            {name: Camera(**one) for name, one in cameras.items()},
+            {name: ColumnInfo(tuple(one["shape"]), one["dtype"], tuple(one["names"])) for name, one in columns.items()},
+            {name: CameraInfo(**one) for name, one in cameras.items()},
             extras,
         )
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         known = self.columns[column]
-        rows = self._reader.ask("read", self._index, column, start, stop)
+        rows = self._reader.request("read", self._index, column, start, stop)
         return np.asarray(rows, dtype=str) if known.dtype == "str" else rows
 
-    def video(self, camera: str) -> Clip | None:
+    def video(self, camera: str) -> VideoClip | None:
         """Return where a camera's video lies."""
-        told = self._reader.ask("video", self._index, camera)
-        return None if told is None else Clip(**told)
+        told = self._reader.request("video", self._index, camera)
+        return None if told is None else VideoClip(**told)
 
     def stats(self, camera: str) -> Mapping[str, Any] | None:
         """Return the statistics of a camera's images that the set has."""
-        return self._reader.ask("stats", self._index, camera)  # type: ignore[no-any-return]
+        return self._reader.request("stats", self._index, camera)  # type: ignore[no-any-return]
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
         """Yield images of a camera."""
         if camera not in self.cameras:
             raise KeyError(camera)
-        number = self._reader.ask("film", self._index, camera, start, stop)
+        number = self._reader.request("film", self._index, camera, start, stop)
         try:
-            while images := self._reader.ask("frames", number):
+            while images := self._reader.request("frames", number):
                 yield from images
         finally:
-            self._reader.forget(number)
+            self._reader.end_frames(number)

@@ -15,9 +15,9 @@ from xpl.registry import EntryPointError
 from xpl.wire import packed
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.data.formats.detection import open_here
-from xpl_cli.data.sets.bounds import Bounds
-from xpl_cli.data.sets.claims import Claims
+from xpl_cli.data.sets.claims import SizeClaims
 from xpl_cli.data.sets.errors import LibraryMissingError
+from xpl_cli.data.sets.limits import ReadLimits
 
 if TYPE_CHECKING:
     from xpl.process.link import Head
@@ -30,15 +30,15 @@ _FRAMES_BYTES: Final = 8 << 20
 
 def main(descriptor: int) -> NoReturn:
     """Answer until the other end of the link is closed."""
-    child.serve(descriptor, _Service().handle)
+    child.serve(descriptor, _ReaderService().handle)
 
 
-class _Service:
+class _ReaderService:
     """One set, and the images that are being read of it."""
 
     def __init__(self) -> None:
-        self._bounds = Bounds(0, 0.0)
-        self._claims = Claims("", 0)
+        self._bounds = ReadLimits(0, 0.0)
+        self._claims = SizeClaims("", 0)
         self._set: Demonstrations | None = None
         self._numbers = itertools.count()
         self._films: dict[int, Iterator[np.ndarray]] = {}
@@ -47,7 +47,7 @@ class _Service:
         """Return the answer to a message: a packed value, or an error."""
         try:
             if head["do"] != "open":
-                self._bounds.begin()
+                self._bounds.start_cpu_limit()
             return {}, [self._answer(head["do"], head["arguments"])]
         except Exception as error:  # noqa: BLE001 - libraries raise almost anything on damaged files
             return self._told(error), []
@@ -55,7 +55,7 @@ class _Service:
     def _answer(self, do: str, arguments: Sequence[Any]) -> bytes:
         data = b"".join(packed.encode(getattr(self, f"_{do}")(*arguments)))
         if do == "outline":
-            self._claims.answered(arguments[0], len(data))
+            self._claims.add_metadata(arguments[0], len(data))
         return data
 
     def _told(self, error: Exception) -> Head:
@@ -73,17 +73,17 @@ class _Service:
         return _error(f"it is damaged, or not what its format says: {type(error).__name__}: {str(error)[:200]}")
 
     def _open(self, path: str, bounds: Mapping[str, Any]) -> dict[str, Any]:
-        self._bounds = Bounds(**bounds)
-        self._bounds.hold()
-        self._bounds.begin()
-        self._claims = Claims(path, self._bounds.size)
+        self._bounds = ReadLimits(**bounds)
+        self._bounds.apply()
+        self._bounds.start_cpu_limit()
+        self._claims = SizeClaims(path, self._bounds.size)
         self._set = found = open_here(Path(path))
-        self._claims.opened(found)
+        self._claims.add_set(found)
         return {"path": found.path, "format": found.format, "length": len(found)}
 
     def _about(self) -> dict[str, Any]:
         found = self._opened
-        self._claims.rate(found.rate_hz)
+        self._claims.check_rate(found.rate_hz)
         return {"rate_hz": found.rate_hz, "robot": found.robot, "extras": dict(found.extras)}
 
     def _key(self, index: int) -> str:
@@ -92,7 +92,7 @@ class _Service:
     def _outline(self, index: int) -> list[Any]:
         """Return key, length, instructions, columns, cameras and extras."""
         episode = self._opened[index]
-        self._claims.episode(index, episode)
+        self._claims.add_episode(index, episode)
         columns = {name: asdict(column) for name, column in episode.columns.items()}
         cameras = {name: vars(camera) for name, camera in episode.cameras.items()}
         return [episode.key, episode.length, list(episode.instructions), columns, cameras, dict(episode.extras)]
@@ -112,7 +112,7 @@ class _Service:
     def _film(self, index: int, camera: str, start: int, stop: int | None) -> int:
         number, episode = next(self._numbers), self._opened[index]
         first = slice(start, stop).indices(episode.length)[0]
-        self._films[number] = self._claims.images(episode, camera, first, episode.frames(camera, start, stop))
+        self._films[number] = self._claims.checked_images(episode, camera, first, episode.frames(camera, start, stop))
         return number
 
     def _frames(self, number: int) -> list[np.ndarray]:

@@ -11,7 +11,7 @@ from xpl_cli.data.sets.outlined import DescribedEpisode
 if TYPE_CHECKING:
     import numpy as np
 
-    from xpl_cli.data.sets.interface import Episode
+    from xpl_cli.data.sets.interface import RecordedEpisode
 
 
 class DelegatingSet(Demonstrations):
@@ -51,11 +51,11 @@ class DelegatingSet(Demonstrations):
         """How many episodes there are."""
         return len(self._inner)
 
-    def __getitem__(self, index: int) -> Episode:
+    def __getitem__(self, index: int) -> RecordedEpisode:
         """Return an episode, by its place."""
-        return self._around(self._inner[index])
+        return self._wrap(self._inner[index])
 
-    def _around(self, episode: Episode) -> Episode:
+    def _wrap(self, episode: RecordedEpisode) -> RecordedEpisode:
         raise NotImplementedError
 
 
@@ -66,12 +66,12 @@ class DelegatingEpisode(DescribedEpisode):
         inner: the other one.
     """
 
-    def __init__(self, inner: Episode) -> None:
+    def __init__(self, inner: RecordedEpisode) -> None:
         super().__init__(inner.key)
         self._inner = inner
 
     @property
-    def _described(self) -> Episode:
+    def _described(self) -> RecordedEpisode:
         return self._inner
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:

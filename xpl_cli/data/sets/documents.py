@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _MOST_TOLD: Final = 200
 
 
-def parsed(text: str | bytes, where: str) -> Any:
+def parse_json(text: str | bytes, where: str) -> Any:
     """Return what a text of JSON holds.
 
     Raises:
@@ -27,7 +27,7 @@ def parsed(text: str | bytes, where: str) -> Any:
         raise DataError(f"{where}: {error}") from None
 
 
-def checked(value: Any, schema: str, where: str) -> Any:
+def validate_value(value: Any, schema: str, where: str) -> Any:
     """Return a value that its schema takes.
 
     Args:
@@ -48,7 +48,7 @@ def checked(value: Any, schema: str, where: str) -> Any:
     return value
 
 
-def of(schema: Mapping[str, Any]) -> str:
+def schema_text(schema: Mapping[str, Any]) -> str:
     """Return a schema as `checked` takes it."""
     return json.dumps(schema)
 

@@ -25,7 +25,7 @@ Extras = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Column:
+class ColumnInfo:
     """A column of numbers: one row for each step.
 
     Attributes:
@@ -40,7 +40,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Camera:
+class CameraInfo:
     """A camera: one image for each step.
 
     Attributes:
@@ -61,7 +61,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Clip:
+class VideoClip:
     """An episode's part of a video.
 
     Attributes:
@@ -75,7 +75,7 @@ class Clip:
     codec: str
 
 
-class Episode(Protocol):
+class RecordedEpisode(Protocol):
     """One recorded episode. Opening it reads no images and no columns."""
 
     @property
@@ -92,11 +92,11 @@ class Episode(Protocol):
         return ()
 
     @property
-    def columns(self) -> Mapping[str, Column]:
+    def columns(self) -> Mapping[str, ColumnInfo]:
         """The columns of numbers, by the file's names; groups are joined by `/`."""
 
     @property
-    def cameras(self) -> Mapping[str, Camera]:
+    def cameras(self) -> Mapping[str, CameraInfo]:
         """The cameras, by the file's names; groups are joined by `/`, as of columns."""
 
     @property
@@ -120,7 +120,7 @@ class Episode(Protocol):
             DataError: an image cannot be decoded; it says which.
         """
 
-    def video(self, camera: str) -> Clip | None:  # noqa: ARG002 - of most formats there is none
+    def video(self, camera: str) -> VideoClip | None:  # noqa: ARG002 - of most formats there is none
         """Return where a camera's video lies, which a writer of videos copies; None where its images are none."""
         return None
 
@@ -167,5 +167,5 @@ class Demonstrations(Protocol):
     def __len__(self) -> int:
         """How many episodes there are."""
 
-    def __getitem__(self, index: int) -> Episode:
+    def __getitem__(self, index: int) -> RecordedEpisode:
         """Return an episode, by its place."""

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from xpl_cli.data.sets.interface import Episode, Extras
+from xpl_cli.data.sets.interface import Extras, RecordedEpisode
 
 if TYPE_CHECKING:
-    from xpl_cli.data.sets.interface import Camera, Column
+    from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo
 
 
 @dataclass(frozen=True)
@@ -19,12 +19,12 @@ class Outline:
 
     length: int
     instructions: tuple[str, ...]
-    columns: Mapping[str, Column]
-    cameras: Mapping[str, Camera]
+    columns: Mapping[str, ColumnInfo]
+    cameras: Mapping[str, CameraInfo]
     extras: Extras = field(default_factory=dict)
 
 
-class DescribedEpisode(Episode):
+class DescribedEpisode(RecordedEpisode):
     """An episode that something else describes: an outline, or another episode.
 
     Args:
@@ -35,7 +35,7 @@ class DescribedEpisode(Episode):
         self._key = key
 
     @property
-    def _described(self) -> Outline | Episode:
+    def _described(self) -> Outline | RecordedEpisode:
         raise NotImplementedError
 
     @property
@@ -54,12 +54,12 @@ class DescribedEpisode(Episode):
         return self._described.instructions
 
     @property
-    def columns(self) -> Mapping[str, Column]:
+    def columns(self) -> Mapping[str, ColumnInfo]:
         """The columns of numbers and texts."""
         return self._described.columns
 
     @property
-    def cameras(self) -> Mapping[str, Camera]:
+    def cameras(self) -> Mapping[str, CameraInfo]:
         """The cameras."""
         return self._described.cameras
 

@@ -11,20 +11,20 @@ from xpl import _spec as sdk
 from xpl.trajectory.truth import LEFT_OUT, RECORDED
 
 if TYPE_CHECKING:
-    from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Episode
+    from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Demonstrations, RecordedEpisode
 
 _MOST_SHOWN: Final = 20
 
 
 @dataclass(frozen=True)
-class Truth:
+class PrivilegedRecord:
     """Which of a simulator's facts an episode says that it holds, and why others were left out."""
 
     recorded: list[str]
     left_out: dict[str, str]
 
     @classmethod
-    def of(cls, episode: Episode) -> Self | None:
+    def of(cls, episode: RecordedEpisode) -> Self | None:
         """Return what an episode says; None where it says nothing."""
         told = episode.extras.get(sdk.Obs.PRIVILEGED)
         if not isinstance(told, Mapping) or not isinstance(told.get(RECORDED), list):
@@ -34,7 +34,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Listed:
+class EpisodeSummary:
     """One episode."""
 
     key: str
@@ -42,23 +42,23 @@ class Listed:
     instructions: tuple[str, ...]
 
     @classmethod
-    def of(cls, episode: Episode) -> Self:
+    def of(cls, episode: RecordedEpisode) -> Self:
         """Return what is listed of an episode; the rest of what it says is let go."""
         return cls(episode.key, episode.length, episode.instructions)
 
 
 @dataclass(frozen=True)
-class Summary:
+class DatasetSummary:
     """A set's facts, and those of each episode; columns, cameras and truth are those of the first."""
 
     path: str
     format: str
     rate_hz: float | None
     robot: str | None
-    columns: Mapping[str, Column]
-    cameras: Mapping[str, Camera]
-    privileged: Truth | None
-    episodes: tuple[Listed, ...]
+    columns: Mapping[str, ColumnInfo]
+    cameras: Mapping[str, CameraInfo]
+    privileged: PrivilegedRecord | None
+    episodes: tuple[EpisodeSummary, ...]
 
     @classmethod
     def of(cls, demonstrations: Demonstrations) -> Self:
@@ -71,8 +71,8 @@ class Summary:
             demonstrations.robot,
             first.columns if first else {},
             first.cameras if first else {},
-            Truth.of(first) if first else None,
-            tuple(Listed.of(demonstrations[index]) for index in range(len(demonstrations))),
+            PrivilegedRecord.of(first) if first else None,
+            tuple(EpisodeSummary.of(demonstrations[index]) for index in range(len(demonstrations))),
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -123,10 +123,10 @@ def _rows(word: str, entries: Mapping[str, str]) -> list[str]:
     return [f"  {word}  {name.ljust(width)}  {what}" for name, what in entries.items()]
 
 
-def _column(column: Column) -> str:
+def _column(column: ColumnInfo) -> str:
     shape = " x ".join(map(str, column.shape)) or "number"
     return f"{shape} {column.dtype}" + (f"  {' '.join(column.names)}" if column.names else "")
 
 
-def _camera(camera: Camera) -> str:
+def _camera(camera: CameraInfo) -> str:
     return f"{camera.height} x {camera.width} {camera.kind} {camera.encoding}"

@@ -9,19 +9,19 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from xpl_cli.basics import pages
-from xpl_cli.data.formats import pictures
+from xpl_cli.data.formats import image_codec
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from xpl_cli.data.show.view import Chart, Strip, View
+    from xpl_cli.data.show.episode_view import Chart, EpisodeView, Strip
 
 _WIDE, _HIGH, _EDGE = 600.0, 120.0, 4.0
 _COLOURS: Final = 8
 _THUMBNAIL: Final = 240
 
 
-def render(view: View) -> str:
+def render(view: EpisodeView) -> str:
     """Return the page of an episode."""
     facts = {
         "format": view.format,
@@ -48,7 +48,7 @@ def _strip(strip: Strip) -> dict[str, Any]:
 
 
 def _source(image: NDArray[np.uint8]) -> str:
-    data = pictures.encoded(pictures.thumbnail(image, _THUMBNAIL), "jpeg")
+    data = image_codec.encode_image(image_codec.thumbnail(image, _THUMBNAIL), "jpeg")
     return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
 
 

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.show.view import MOST_CURVES
+from xpl_cli.data.show.episode_view import MOST_CURVES
 
 if TYPE_CHECKING:
-    from xpl_cli.data.sets.interface import Demonstrations, Episode
+    from xpl_cli.data.sets.interface import Demonstrations, RecordedEpisode
 
 _STEP, _TIME = "step", "time"
 
 
-def write(demonstrations: Demonstrations, episode: Episode, path: Path) -> None:
+def write(demonstrations: Demonstrations, episode: RecordedEpisode, path: Path) -> None:
     """Write an episode as an .rrd: cameras and columns below their names, by step and, where the rate is known, time.
 
     Raises:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from xpl_cli.data.formats.pictures import thumbnail
+from xpl_cli.data.formats.image_codec import thumbnail
 
 if TYPE_CHECKING:
-    from xpl_cli.data.show.view import Chart, View
+    from xpl_cli.data.show.episode_view import Chart, EpisodeView
 
 _WIDE: Final = 1280
 _MARGIN: Final = 16
@@ -20,7 +20,7 @@ _INK, _SOFT, _RULE, _PAPER = "#1b1f24", "#5d646d", "#e2e4e7", "#ffffff"
 _CURVES: Final = ("#2a6db0", "#c4681c", "#5d7f2a", "#7b5cad", "#247f86", "#b8402f", "#8a6d1f", "#4a5560")
 
 
-def draw(view: View) -> Image.Image:
+def draw(view: EpisodeView) -> Image.Image:
     """Return the sheet of an episode."""
     rows = [_heading(view), *(_frames(strip) for strip in view.strips)]
     charts = [_chart(chart) for chart in view.charts if chart.curves.size]
@@ -34,7 +34,7 @@ def draw(view: View) -> Image.Image:
     return sheet
 
 
-def _heading(view: View) -> Image.Image:
+def _heading(view: EpisodeView) -> Image.Image:
     rate = f"{view.rate_hz:g} Hz" if view.rate_hz else "rate unknown"
     lines = [
         f"{view.key} of {view.path}",

@@ -62,7 +62,7 @@ _FEATURE: Final = {
         "video_info": _MAP,
     },
 }
-_INFO_SCHEMA: Final = documents.of(
+_INFO_SCHEMA: Final = documents.schema_text(
     {
         "type": "object",
         "required": ["features", "fps", "data_path"],
@@ -76,14 +76,14 @@ _INFO_SCHEMA: Final = documents.of(
     }
 )
 """What is used of `meta/info.json`; what else it says stays as it is."""
-_EPISODE_SCHEMA: Final = documents.of(
+_EPISODE_SCHEMA: Final = documents.schema_text(
     {
         "type": "object",
         "required": ["episode_index", "length"],
         "properties": {"episode_index": _COUNT, "length": _STEPS, "tasks": {"type": ["array", "null"]}},
     }
 )
-_ROW_SCHEMA: Final = documents.of(
+_ROW_SCHEMA: Final = documents.schema_text(
     {
         "type": "object",
         "required": ["episode_index", "length", "dataset_from_index"],
@@ -99,7 +99,7 @@ _KNOWN: Final = ("episode_index", "tasks", "length", "dataset_from_index", "data
 
 
 @dataclass(frozen=True)
-class Entry:
+class EpisodeEntry:
     """What `meta/` says of one episode.
 
     Attributes:
@@ -172,14 +172,14 @@ class Info:
         return [name for name, feature in self.features.items() if feature.dtype == "video"]
 
 
-def information(root: Path) -> Info:
+def read_info(root: Path) -> Info:
     """Return what `meta/info.json` says.
 
     Raises:
         DataError: it cannot be read, or says something that cannot be.
     """
     path = root / INFO
-    info = documents.checked(documents.parsed(_text(path), str(path)), _INFO_SCHEMA, str(path))
+    info = documents.validate_value(documents.parse_json(_text(path), str(path)), _INFO_SCHEMA, str(path))
     kept = info.get(EXTRAS)
     known = (*_NAMED, *_COUNTS, EXTRAS)
     rest = {key: value for key, value in info.items() if key not in known and not key.startswith("total_")}
@@ -214,14 +214,14 @@ def _version(root: Path, told: str) -> str:
     raise DataError(f"{root / INFO} says version {told[:40]}; v2.0, v2.1 and v3.0 are read")
 
 
-def entries(root: Path, info: Info) -> list[Entry]:
+def read_entries(root: Path, info: Info) -> list[EpisodeEntry]:
     """Return what there is of each episode, in the order of their numbers.
 
     Raises:
         DataError: the files below `meta/` cannot be read, or lack something.
     """
     try:
-        found = list(_of_lines(root, info) if info.version == V21 else _of_tables(root, info))
+        found = list(_entries_of_lines(root, info) if info.version == V21 else _entries_of_tables(root, info))
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, DataError):
             raise
@@ -230,7 +230,7 @@ def entries(root: Path, info: Info) -> list[Entry]:
     return sorted(found, key=lambda entry: entry.index)
 
 
-def _refuse_shared_rows(root: Path, entries: list[Entry]) -> None:
+def _refuse_shared_rows(root: Path, entries: list[EpisodeEntry]) -> None:
     """Refuse a list in which a number stands twice, or a row of a table belongs to two episodes.
 
     Raises:
@@ -247,7 +247,7 @@ def _refuse_shared_rows(root: Path, entries: list[Entry]) -> None:
             )
 
 
-def statistics(root: Path, version: str, feature: str) -> dict[int, dict[str, Any]]:
+def read_statistics(root: Path, version: str, feature: str) -> dict[int, dict[str, Any]]:
     """Return the statistics of a feature, by episode; nothing of those that a set does not have.
 
     Raises:
@@ -265,7 +265,7 @@ def statistics(root: Path, version: str, feature: str) -> dict[int, dict[str, An
     }
 
 
-def filled(template: str, values: Mapping[str, Any]) -> str:
+def fill_path(template: str, values: Mapping[str, Any]) -> str:
     """Return a path with values in the places of a template; it never leads out of the dataset.
 
     Raises:
@@ -295,7 +295,7 @@ def lines(path: Path) -> Iterator[dict[str, Any]]:
         if not line.strip():
             continue
         where = f"{path}, line {number}"
-        value = documents.parsed(line, where)
+        value = documents.parse_json(line, where)
         if not isinstance(value, dict):
             raise DataError(f"{where}: expected an object of JSON")
         yield value
@@ -307,41 +307,41 @@ def object_of(text: str, where: str) -> dict[str, Any]:
     Raises:
         DataError: it is none.
     """
-    value = documents.parsed(text, f"{where}: {EXTRAS}")
+    value = documents.parse_json(text, f"{where}: {EXTRAS}")
     if not isinstance(value, dict):
         raise DataError(f"{where}: {EXTRAS} is no object of JSON")
     return value
 
 
-def _of_lines(root: Path, info: Info) -> Iterator[Entry]:
+def _entries_of_lines(root: Path, info: Info) -> Iterator[EpisodeEntry]:
     path = root / "meta/episodes.jsonl"
     for number, line in enumerate(lines(path), 1):
-        documents.checked(line, _EPISODE_SCHEMA, f"{path}, episode {number}")
+        documents.validate_value(line, _EPISODE_SCHEMA, f"{path}, episode {number}")
         index = line["episode_index"]
         places = {"episode_index": index, "episode_chunk": index // info.chunk}
-        yield Entry(
+        yield EpisodeEntry(
             index,
             line["length"],
             tuple(map(str, line.get("tasks") or ())),
-            filled(info.data_path, places),
+            fill_path(info.data_path, places),
             0,
-            {name: (filled(info.video_path, {**places, "video_key": name}), 0.0) for name in info.videos},
+            {name: (fill_path(info.video_path, {**places, "video_key": name}), 0.0) for name in info.videos},
             {key: value for key, value in line.items() if key not in _KNOWN},
         )
 
 
-def _of_tables(root: Path, info: Info) -> Iterator[Entry]:
+def _entries_of_tables(root: Path, info: Info) -> Iterator[EpisodeEntry]:
     read = enumerate(_rows(root), 1)
-    found = (documents.checked(row, _ROW_SCHEMA, f"{root / EPISODES}, row {number}") for number, row in read)
+    found = (documents.validate_value(row, _ROW_SCHEMA, f"{root / EPISODES}, row {number}") for number, row in read)
     rows = sorted(found, key=lambda row: int(row["episode_index"]))
     begins: dict[str, int] = {}
     for row in rows:
-        path = filled(info.data_path, _pointer(row, "data"))
+        path = fill_path(info.data_path, _pointer(row, "data"))
         begins.setdefault(path, int(row["dataset_from_index"]))
         begins[path] = min(begins[path], int(row["dataset_from_index"]))
     for row in rows:
-        path = filled(info.data_path, _pointer(row, "data"))
-        yield Entry(
+        path = fill_path(info.data_path, _pointer(row, "data"))
+        yield EpisodeEntry(
             int(row["episode_index"]),
             int(row["length"]),
             tuple(map(str, row.get("tasks") or ())),
@@ -349,7 +349,7 @@ def _of_tables(root: Path, info: Info) -> Iterator[Entry]:
             int(row["dataset_from_index"]) - begins[path],
             {
                 name: (
-                    filled(info.video_path, {**_pointer(row, f"videos/{name}"), "video_key": name}),
+                    fill_path(info.video_path, {**_pointer(row, f"videos/{name}"), "video_key": name}),
                     float(row[f"videos/{name}/from_timestamp"]),
                 )
                 for name in info.videos

@@ -13,10 +13,10 @@ import numpy as np
 
 from xpl.images import PIXELS
 from xpl.trajectory import storage
-from xpl_cli.data.formats import libraries, pictures, video
+from xpl_cli.data.formats import image_codec, libraries, video
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Clip, Column, Demonstrations, Extras
+from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Demonstrations, Extras, VideoClip
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class LeRobotSet(Demonstrations):
 
     def __init__(self, root: Path) -> None:
         self.root, self._said = root, root / layout.INFO
-        self.info = layout.information(root)
+        self.info = layout.read_info(root)
         super().__init__(root, f"lerobot-{self.info.version}")
 
     @property
@@ -70,13 +70,13 @@ class LeRobotSet(Demonstrations):
         return LeRobotEpisode(self, self._entries[index])
 
     @functools.cached_property
-    def columns(self) -> Mapping[str, Column]:
+    def columns(self) -> Mapping[str, ColumnInfo]:
         """The columns of every episode."""
         features = self.info.features.items()
         return {name: _column(self._said, name, feature) for name, feature in features if not feature.is_camera}
 
     @functools.cached_property
-    def cameras(self) -> Mapping[str, Camera]:
+    def cameras(self) -> Mapping[str, CameraInfo]:
         """The cameras of every episode."""
         features = self.info.features.items()
         return {name: _camera(self._said, name, feature) for name, feature in features if feature.is_camera}
@@ -97,9 +97,9 @@ class LeRobotSet(Demonstrations):
     @functools.lru_cache(maxsize=16)  # noqa: B019 - as above
     def statistics(self, feature: str) -> dict[int, dict[str, Any]]:
         """Return the statistics of a feature by episode."""
-        return layout.statistics(self.root, self.info.version, feature)
+        return layout.read_statistics(self.root, self.info.version, feature)
 
-    def rows(self, entry: layout.Entry, column: str, start: int, stop: int) -> np.ndarray:
+    def rows(self, entry: layout.EpisodeEntry, column: str, start: int, stop: int) -> np.ndarray:
         """Return rows of an episode."""
         pieces = []
         for number, first, last in _groups(self._sizes(entry.data), entry.first + start, entry.first + stop):
@@ -112,7 +112,7 @@ class LeRobotSet(Demonstrations):
             )
         return np.concatenate(pieces) if pieces else self._empty(column)
 
-    def pictures(self, entry: layout.Entry, camera: str, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
+    def pictures(self, entry: layout.EpisodeEntry, camera: str, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
         """Yield the encoded images of a camera that lie in the table, with their places."""
         where = f"{self.root / entry.data}, {camera}"
         due = start
@@ -135,8 +135,8 @@ class LeRobotSet(Demonstrations):
             raise DataError(f"{where} has {due} images, and {stop} are expected")
 
     @functools.cached_property
-    def _entries(self) -> list[layout.Entry]:
-        return layout.entries(self.root, self.info)
+    def _entries(self) -> list[layout.EpisodeEntry]:
+        return layout.read_entries(self.root, self.info)
 
     def _require(self, file: Any, column: str, path: str) -> None:
         if column not in file.schema_arrow.names:
@@ -176,7 +176,7 @@ class LeRobotSet(Demonstrations):
 class LeRobotEpisode(OutlinedEpisode):
     """An episode of a LeRobot dataset."""
 
-    def __init__(self, owner: LeRobotSet, entry: layout.Entry) -> None:
+    def __init__(self, owner: LeRobotSet, entry: layout.EpisodeEntry) -> None:
         super().__init__(f"episode_{entry.index:06d}")
         self._owner, self.entry = owner, entry
 
@@ -188,12 +188,12 @@ class LeRobotEpisode(OutlinedEpisode):
             extras = {**layout.object_of(told, f"{self._owner.root}, {self.key}"), **rest}
         return Outline(entry.length, entry.tasks, self._owner.columns, self._owner.cameras, extras)
 
-    def video(self, camera: str) -> Clip | None:
+    def video(self, camera: str) -> VideoClip | None:
         """Return where a camera's video lies; None if its images are in the table."""
         if camera not in self.entry.videos:
             return None
         path, begins = self.entry.videos[camera]
-        return Clip(str(self._owner.root / path), begins, self.cameras[camera].encoding)
+        return VideoClip(str(self._owner.root / path), begins, self.cameras[camera].encoding)
 
     def stats(self, camera: str) -> dict[str, Any] | None:
         """Return the statistics of a camera's images that the set has; None if it has none."""
@@ -216,16 +216,16 @@ class LeRobotEpisode(OutlinedEpisode):
             yield from video.frames(self._owner.root / path, begins, self._owner.info.rate_hz, first, last)
             return
         for index, data in self._owner.pictures(self.entry, camera, first, last):
-            yield pictures.pixels(data, f"{self._owner.root / self.entry.data}, {camera}, image {index}")
+            yield image_codec.decode_image(data, f"{self._owner.root / self.entry.data}, {camera}, image {index}")
 
 
-def _camera(where: Path, name: str, feature: layout.Feature) -> Camera:
+def _camera(where: Path, name: str, feature: layout.Feature) -> CameraInfo:
     if len(feature.shape) != 3:
         raise DataError(f"{where}: the camera {name} has the shape {feature.shape}, expected three sizes")
     height, width = _sizes(feature)
     if height * width > PIXELS:
         raise DataError(f"{where}: images of {name} have {height} x {width} pixels, more than {PIXELS}")
-    return Camera(height, width, encoding="png" if feature.dtype == "image" else feature.codec or "video")
+    return CameraInfo(height, width, encoding="png" if feature.dtype == "image" else feature.codec or "video")
 
 
 def _sizes(feature: layout.Feature) -> tuple[int, int]:
@@ -235,15 +235,15 @@ def _sizes(feature: layout.Feature) -> tuple[int, int]:
     return (second, last) if is_first else (first, second)
 
 
-def _column(where: Path, name: str, feature: layout.Feature) -> Column:
+def _column(where: Path, name: str, feature: layout.Feature) -> ColumnInfo:
     if feature.dtype in ("string", "large_string"):
-        return Column((), "str")
+        return ColumnInfo((), "str")
     if feature.dtype not in _NUMBERS:
         raise DataError(f"{where}: the feature {name} has the type {feature.dtype[:40]}, which is not read")
     shape = () if name in layout.DEFAULTS else feature.shape
     if math.prod(shape) * 8 > _MOST_ROW:
         raise DataError(f"{where}: the feature {name} has the shape {shape}, too large for a row")
-    return Column(shape, feature.dtype, feature.names if shape == (len(feature.names),) else ())
+    return ColumnInfo(shape, feature.dtype, feature.names if shape == (len(feature.names),) else ())
 
 
 def _groups(sizes: Sequence[int], start: int, stop: int) -> Iterator[tuple[int, int, int]]:

@@ -28,14 +28,14 @@ def of_numbers(rows: np.ndarray) -> Stats:
     return {**_of(flat.astype(np.float64)), "count": [len(rows)]}
 
 
-def chosen(length: int) -> list[int]:
+def sampled_steps(length: int) -> list[int]:
     """Return the steps whose images count, as many as LeRobot takes."""
     count = max(min(length, _FEWEST), min(int(length**0.75), _MOST))
     found: list[int] = np.round(np.linspace(0, length - 1, count)).astype(int).tolist()
     return found
 
 
-def thinned(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return an image with fewer pixels, where it is large."""
     height, width = image.shape[:2]
     if max(width, height) < _SMALL:

@@ -13,7 +13,7 @@ from xpl_cli.data.formats import libraries
 
 if TYPE_CHECKING:
     from xpl_cli.data.formats.lerobot.layout import Feature
-    from xpl_cli.data.formats.writing import Piece
+    from xpl_cli.data.formats.writing import WrittenEpisode
 
 
 def schema(features: Mapping[str, Feature]) -> Any:
@@ -30,7 +30,7 @@ def write(path: Path, types: Any, columns: Mapping[str, Any]) -> None:
     libraries.parquet().write_table(arrow.Table.from_arrays(arrays, schema=types), path, compression="snappy")
 
 
-def joined(path: Path, parts: list[Path]) -> None:
+def join(path: Path, parts: list[Path]) -> None:
     """Write one file of several; each keeps its group of rows."""
     parquet = libraries.parquet()
     writer = None
@@ -79,7 +79,7 @@ def write_tasks(path: Path, tasks: list[str]) -> None:
     libraries.parquet().write_table(arrow.Table.from_arrays(columns, schema=types), path)
 
 
-def write_episodes(path: Path, rows: list[dict[str, Any]], pieces: list[Piece]) -> None:
+def write_episodes(path: Path, rows: list[dict[str, Any]], pieces: list[WrittenEpisode]) -> None:
     """Write the table of episodes: a row each, with its statistics as columns `stats/<feature>/<name>`."""
     arrow = libraries.arrow()
     keys = list(dict.fromkeys(key for row in rows for key in row))

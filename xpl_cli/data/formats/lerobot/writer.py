@@ -13,17 +13,17 @@ import numpy as np
 from xpl import images
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.data.formats import encoding, pictures, video
+from xpl_cli.data.formats import image_codec, video, video_encoding
 from xpl_cli.data.formats.lerobot import layout, stats, tables
 from xpl_cli.data.formats.lerobot.layout import Feature
-from xpl_cli.data.formats.writing import Names, Piece
+from xpl_cli.data.formats.writing import NamingScheme, WrittenEpisode
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from xpl_cli.data.formats.writing import Plan
-    from xpl_cli.data.sets.interface import Camera, Column, Episode
+    from xpl_cli.data.formats.writing import WritePlan
+    from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, RecordedEpisode
 
 _SET, _EPISODES = "set", "episodes"
 _IMAGES: Final = ("auto", "video", "png")
@@ -39,21 +39,21 @@ class LeRobotWriter:
     """Writes v3.0."""
 
     name = f"lerobot-{layout.V30}"
-    names = Names(
+    names = NamingScheme(
         "action", "observation.state", "observation.", "observation.images.", ".", "observation.environment_state"
     )
 
-    def keeps(self, column: Column) -> str | None:
+    def column_rejection(self, column: ColumnInfo) -> str | None:
         """Return why a column cannot be kept."""
         if len(column.shape) > 5:
             return f"LeRobot keeps arrays of 5 axes at most, this has {len(column.shape)}"
         return "it is empty" if 0 in column.shape else None
 
-    def shows(self, camera: Camera) -> str | None:
+    def camera_rejection(self, camera: CameraInfo) -> str | None:
         """Return why a camera cannot be kept."""
         return None if camera.kind == "color" else "LeRobot's sets have no depth images"
 
-    def check(self, plan: Plan) -> None:
+    def check(self, plan: WritePlan) -> None:
         """Stop before anything is written."""
         if plan.options.images not in _IMAGES:
             raise DataError(
@@ -68,9 +68,9 @@ class LeRobotWriter:
         if wrong:
             raise DataError(f"LeRobot takes no / in names, got {', '.join(wrong)}")
 
-    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> Piece:
+    def write_episode(self, folder: Path, plan: WritePlan, index: int, episode: RecordedEpisode) -> WrittenEpisode:
         """Write the numbers and videos of one episode."""
-        _same(plan, index, episode)
+        _require_same_features(plan, index, episode)
         rate = float(plan.rate_hz or 0)
         found: dict[str, stats.Stats] = {}
         columns: dict[str, Any] = {}
@@ -85,18 +85,18 @@ class LeRobotWriter:
             if _is_video(plan, name):
                 path = _video_path(folder, index, name)
                 path.parent.mkdir(parents=True, exist_ok=True)
-                videos[name], worst, found[name] = _video(path, episode, name, plan, rate)
+                videos[name], worst, found[name] = _write_video(path, episode, name, plan, rate)
                 psnr_db |= {} if worst is None else {name: worst}
             else:
                 columns[name], found[name] = _pngs(episode, name)
-        columns |= _counted(plan, index, rate, _tasks(plan))
+        columns |= _default_columns(plan, index, rate, _tasks(plan))
         found |= {name: stats.of_numbers(columns[name]) for name in layout.DEFAULTS}
         path = _table_path(folder, index)
         path.parent.mkdir(parents=True, exist_ok=True)
         tables.write(path, tables.schema(_features(plan)), columns)
-        return Piece(psnr_db, videos, found, dict(episode.extras))
+        return WrittenEpisode(psnr_db, videos, found, dict(episode.extras))
 
-    def finish(self, folder: Path, plan: Plan, pieces: list[Piece]) -> Path:
+    def finish(self, folder: Path, plan: WritePlan, pieces: list[WrittenEpisode]) -> Path:
         """Join the files of episodes, and write `meta/`."""
         result = folder / _SET
         if result.exists():  # of a run that ended here
@@ -106,19 +106,19 @@ class LeRobotWriter:
         rows = [_row(plan, index, piece) for index, piece in enumerate(pieces)]
         tasks = list(_tasks(plan))
         starts = plan.starts
-        for index, place in enumerate(_joined(folder, plan)):
+        for index, place in enumerate(_join_files(folder, plan)):
             rows[index] |= place
             rows[index]["dataset_from_index"] = starts[index]
             rows[index]["dataset_to_index"] = starts[index] + plan.lengths[index]
             rows[index] |= {f"meta/episodes/{key}": value for key, value in _file(0).items()}
         tables.write_tasks(meta / "tasks.parquet", tasks)
-        tables.write_episodes(result / layout.filled(layout.EPISODES_PATH, _file(0)), rows, pieces)
+        tables.write_episodes(result / layout.fill_path(layout.EPISODES_PATH, _file(0)), rows, pieces)
         write_file(meta / "stats.json", _json(stats.of_all([piece.stats for piece in pieces])))
-        write_file(result / layout.INFO, _json(_information(plan, pieces, tasks)))
+        write_file(result / layout.INFO, _json(_info_json(plan, pieces, tasks)))
         return result
 
 
-def _information(plan: Plan, pieces: list[Piece], tasks: list[str]) -> dict[str, Any]:
+def _info_json(plan: WritePlan, pieces: list[WrittenEpisode], tasks: list[str]) -> dict[str, Any]:
     """Return `meta/info.json`."""
     rate = float(plan.rate_hz or 0)
     features: dict[str, dict[str, Any]] = {
@@ -132,7 +132,7 @@ def _information(plan: Plan, pieces: list[Piece], tasks: list[str]) -> dict[str,
             "video.codec": codec,
             "video.pix_fmt": "yuv420p",
             "video.is_depth_map": False,
-            "video.fps": _whole(rate),
+            "video.fps": _integer_if_whole(rate),
             "video.channels": 3,
             "has_audio": False,
         }
@@ -144,7 +144,7 @@ def _information(plan: Plan, pieces: list[Piece], tasks: list[str]) -> dict[str,
         "total_frames": sum(plan.lengths),
         "total_tasks": len(tasks),
         "chunks_size": layout.CHUNKS_SIZE,
-        "fps": _whole(rate),
+        "fps": _integer_if_whole(rate),
         "splits": {"train": f"0:{len(pieces)}"},
         "data_path": layout.DATA_PATH,
         "video_path": layout.VIDEO_PATH if has_video else None,
@@ -156,25 +156,25 @@ def _information(plan: Plan, pieces: list[Piece], tasks: list[str]) -> dict[str,
     return info
 
 
-def _joined(folder: Path, plan: Plan) -> list[dict[str, Any]]:
+def _join_files(folder: Path, plan: WritePlan) -> list[dict[str, Any]]:
     """Join the files of episodes, and return where each episode went."""
     rate = float(plan.rate_hz or 0)
     result = folder / _SET
     places: list[dict[str, Any]] = [{} for _ in plan.lengths]
     each = range(len(plan.lengths))
     paths = [_table_path(folder, index) for index in each]
-    for number, indices in enumerate(_grouped(paths, plan.options.file_mb or _DATA_MB)):
-        target = result / layout.filled(layout.DATA_PATH, _file(number))
+    for number, indices in enumerate(_groups_by_size(paths, plan.options.file_mb or _DATA_MB)):
+        target = result / layout.fill_path(layout.DATA_PATH, _file(number))
         target.parent.mkdir(parents=True, exist_ok=True)
-        tables.joined(target, [paths[index] for index in indices])
+        tables.join(target, [paths[index] for index in indices])
         for index in indices:
             places[index] |= {f"data/{key}": value for key, value in _file(number).items()}
     for name in (camera for camera in plan.cameras if _is_video(plan, camera)):
         paths = [_video_path(folder, index, name) for index in each]
-        for number, indices in enumerate(_grouped(paths, plan.options.file_mb or _VIDEO_MB)):
-            target = result / layout.filled(layout.VIDEO_PATH, {**_file(number), "video_key": name})
+        for number, indices in enumerate(_groups_by_size(paths, plan.options.file_mb or _VIDEO_MB)):
+            target = result / layout.fill_path(layout.VIDEO_PATH, {**_file(number), "video_key": name})
             target.parent.mkdir(parents=True, exist_ok=True)
-            encoding.joined(target, [(paths[index], plan.lengths[index]) for index in indices], rate)
+            video_encoding.join_videos(target, [(paths[index], plan.lengths[index]) for index in indices], rate)
             begins = 0
             for index in indices:
                 place = places[index]
@@ -185,16 +185,18 @@ def _joined(folder: Path, plan: Plan) -> list[dict[str, Any]]:
     return places
 
 
-def _video(path: Path, episode: Episode, name: str, plan: Plan, rate: float) -> tuple[str, float | None, stats.Stats]:
+def _write_video(
+    path: Path, episode: RecordedEpisode, name: str, plan: WritePlan, rate: float
+) -> tuple[str, float | None, stats.Stats]:
     """Write a camera's video, copied where it is one already.
 
     Returns:
         codec, PSNR in dB of the worst frame of a sample (None for a copy), and its statistics.
     """
-    wanted = stats.chosen(episode.length)
+    wanted = stats.sampled_steps(episode.length)
     source = episode.video(name)
-    if source is not None and encoding.copied(Path(source.path), source.begins_s, rate, episode.length, path):
-        seen = _sampled(episode, name, wanted)
+    if source is not None and video_encoding.copy_video(Path(source.path), source.begins_s, rate, episode.length, path):
+        seen = _video_statistics(episode, name, wanted)
         return source.codec, None, seen
     kept: list[NDArray[np.uint8]] = []
 
@@ -203,40 +205,40 @@ def _video(path: Path, episode: Episode, name: str, plan: Plan, rate: float) -> 
         due = next(places)
         for index, frame in enumerate(episode.frames(name)):
             while index == due:
-                kept.append(stats.thinned(frame))
+                kept.append(stats.downsample(frame))
                 due = next(places)
             yield np.ascontiguousarray(frame)
 
-    encoding.encoded(path, shown(), rate, plan.options.codec, plan.options.crf)
+    video_encoding.encode_video(path, shown(), rate, plan.options.codec, plan.options.crf)
     sample = min(episode.length, _SAMPLED)
     back = video.frames(path, 0.0, rate, 0, sample)
-    worst = min(pictures.psnr(one, other) for one, other in zip(episode.frames(name, 0, sample), back, strict=True))
+    worst = min(image_codec.psnr(one, other) for one, other in zip(episode.frames(name, 0, sample), back, strict=True))
     return plan.options.codec, min(worst, _EXACT), stats.of_images(kept)
 
 
-def _sampled(episode: Episode, name: str, wanted: list[int]) -> stats.Stats:
+def _video_statistics(episode: RecordedEpisode, name: str, wanted: list[int]) -> stats.Stats:
     """Return the statistics of a copied video: those that the set has, else of frames of it."""
     known = episode.stats(name)
     if known is not None:
         return dict(known)
     places = set(wanted)
     return stats.of_images(
-        [stats.thinned(frame) for index, frame in enumerate(episode.frames(name)) if index in places]
+        [stats.downsample(frame) for index, frame in enumerate(episode.frames(name)) if index in places]
     )
 
 
-def _pngs(episode: Episode, name: str) -> tuple[list[dict[str, Any]], stats.Stats]:
+def _pngs(episode: RecordedEpisode, name: str) -> tuple[list[dict[str, Any]], stats.Stats]:
     """Return a camera's images for the table, and their statistics."""
-    wanted = set(stats.chosen(episode.length))
+    wanted = set(stats.sampled_steps(episode.length))
     rows, kept = [], []
     for index, frame in enumerate(episode.frames(name)):
         rows.append({"bytes": images.encode_png(frame), "path": f"frame-{index:06d}.png"})
         if index in wanted:
-            kept.append(stats.thinned(frame))
+            kept.append(stats.downsample(frame))
     return rows, stats.of_images(kept)
 
 
-def _counted(plan: Plan, index: int, rate: float, tasks: Mapping[str, int]) -> dict[str, Any]:
+def _default_columns(plan: WritePlan, index: int, rate: float, tasks: Mapping[str, int]) -> dict[str, Any]:
     """Return the columns that every dataset has."""
     length = plan.lengths[index]
     steps = np.arange(length, dtype=np.int64)
@@ -250,20 +252,20 @@ def _counted(plan: Plan, index: int, rate: float, tasks: Mapping[str, int]) -> d
     }
 
 
-def _tasks(plan: Plan) -> dict[str, int]:
+def _tasks(plan: WritePlan) -> dict[str, int]:
     """Return the number of each sentence; LeRobot has one for each step, an empty one if need be."""
     first = dict.fromkeys(told[0] if told else "" for told in plan.instructions)
     others = dict.fromkeys(sentence for told in plan.instructions for sentence in told)
     return {sentence: number for number, sentence in enumerate(first | others)}
 
 
-def _is_video(plan: Plan, camera: str) -> bool:
+def _is_video(plan: WritePlan, camera: str) -> bool:
     """Tell whether a camera's images become a video; those that are PNG already stay exact, unless asked otherwise."""
     wanted = plan.options.images
     return wanted == "video" or (wanted == "auto" and plan.cameras[camera].encoding != "png")
 
 
-def _features(plan: Plan) -> dict[str, Feature]:
+def _features(plan: WritePlan) -> dict[str, Feature]:
     """Return the features of info.json."""
     features: dict[str, Feature] = {}
     for name, column in plan.columns.items():
@@ -275,7 +277,7 @@ def _features(plan: Plan) -> dict[str, Feature]:
     return features | {name: Feature(dtype, (1,), ()) for name, dtype in layout.DEFAULTS.items()}
 
 
-def _row(plan: Plan, index: int, piece: Piece) -> dict[str, Any]:
+def _row(plan: WritePlan, index: int, piece: WrittenEpisode) -> dict[str, Any]:
     """Return what `meta/` says of an episode, in every version."""
     row: dict[str, Any] = {
         "episode_index": index,
@@ -287,7 +289,7 @@ def _row(plan: Plan, index: int, piece: Piece) -> dict[str, Any]:
     return row
 
 
-def _same(plan: Plan, index: int, episode: Episode) -> None:
+def _require_same_features(plan: WritePlan, index: int, episode: RecordedEpisode) -> None:
     """Stop where an episode has not what the first one has: a dataset has the same features throughout."""
     where = f"the episode {episode.key} (number {index})"
     for name in (*plan.columns, *plan.cameras):
@@ -308,7 +310,7 @@ def _same(plan: Plan, index: int, episode: Episode) -> None:
             )
 
 
-def _grouped(paths: list[Path], most_mb: float) -> Iterator[list[int]]:
+def _groups_by_size(paths: list[Path], most_mb: float) -> Iterator[list[int]]:
     """Yield the indices of files that are joined to one of at most so many MB, unless a single one is larger."""
     group: list[int] = []
     size = 0
@@ -335,7 +337,7 @@ def _video_path(folder: Path, index: int, camera: str) -> Path:
     return folder / _EPISODES / "videos" / camera / f"{index:06d}.mp4"
 
 
-def _whole(rate: float) -> float:
+def _integer_if_whole(rate: float) -> float:
     return int(rate) if rate.is_integer() else rate
 
 

@@ -20,14 +20,14 @@ from xpl_cli.basics import parallel
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.sizes import told_size
-from xpl_cli.data.conversion import chain, mapping
-from xpl_cli.data.conversion.names import Renamed, Renaming, renaming
+from xpl_cli.data.conversion import mapping, sources
 from xpl_cli.data.conversion.packing import NAME, PackedSet
+from xpl_cli.data.conversion.renaming import RenamedEpisode, Renaming, plan_renaming
 from xpl_cli.data.formats.writers import writer_of
-from xpl_cli.data.formats.writing import CONVERTED, Options, Piece, Plan
+from xpl_cli.data.formats.writing import CONVERTED, WriteOptions, WritePlan, WrittenEpisode
 from xpl_cli.data.sets.delegating import base_format
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.summary import Listed
+from xpl_cli.data.sets.summary import EpisodeSummary
 
 if TYPE_CHECKING:
     from xpl_cli.basics.progress import Progress
@@ -40,7 +40,7 @@ _TOLD_AGAIN_S: Final = 2.0
 
 
 @dataclass(frozen=True)
-class Job:
+class ConversionJob:
     """What is to be converted, and how.
 
     Attributes:
@@ -62,12 +62,12 @@ class Job:
     robot: str | None = None
     by: str | None = None
     written_by: str | None = None
-    options: Options = field(default_factory=Options)
+    options: WriteOptions = field(default_factory=WriteOptions)
     workers: int | None = None
 
 
 @dataclass(frozen=True)
-class Report:
+class ConversionReport:
     """What came of it.
 
     Attributes:
@@ -111,7 +111,7 @@ class Report:
         return "\n".join(lines if len(lines) > 1 else [*lines, "  nothing is lost"])
 
 
-def convert(job: Job, progress: Progress) -> Report:
+def convert(job: ConversionJob, progress: Progress) -> ConversionReport:
     """Convert a set; what an earlier run of the same job has done is not done again.
 
     Raises:
@@ -120,25 +120,25 @@ def convert(job: Job, progress: Progress) -> Report:
     begins = time.monotonic()
     if job.target.exists():
         raise DataError(f"{job.target} is there already", hint="remove it, or give another place", code=ExitCode.USAGE)
-    source = chain.source(job.source, job.to, job.by, job.written_by)
+    source = sources.open_source(job.source, job.to, job.by, job.written_by)
     if not len(source):
         raise DataError(f"{job.source} has no episodes")
-    plan, how = _planned(job, source)
+    plan, how = _make_plan(job, source)
     writer = writer_of(job.to)
     writer.check(plan)
     with _staging(job, plan) as staging:
-        done = _done(staging, len(plan.lengths))
+        done = _written_indices(staging, len(plan.lengths))
         due = [index for index in range(len(plan.lengths)) if index not in done]
         if done:
             progress.step(f"{len(done)} of {len(plan.lengths)} episodes are there from a run before")
         task = _Task(job, plan, how, staging, os.getpid())
-        _work(task, due, progress, None if source.is_forkable else source)
+        _write_pending(task, due, progress, None if source.is_forkable else source)
         progress.step("joining the episodes")
         pieces = [_piece(staging, index) for index in range(len(plan.lengths))]
         made = writer.finish(staging, plan, pieces)
         made.rename(job.target)
         shutil.rmtree(staging)
-    return Report(
+    return ConversionReport(
         str(job.source),
         str(job.target),
         base_format(source),
@@ -154,20 +154,20 @@ def convert(job: Job, progress: Progress) -> Report:
     )
 
 
-def _planned(job: Job, source: Demonstrations) -> tuple[Plan, Renaming]:
+def _make_plan(job: ConversionJob, source: Demonstrations) -> tuple[WritePlan, Renaming]:
     """Return what is known of the set before its first episode is written."""
     rate = job.rate_hz or source.rate_hz
     writer = writer_of(job.to)
-    how = renaming(source, writer, rate, chain.given(job.to, job.by, job.written_by))
-    first = Renamed(source[0], how)
+    how = plan_renaming(source, writer, rate, sources.mapped_names(job.to, job.by, job.written_by))
+    first = RenamedEpisode(source[0], how)
     extras = {key: value for key, value in source.extras.items() if key != CONVERTED}
     numbers = [new for new, column in first.columns.items() if column.shape == ()]
     extras[CONVERTED] = {"from": source.format, "names": how.changed, "numbers": numbers}
     if isinstance(source, PackedSet):
         extras[CONVERTED][NAME] = source.layout
         extras[CONVERTED]["numbers"] += source.numbers
-    listed = [Listed.of(source[index]) for index in range(len(source))]
-    plan = Plan(
+    listed = [EpisodeSummary.of(source[index]) for index in range(len(source))]
+    plan = WritePlan(
         rate,
         job.robot or source.robot,
         tuple(episode.steps for episode in listed),
@@ -192,21 +192,21 @@ class _Task:
         parent: the process that waits for it.
     """
 
-    job: Job
-    plan: Plan
+    job: ConversionJob
+    plan: WritePlan
     how: Renaming
     staging: Path
     parent: int
 
 
-def _work(task: _Task, due: list[int], progress: Progress, source: Demonstrations | None) -> None:
+def _write_pending(task: _Task, due: list[int], progress: Progress, source: Demonstrations | None) -> None:
     """Write the pieces that are due: in several processes, or of a set that only this one may read here."""
     plan = task.plan
     begins = told = time.monotonic()
     steps = 0
     total = sum(plan.lengths[index] for index in due)
     if source is None:
-        answers = parallel.in_processes(functools.partial(_written, task), due, task.job.workers)
+        answers = parallel.in_processes(functools.partial(_write_in_worker, task), due, task.job.workers)
     else:
         answers = (_write(task, source, index) for index in due)
     for index, written in zip(due, answers, strict=True):
@@ -223,28 +223,28 @@ def _work(task: _Task, due: list[int], progress: Progress, source: Demonstration
             told = now
 
 
-def _written(task: _Task, index: int) -> bool:
+def _write_in_worker(task: _Task, index: int) -> bool:
     """Write one episode, in a process of the pool."""
     parallel.die_with(task.parent)
     job = task.job
-    return _write(task, _opened(job.source, job.to, job.by, job.written_by), index)
+    return _write(task, _cached_source(job.source, job.to, job.by, job.written_by), index)
 
 
 def _write(task: _Task, source: Demonstrations, index: int) -> bool:
     """Write one episode, and then the note that it is there."""
-    episode = Renamed(source[index], task.how)
-    told = writer_of(task.job.to).piece(task.staging, task.plan, index, episode)
+    episode = RenamedEpisode(source[index], task.how)
+    told = writer_of(task.job.to).write_episode(task.staging, task.plan, index, episode)
     write_file(task.staging / _PIECES / f"{index:06d}.json", json.dumps(asdict(told)).encode())
     return True
 
 
 @functools.lru_cache(maxsize=1)
-def _opened(path: Path, to: str, by: str | None, written_by: str | None) -> Demonstrations:
-    return chain.source(path, to, by, written_by)
+def _cached_source(path: Path, to: str, by: str | None, written_by: str | None) -> Demonstrations:
+    return sources.open_source(path, to, by, written_by)
 
 
 @contextmanager
-def _staging(job: Job, plan: Plan) -> Iterator[Path]:
+def _staging(job: ConversionJob, plan: WritePlan) -> Iterator[Path]:
     """Yield the folder of what is not finished, kept by this process alone; begun anew if it is of another job."""
     folder = job.target.parent / f".{job.target.name}.converting"
     folder.mkdir(parents=True, exist_ok=True)
@@ -255,7 +255,7 @@ def _staging(job: Job, plan: Plan) -> Iterator[Path]:
         except BlockingIOError:
             raise DataError(f"another process converts to {job.target} already") from None
         digest = _digest(job, plan)
-        if _told(folder / _PLAN) != digest:
+        if _read_digest(folder / _PLAN) != digest:
             for entry in folder.iterdir():
                 shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
             (folder / _PIECES).mkdir()
@@ -265,7 +265,7 @@ def _staging(job: Job, plan: Plan) -> Iterator[Path]:
         os.close(lock)
 
 
-def _digest(job: Job, plan: Plan) -> str:
+def _digest(job: ConversionJob, plan: WritePlan) -> str:
     """Return what tells one job from another: mappings by what they say, because a file may be mended meanwhile."""
     by = [mapping.digest(name) for name in (job.by, job.written_by) if name is not None]
     told: list[Any] = [str(job.source.resolve()), job.to, job.by, job.written_by, by, asdict(job.options)]
@@ -273,7 +273,7 @@ def _digest(job: Job, plan: Plan) -> str:
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
 
-def _told(path: Path) -> str | None:
+def _read_digest(path: Path) -> str | None:
     try:
         digest: str | None = json_text.parse(path.read_bytes()).get("digest")
     except (OSError, ValueError):
@@ -281,15 +281,15 @@ def _told(path: Path) -> str | None:
     return digest
 
 
-def _done(staging: Path, count: int) -> set[int]:
+def _written_indices(staging: Path, count: int) -> set[int]:
     return {index for index in range(count) if (staging / _PIECES / f"{index:06d}.json").is_file()}
 
 
-def _piece(staging: Path, index: int) -> Piece:
-    return Piece(**json_text.parse((staging / _PIECES / f"{index:06d}.json").read_bytes()))
+def _piece(staging: Path, index: int) -> WrittenEpisode:
+    return WrittenEpisode(**json_text.parse((staging / _PIECES / f"{index:06d}.json").read_bytes()))
 
 
-def _lossy(job: Job, pieces: list[Piece]) -> dict[str, str]:
+def _lossy(job: ConversionJob, pieces: list[WrittenEpisode]) -> dict[str, str]:
     """Return what is not exactly what it was: images that were encoded here, with the worst that a sample shows."""
     worst: dict[str, float] = {}
     how: dict[str, str] = {}

@@ -22,7 +22,7 @@ _GROUP: Final = "2"
 _FINEST: Final = 1_000_000
 
 
-def encoded(path: Path, frames: Iterable[NDArray[np.uint8]], rate_hz: float, codec: str, crf: int) -> int:
+def encode_video(path: Path, frames: Iterable[NDArray[np.uint8]], rate_hz: float, codec: str, crf: int) -> int:
     """Write a video of RGB frames (H, W, 3) uint8; return how many there were.
 
     Raises:
@@ -54,7 +54,7 @@ def encoded(path: Path, frames: Iterable[NDArray[np.uint8]], rate_hz: float, cod
     return count
 
 
-def copied(source: Path, begins_s: float, rate_hz: float, length: int, path: Path) -> bool:
+def copy_video(source: Path, begins_s: float, rate_hz: float, length: int, path: Path) -> bool:
     """Copy an episode's part of a video without encoding it again; false where that cannot be done frame by frame."""
     av = libraries.av()
     with _quiet(), video.opened(source) as (container, stream), av.open(str(path), "w", format="mp4") as output:
@@ -79,7 +79,7 @@ def copied(source: Path, begins_s: float, rate_hz: float, length: int, path: Pat
     return due == length
 
 
-def joined(path: Path, parts: Iterable[tuple[Path, int]], rate_hz: float) -> None:
+def join_videos(path: Path, parts: Iterable[tuple[Path, int]], rate_hz: float) -> None:
     """Write one video of several that were made by the functions above, each with its number of frames."""
     av = libraries.av()
     target, frames = None, 0

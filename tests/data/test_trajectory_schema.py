@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.commands import xpl
 from xpl.trajectory import FORMS, Writer
-from xpl_cli.data.sets import held
+from xpl_cli.data.sets import trajectory_schema
 
 Spoil = Callable[[Any], None]
 
@@ -31,7 +31,7 @@ def _written(path: Path, form: str = FORMS[0]) -> Path:
 @pytest.mark.parametrize("form", FORMS)
 def test_what_is_written_is_valid(tmp_path: Path, form: str) -> None:
     path = _written(tmp_path / "episode.hdf5", form)
-    assert held.problems(path) == []
+    assert trajectory_schema.schema_problems(path) == []
 
 
 def _put(name: str, value: Any) -> Spoil:
@@ -76,7 +76,7 @@ def test_a_problem_names_its_dataset(tmp_path: Path, spoil: Spoil, path: str | N
     file = _written(tmp_path / "episode.hdf5")
     with h5py.File(file, "r+") as opened:
         spoil(opened)
-    (problem,) = held.problems(file)
+    (problem,) = trajectory_schema.schema_problems(file)
     assert (problem.file, problem.path) == (str(file), () if path is None else (path,))
     assert problem.missing == ("action" if path is None else None)
 
@@ -87,7 +87,7 @@ def test_a_number_that_is_none_is_a_problem(tmp_path: Path, rate: float) -> None
     file = _written(tmp_path / "episode.hdf5")
     with h5py.File(file, "r+") as opened:
         _put("additional_info/frequency", rate)(opened)
-    (problem,) = held.problems(file)
+    (problem,) = trajectory_schema.schema_problems(file)
     assert str(problem).endswith(f"additional_info/frequency: expected a number, got the text '{rate}'")
 
 

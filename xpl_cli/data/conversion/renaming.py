@@ -9,31 +9,31 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli.data.conversion import packing
-from xpl_cli.data.conversion.origin import Origin
+from xpl_cli.data.conversion.provenance import Provenance
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.formats.writers import WRITERS
-from xpl_cli.data.formats.writing import CONVERTED, Names
+from xpl_cli.data.formats.writing import CONVERTED, NamingScheme
 from xpl_cli.data.sets.delegating import DelegatingEpisode, base_format
-from xpl_cli.data.sets.interface import Camera, Clip, Column, Extras
+from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Extras, VideoClip
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from xpl_cli.data.formats.writing import Writer
-    from xpl_cli.data.sets.interface import Demonstrations, Episode
+    from xpl_cli.data.formats.writing import DatasetWriter
+    from xpl_cli.data.sets.interface import Demonstrations, RecordedEpisode
 
 COLOR, DEPTH = sdk.Camera.COLOR, sdk.Camera.DEPTH
 _READ_ONLY: Final = {
-    "robomimic": Names("actions", "", "obs/", "obs/"),
-    "aloha": Names("action", "observations/qpos", "observations/", "observations/images/"),
-    "robotwin": Names("joint_action/vector", "", "", "observation/"),
-    "diffusion-policy": Names("action", "", "", ""),
-    "rlds": Names("action", "observation/state", "observation/", "observation/"),
-    packing.NAME: Names(packing.ACTION, packing.STATE, "", "vision/", environment=packing.ENVIRONMENT),
+    "robomimic": NamingScheme("actions", "", "obs/", "obs/"),
+    "aloha": NamingScheme("action", "observations/qpos", "observations/", "observations/images/"),
+    "robotwin": NamingScheme("joint_action/vector", "", "", "observation/"),
+    "diffusion-policy": NamingScheme("action", "", "", ""),
+    "rlds": NamingScheme("action", "observation/state", "observation/", "observation/"),
+    packing.NAME: NamingScheme(packing.ACTION, packing.STATE, "", "vision/", environment=packing.ENVIRONMENT),
 }
 """How formats that are not written call things."""
-_ANY: Final = Names("action", "", "", "")
+_ANY: Final = NamingScheme("action", "", "", "")
 """How another format, which an installed package reads, is taken to call things."""
 _OWN: Final = (
     *(CONVERTED, "frequency", "robot", "num_samples", "ep_meta", "instruction", "instructions"),
@@ -72,8 +72,8 @@ class Renaming:
         return {new: old for new, old in both.items() if new != old}
 
 
-def renaming(
-    source: Demonstrations, writer: Writer, rate_hz: float | None, given: frozenset[str] = frozenset()
+def plan_renaming(
+    source: Demonstrations, writer: DatasetWriter, rate_hz: float | None, given: frozenset[str] = frozenset()
 ) -> Renaming:
     """Return how a set's names become those of a format.
 
@@ -86,9 +86,9 @@ def renaming(
         given: names that a mapping gave, which stay as they are.
     """
     first = source[0]
-    before = Origin.of(source)
+    before = Provenance.of(source)
     if family(before.format) != family(writer.name):
-        before = Origin()
+        before = Provenance()
     dropped = _DERIVED.get(family(base_format(source)), ())
     lost: dict[str, str] = {}
     columns: dict[str, str] = {}
@@ -96,23 +96,27 @@ def renaming(
     for name, column in first.columns.items():
         if name in dropped or (name == "timestamp" and _is_regular(first, rate_hz)):
             continue
-        reason = writer.keeps(column)
+        reason = writer.column_rejection(column)
         if reason is not None:
             lost[name] = reason
             continue
-        wanted = name if name in given else before.names.get(name) or _renamed(name, source.format, writer.names)
-        new = _free(wanted, columns, writer)
+        wanted = name if name in given else before.names.get(name) or _target_name(name, source.format, writer.names)
+        new = _unique_name(wanted, columns, writer)
         columns[new] = name
         if name in before.numbers and math.prod(column.shape) == 1:
             numbers.append(new)
     cameras: dict[str, str] = {}
     for name, camera in first.cameras.items():
-        reason = writer.shows(camera)
+        reason = writer.camera_rejection(camera)
         if reason is not None:
             lost[name] = reason
         else:
-            new = name if name in given else before.names.get(name) or _camera(name, camera.kind, source.format, writer)
-            cameras[_free(new, {**columns, **cameras}, writer)] = name
+            new = (
+                name
+                if name in given
+                else before.names.get(name) or _camera_name(name, camera.kind, source.format, writer)
+            )
+            cameras[_unique_name(new, {**columns, **cameras}, writer)] = name
     return Renaming(columns, cameras, frozenset(numbers), lost)
 
 
@@ -121,25 +125,25 @@ def family(name: str) -> str:
     return name.partition("-v")[0]
 
 
-class Renamed(DelegatingEpisode):
+class RenamedEpisode(DelegatingEpisode):
     """An episode under the names of another format; with no more columns and cameras than are written."""
 
-    def __init__(self, inner: Episode, how: Renaming) -> None:
+    def __init__(self, inner: RecordedEpisode, how: Renaming) -> None:
         super().__init__(inner)
         self._how = how
 
     @property
-    def columns(self) -> Mapping[str, Column]:
+    def columns(self) -> Mapping[str, ColumnInfo]:
         """The columns."""
         has = self._inner.columns
         return {
-            new: Column((), has[old].dtype) if new in self._how.numbers else has[old]
+            new: ColumnInfo((), has[old].dtype) if new in self._how.numbers else has[old]
             for new, old in self._how.columns.items()
             if old in has
         }
 
     @property
-    def cameras(self) -> Mapping[str, Camera]:
+    def cameras(self) -> Mapping[str, CameraInfo]:
         """The cameras."""
         has = self._inner.cameras
         return {new: has[old] for new, old in self._how.cameras.items() if old in has}
@@ -158,7 +162,7 @@ class Renamed(DelegatingEpisode):
         """Yield images of a camera."""
         return self._inner.frames(self._how.cameras[camera], start, stop)
 
-    def video(self, camera: str) -> Clip | None:
+    def video(self, camera: str) -> VideoClip | None:
         """Return where a camera's video lies; None if it has none."""
         return self._inner.video(self._how.cameras[camera])
 
@@ -167,9 +171,9 @@ class Renamed(DelegatingEpisode):
         return self._inner.stats(self._how.cameras[camera])
 
 
-def _renamed(name: str, given: str, wanted: Names) -> str:
+def _target_name(name: str, given: str, wanted: NamingScheme) -> str:
     """Return what a column is called in another format."""
-    has = _of(given)
+    has = _naming_of(given)
     if has.action and name == has.action and wanted.action:
         return wanted.action
     if has.state and name == has.state:
@@ -181,14 +185,14 @@ def _renamed(name: str, given: str, wanted: Names) -> str:
     return name
 
 
-def _of(given: str) -> Names:
+def _naming_of(given: str) -> NamingScheme:
     name = family(given)
     written = {family(writer.name): writer.names for writer in WRITERS}
     return {**written, **_READ_ONLY}.get(name, _ANY)
 
 
-def _camera(name: str, kind: str, given: str, writer: Writer) -> str:
-    short = name.removeprefix(_of(given).camera)
+def _camera_name(name: str, kind: str, given: str, writer: DatasetWriter) -> str:
+    short = name.removeprefix(_naming_of(given).camera)
     wanted = _LEAVES.get(writer.name, {}).get(kind, "")
     if kind == COLOR or wanted:  # else depth would be called as the colour beside it
         for leaves in _LEAVES.values():
@@ -196,7 +200,7 @@ def _camera(name: str, kind: str, given: str, writer: Writer) -> str:
     return writer.names.camera + short + wanted
 
 
-def _free(name: str, taken: Mapping[str, str], writer: Writer) -> str:
+def _unique_name(name: str, taken: Mapping[str, str], writer: DatasetWriter) -> str:
     """Return a name with the format's separators that nothing else has."""
     if writer.names.separator != "/":
         name = name.replace("/", writer.names.separator)
@@ -207,7 +211,7 @@ def _free(name: str, taken: Mapping[str, str], writer: Writer) -> str:
     return name
 
 
-def _is_regular(episode: Episode, rate_hz: float | None) -> bool:
+def _is_regular(episode: RecordedEpisode, rate_hz: float | None) -> bool:
     """Tell whether times are those that the rate tells anyway."""
     import numpy as np
 

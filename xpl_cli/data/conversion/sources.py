@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.conversion import mapping as mappings
-from xpl_cli.data.conversion.origin import Origin
 from xpl_cli.data.conversion.packing import PackedSet, UnpackedSet
-from xpl_cli.data.conversion.standard import NAME, FieldSet, StandardSet
+from xpl_cli.data.conversion.provenance import Provenance
+from xpl_cli.data.conversion.standard import NAME, NativeSet, StandardizedSet
 from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Demonstrations
 
 
-def source(path: Path, to: str, by: str | None, written_by: str | None) -> Demonstrations:
+def open_source(path: Path, to: str, by: str | None, written_by: str | None) -> Demonstrations:
     """Return a set as a writer gets it.
 
     Args:
@@ -31,10 +31,10 @@ def source(path: Path, to: str, by: str | None, written_by: str | None) -> Demon
     """
     found = open_set(path)
     if by is not None and found.format != NAME:
-        found = StandardSet(found, mappings.load(by))
+        found = StandardizedSet(found, mappings.load(by))
         by = None
     elif found.format != NAME and to == NAME:
-        found = _unpacked(found)
+        found = _unpack(found)
     wanted = by or written_by
     if wanted is None:
         is_packed = found.format == NAME and to != NAME and len(found) > 0
@@ -45,10 +45,10 @@ def source(path: Path, to: str, by: str | None, written_by: str | None) -> Demon
             "leaves nothing to say",
             code=ExitCode.USAGE,
         )
-    return FieldSet(found, mappings.load(wanted))
+    return NativeSet(found, mappings.load(wanted))
 
 
-def given(to: str, by: str | None, written_by: str | None) -> frozenset[str]:
+def mapped_names(to: str, by: str | None, written_by: str | None) -> frozenset[str]:
     """Return the names that a mapping gives to what is written."""
     wanted = written_by or by
     if to == NAME or wanted is None:
@@ -57,7 +57,7 @@ def given(to: str, by: str | None, written_by: str | None) -> frozenset[str]:
     return frozenset((*mapping.images, *mapping.states, *mapping.columns))
 
 
-def _unpacked(found: Demonstrations) -> Demonstrations:
+def _unpack(found: Demonstrations) -> Demonstrations:
     """Return a set with the standard's series again, if it was made of one that had them."""
-    origin = Origin.of(found)
+    origin = Provenance.of(found)
     return found if origin.layout is None else UnpackedSet(found, origin.names, origin.numbers, origin.layout)

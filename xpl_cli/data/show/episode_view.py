@@ -10,7 +10,7 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.data.formats.pictures import thumbnail
+from xpl_cli.data.formats.image_codec import thumbnail
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from xpl_cli.data.sets.interface import Demonstrations, Episode
+    from xpl_cli.data.sets.interface import Demonstrations, RecordedEpisode
 
 FRAMES: Final = 8
 MOST_CURVES: Final = 32
@@ -76,7 +76,7 @@ class Chart:
 
 
 @dataclass(frozen=True)
-class View:
+class EpisodeView:
     """An episode as it is shown.
 
     Attributes:
@@ -100,7 +100,7 @@ class View:
     charts: tuple[Chart, ...]
 
 
-def chosen(demonstrations: Demonstrations, wanted: str) -> Episode:
+def find_episode(demonstrations: Demonstrations, wanted: str) -> RecordedEpisode:
     """Return an episode by its place, counted from 0, or by its key.
 
     Raises:
@@ -119,13 +119,13 @@ def chosen(demonstrations: Demonstrations, wanted: str) -> Episode:
     )
 
 
-def view(demonstrations: Demonstrations, episode: Episode, frames: int = FRAMES) -> View:
+def view(demonstrations: Demonstrations, episode: RecordedEpisode, frames: int = FRAMES) -> EpisodeView:
     """Return what is shown of an episode.
 
     Raises:
         DataError: something of it cannot be read.
     """
-    return View(
+    return EpisodeView(
         demonstrations.path,
         demonstrations.format,
         episode.key,
@@ -138,7 +138,7 @@ def view(demonstrations: Demonstrations, episode: Episode, frames: int = FRAMES)
     )
 
 
-def _strip(episode: Episode, name: str, count: int) -> Strip:
+def _strip(episode: RecordedEpisode, name: str, count: int) -> Strip:
     camera = episode.cameras[name]
     steps = tuple(dict.fromkeys(np.linspace(0, max(episode.length - 1, 0), count).round().astype(int).tolist()))
     images = []
@@ -158,7 +158,7 @@ def _grey(depth: np.ndarray) -> NDArray[np.uint8]:
     return np.repeat((255 * (1 - share)).astype(np.uint8)[..., None], 3, axis=2)
 
 
-def _chart(episode: Episode, name: str) -> Chart:
+def _chart(episode: RecordedEpisode, name: str) -> Chart:
     column = episode.columns[name]
     width = math.prod(column.shape)
     steps = np.unique(np.linspace(0, episode.length - 1, _MOST_POINTS).round().astype(np.int64))
@@ -182,7 +182,7 @@ def _chart(episode: Episode, name: str) -> Chart:
     return Chart(name, what, names, steps, np.concatenate(picked), beside, float(low), float(high), lost)
 
 
-def _blocks(episode: Episode, name: str, width: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
+def _blocks(episode: RecordedEpisode, name: str, width: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Yield rows of a column, (steps, width), as many at a time as take little memory, with the first one's place."""
     count = max(1, _BLOCK // max(width, 1))
     for start in range(0, episode.length, count):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Demonstrations
 
 _WIDTH: Final = {"type": "integer", "minimum": 1, "maximum": 1 << 20}
-_SCHEMA: Final = documents.of(
+_SCHEMA: Final = documents.schema_text(
     {
         "type": "object",
         "properties": {
@@ -42,7 +42,7 @@ _SCHEMA: Final = documents.of(
 
 
 @dataclass(frozen=True)
-class Origin:
+class Provenance:
     """The set that another one was made of.
 
     Attributes:
@@ -68,7 +68,7 @@ class Origin:
         if not isinstance(told, Mapping):
             return cls()
         try:
-            documents.checked(told, _SCHEMA, f"{found.path}: {CONVERTED}")
+            documents.validate_value(told, _SCHEMA, f"{found.path}: {CONVERTED}")
         except DataError as error:
             raise DataError(str(error), code=ExitCode.FINDINGS) from None
         packed = told.get(packing.NAME)

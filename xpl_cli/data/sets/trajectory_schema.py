@@ -29,7 +29,7 @@ _JSON: Final = (sdk.Trajectory.INSTRUCTIONS, sdk.Trajectory.SUBTASKS)
 _SERIES: Final = (sdk.Trajectory.STATE, sdk.Trajectory.ACTION)
 
 
-def problems(file: Path) -> list[Problem]:
+def schema_problems(file: Path) -> list[Problem]:
     """Return how a trajectory differs from its schema, each problem with its dataset; none means it is valid.
 
     Args:
@@ -54,7 +54,7 @@ def _of_schema(datasets: Mapping[names.Place, Dataset]) -> Iterator[Problem]:
         inner = document
         for name in groups:
             inner = inner.setdefault(name, {})
-        inner[leaf] = _stood_for(path, dataset)
+        inner[leaf] = _schema_value(path, dataset)
     for problem in validate(document, SCHEMA):
         yield replace(problem, path=tuple(["/".join(map(str, problem.path))] if problem.path else ()))
 
@@ -95,7 +95,7 @@ def _of_images(found: trajectory.Trajectory) -> Iterator[Problem]:
                 break
 
 
-def _stood_for(path: names.Place, dataset: Dataset) -> Any:
+def _schema_value(path: names.Place, dataset: Dataset) -> Any:
     """Return a value of the dataset's shape and type; its content only where that is a word or a number."""
     if storage.hdf5().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 0:
         told = str(storage.text(dataset))

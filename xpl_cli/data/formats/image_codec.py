@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _JPEG: Final = b"\xff\xd8\xff"
 
 
-def pixels(data: bytes, where: str) -> NDArray[np.uint8]:
+def decode_image(data: bytes, where: str) -> NDArray[np.uint8]:
     """Return the pixels (H, W, 3) uint8 in the file's own order of channels.
 
     Raises:
@@ -36,7 +36,7 @@ def pixels(data: bytes, where: str) -> NDArray[np.uint8]:
     return np.ascontiguousarray(image[:, :, ::-1]) if is_exchanged else image
 
 
-def encoded(image: NDArray[np.uint8], encoding: str) -> bytes:
+def encode_image(image: NDArray[np.uint8], encoding: str) -> bytes:
     """Return an image (H, W, 3) uint8 encoded: `pixels` gives it back.
 
     Args:

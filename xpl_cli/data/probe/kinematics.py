@@ -29,7 +29,7 @@ _MOST_PERMUTED: Final = 7
 
 
 @dataclass(frozen=True)
-class Reading:
+class KinematicFit:
     """One way to read joints and the position that was recorded beside them.
 
     Attributes:
@@ -81,7 +81,7 @@ def candidates(dof: int, name: str | None) -> list[Embodiment]:
     return found
 
 
-def places(robot: Embodiment, side: str) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
+def tool_offsets(robot: Embodiment, side: str) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
     """Return for each point and frame that the standard knows of an arm what lies outside and inside of its flange."""
     found = {}
     for point, frame in itertools.product(("flange", "tcp"), ("world", "base")):
@@ -94,9 +94,9 @@ def places(robot: Embodiment, side: str) -> dict[tuple[str, str], tuple[np.ndarr
     return found
 
 
-def readings(
+def kinematic_fits(
     joints: np.ndarray, position: np.ndarray, names: list[Embodiment], *, orders: bool = False
-) -> list[Reading]:
+) -> list[KinematicFit]:
     """Return every way to read joints (N, dof) rad and positions (N, 3) together, the best first.
 
     Args:
@@ -108,25 +108,29 @@ def readings(
     dof = joints.shape[1]
     plain = tuple(range(dof))
     few = np.linspace(0, len(joints) - 1, _PLENTY).astype(int)
-    found = [one for robot in names for one in _tried(robot, joints[few], position[few], np.array([plain]))]
+    found = [one for robot in names for one in _fits_of_orders(robot, joints[few], position[few], np.array([plain]))]
     found.sort(key=lambda one: one.error)
     if orders and dof <= _MOST_PERMUTED:
         every = np.array(list(itertools.permutations(range(dof))))
         sparse = np.linspace(0, len(joints) - 1, _FEW).astype(int)
         for robot in names:
-            near = sorted(_tried(robot, joints[sparse], position[sparse], every), key=lambda one: one.error)[:24]
+            near = sorted(_fits_of_orders(robot, joints[sparse], position[sparse], every), key=lambda one: one.error)[
+                :24
+            ]
             kept = np.array(list({one.order for one in near}))
-            found += _tried(robot, joints[few], position[few], kept)
+            found += _fits_of_orders(robot, joints[few], position[few], kept)
         found.sort(key=lambda one: one.error)
     return found
 
 
-def _tried(robot: Embodiment, joints: np.ndarray, position: np.ndarray, orders: np.ndarray) -> list[Reading]:
+def _fits_of_orders(
+    robot: Embodiment, joints: np.ndarray, position: np.ndarray, orders: np.ndarray
+) -> list[KinematicFit]:
     """Return how well some orders of a robot's joints explain positions, in each place that the standard knows."""
     ends = flange(robot.data, np.moveaxis(joints[:, orders], 0, 1))
     found = []
     for side in robot.data["arms"]:
-        for (point, frame), (outer, inner) in places(robot, side).items():
+        for (point, frame), (outer, inner) in tool_offsets(robot, side).items():
             if frame == "base" and side != robot.data["arms"][0]:
                 continue  # it says nothing of the side
             there = poses.compose(poses.compose(outer, ends), inner)[..., :3]
@@ -135,13 +139,13 @@ def _tried(robot: Embodiment, joints: np.ndarray, position: np.ndarray, orders: 
                 errors = 1000 * np.sqrt((off * off).sum(-1).mean(-1))
                 best = range(len(orders)) if len(orders) == 1 else np.argsort(errors)[:24]
                 found += [
-                    Reading(robot.name, side, tuple(map(int, orders[k])), point, frame, length, float(errors[k]))
+                    KinematicFit(robot.name, side, tuple(map(int, orders[k])), point, frame, length, float(errors[k]))
                     for k in best
                 ]
     return found
 
 
-def begins_at_home(rows: Sequence[np.ndarray]) -> str | None:
+def robot_at_home(rows: Sequence[np.ndarray]) -> str | None:
     """Return the robot at whose home pose most episodes begin, to 0.05 rad; None if there is none."""
     first = np.stack([episode[0] for episode in rows])
     for unit in (1.0, np.pi / 180):

@@ -33,7 +33,7 @@ _PAGE: Final = resource.getpagesize()
 
 
 @dataclass(frozen=True)
-class Bounds:
+class ReadLimits:
     """Of a process that reads one set.
 
     Attributes:
@@ -64,13 +64,13 @@ class Bounds:
         """Seconds to wait for an answer, on a machine that has other work too."""
         return _WAIT_FACTOR * self.seconds
 
-    def hold(self) -> None:
+    def apply(self) -> None:
         """Hold this process to the memory from here on; it writes no file and leaves no core either."""
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
-        _limit_memory(_held() + self.memory)
+        _limit_memory(_data_memory() + self.memory)
 
-    def begin(self) -> None:
+    def start_cpu_limit(self) -> None:
         """Count the processor time of one answer from here on."""
         used = resource.getrusage(resource.RUSAGE_SELF)
         _, hard = resource.getrlimit(resource.RLIMIT_CPU)
@@ -79,7 +79,7 @@ class Bounds:
 
 
 @contextlib.contextmanager
-def importing(more: int = 0) -> Iterator[None]:
+def outside_limits(more: int = 0) -> Iterator[None]:
     """Leave what a library takes when it is imported out of the bounds.
 
     Args:
@@ -89,12 +89,12 @@ def importing(more: int = 0) -> Iterator[None]:
     if soft in (resource.RLIM_INFINITY, hard):
         yield
         return
-    before = _held()
+    before = _data_memory()
     resource.setrlimit(resource.RLIMIT_DATA, (hard, hard))
     try:
         yield
     finally:
-        _limit_memory(soft + max(_held() - before, 0) + more)
+        _limit_memory(soft + max(_data_memory() - before, 0) + more)
 
 
 def _limit_memory(size: int) -> None:
@@ -102,7 +102,7 @@ def _limit_memory(size: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (size if hard == resource.RLIM_INFINITY else min(size, hard), hard))
 
 
-def _held() -> int:
+def _data_memory() -> int:
     """Return what counts for RLIMIT_DATA: private memory that can be written to, bytes (proc_pid_statm(5))."""
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5]) * _PAGE
 
