@@ -78,7 +78,7 @@ def test_the_example_of_both_directions_runs() -> None:
     exec(compile(CODE[1], "model-io.md", "exec"), space)  # noqa: S102 - what the page shows
     parts = [{"joints": {"arm": "single"}}, {"gripper": {"arm": "single", "closed": 0.0, "open": 0.08}}]
     model_io = {"state": [{"input": "s", "parts": parts}], "action": {"reference": "absolute", "parts": parts}}
-    shown = space["shown_to_an_adapter"](model_io, {"s": [*[0.3] * 7, 0.02]}, observation("franka_single"))
+    shown = space["to_observation"](model_io, {"s": [*[0.3] * 7, 0.02]}, observation("franka_single"))
     assert shown["state"]["arm_joint_state"] == pytest.approx([0.3] * 7)
     assert shown["state"]["ee_joint_state"] == pytest.approx([0.25])
 
