@@ -63,7 +63,7 @@ def test_a_waived_finding_is_shown_with_its_reason_and_fails_nothing(adapter: Pa
 
 
 def test_a_message_narrows_a_waiver_to_findings_that_begin_so(adapter: Path) -> None:
-    waive(adapter, {"rule": "bare-except", "reason": REASON, "message": "why an import fails is hidden"})
+    waive(adapter, {"rule": "bare-except", "reason": REASON, "message": "the reason of a failed import is hidden"})
     result = audited(adapter)["bare-except"]
     assert result.outcome is Outcome.WARN
     assert (len(result.findings), len(result.waived)) == (1, 1)

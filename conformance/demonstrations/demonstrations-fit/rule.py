@@ -7,8 +7,8 @@ from typing import Any
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotRun, Proof, rule
-from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
-from xpl_cli.audit.offline.demonstrations.search import Change
+from xpl_cli.audit.offline.demonstrations.fact import DemonstrationComparison
+from xpl_cli.audit.offline.demonstrations.search import ScoredChange
 from xpl_cli.audit.served.probe import blame
 
 _WITHOUT = {"instruction": "blank", "history": "with the newest observation only"}
@@ -16,7 +16,7 @@ _WITHOUT = {"instruction": "blank", "history": "with the newest observation only
 
 
 @rule(code="XPL270", requirement="XPL-ACT-12", after=("serves",))
-def demonstrations_fit(demonstrations: Demonstrated) -> Iterator[Finding | Proof]:
+def demonstrations_fit(demonstrations: DemonstrationComparison) -> Iterator[Finding | Proof]:
     """Demonstrations match another convention than the declared one.
 
     ## What it does
@@ -65,7 +65,7 @@ def demonstrations_fit(demonstrations: Demonstrated) -> Iterator[Finding | Proof
     yield _finding(demonstrations, best)
 
 
-def _unread(demonstrations: Demonstrated) -> Iterator[Finding]:
+def _unread(demonstrations: DemonstrationComparison) -> Iterator[Finding]:
     for name, convention in demonstrations.outcome.deaf:
         without = _WITHOUT.get(name, "dark")
         yield blame(
@@ -85,8 +85,8 @@ def _unread(demonstrations: Demonstrated) -> Iterator[Finding]:
         )
 
 
-def _finding(demonstrations: Demonstrated, best: Change) -> Finding:
-    from xpl_cli.audit.offline.demonstrations.picture import drawn
+def _finding(demonstrations: DemonstrationComparison, best: ScoredChange) -> Finding:
+    from xpl_cli.audit.offline.demonstrations.error_plot import plot_errors
 
     ties = [tie.words for tie in demonstrations.outcome.ties]
     as_well = (
@@ -95,7 +95,7 @@ def _finding(demonstrations: Demonstrated, best: Change) -> Finding:
         else ""
     )
     given = dict(enumerate(demonstrations.given))
-    picture, part = drawn(demonstrations.ruler, given, best.given, best.words)
+    picture, part = plot_errors(demonstrations.ruler, given, best.given, best.words)
     changed = demonstrations.ruler.errors(best.given, range(len(given)))
     table = demonstrations.table(changed)
     where = "in the block `model_io`" if best.in_block else "in encode, predict or decode"
@@ -128,7 +128,7 @@ def _finding(demonstrations: Demonstrated, best: Change) -> Finding:
     return Finding(**{**vars(finding), "path": spec.File.POLICY_YML}) if best.in_block else finding
 
 
-def _numbers(demonstrations: Demonstrated) -> dict[str, Any]:
+def _numbers(demonstrations: DemonstrationComparison) -> dict[str, Any]:
     outcome = demonstrations.outcome
     means = {name: float(errors.steps[errors.known].mean()) for name, errors in demonstrations.witnesses.items()}
     own = demonstrations.errors

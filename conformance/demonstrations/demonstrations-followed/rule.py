@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotRun, rule
-from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
+from xpl_cli.audit.offline.demonstrations.fact import DemonstrationComparison
 from xpl_cli.audit.served.probe import blame
 
 
 @rule(code="XPL271", requirement="XPL-OBS-7", after=("serves",))
-def demonstrations_followed(demonstrations: Demonstrated) -> Iterator[Finding]:
+def demonstrations_followed(demonstrations: DemonstrationComparison) -> Iterator[Finding]:
     """The policy predicts demonstrations no better than holding the pose.
 
     ## What it does

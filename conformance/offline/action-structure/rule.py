@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.offline.motion import Answer, Motion, Motions
+from xpl_cli.audit.offline.motion import MotionAnswer, MotionEpisode, MotionEpisodes
 from xpl_cli.audit.served.compare import shapes
 from xpl_cli.audit.served.probe import blame
 
 
 @rule(code="XPL202", requirement="XPL-ACT-1")
-def action_structure(motions: Motions) -> Iterator[Finding]:
+def action_structure(motions: MotionEpisodes) -> Iterator[Finding]:
     """Actions lack keys, dimensions or finite values that the embodiment requires.
 
     ## What it does
@@ -32,7 +32,7 @@ def action_structure(motions: Motions) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    alike: dict[str, list[tuple[Motion, Answer]]] = {}
+    alike: dict[str, list[tuple[MotionEpisode, MotionAnswer]]] = {}
     for motion in motions.all:
         wrong = next(((answer, found) for answer in motion.answers if (found := motion.problem(answer))), None)
         if wrong is not None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.motion import Motions
+from xpl_cli.audit.offline.motion import MotionEpisodes
 from xpl_cli.audit.served.compare import answers
 from xpl_cli.audit.served.probe import Probe, blame
 
 
 @rule(code="XPL236", requirement="XPL-ACT-7")
-def chunk_length(probe: Probe, motions: Motions) -> Iterator[Finding]:
+def chunk_length(probe: Probe, motions: MotionEpisodes) -> Iterator[Finding]:
     """The length of an action chunk is not the declared one.
 
     ## What it does

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.offline.faulty import damaged, judge
+from xpl_cli.audit.offline.faulty_inputs import damaged, judge
 from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.inputs import present
 from xpl_cli.audit.served.probe import Probe

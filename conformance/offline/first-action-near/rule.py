@@ -7,14 +7,14 @@ from collections.abc import Iterable, Iterator
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.offline.limits import Excess, jumps
-from xpl_cli.audit.offline.motion import Motion, Motions
+from xpl_cli.audit.offline.motion import MotionEpisode, MotionEpisodes
 from xpl_cli.audit.offline.parity.fact import Parity
 from xpl_cli.audit.rules.model import SHARED
 from xpl_cli.audit.served.probe import blame
 
 
 @rule(code="XPL237", requirement="XPL-ACT-8", profile="full")
-def first_action_near(motions: Motions, parity: Parity) -> Iterator[Finding]:
+def first_action_near(motions: MotionEpisodes, parity: Parity) -> Iterator[Finding]:
     """The first action of an episode is far from the robot's pose.
 
     ## What it does
@@ -83,7 +83,7 @@ def _farthest(found: Iterable[Excess]) -> float:
     return max((excess.value / excess.limit for excess in found), default=1.0)
 
 
-def _golden_leap(parity: Parity, motion: Motion, frequency: float) -> float | None:
+def _golden_leap(parity: Parity, motion: MotionEpisode, frequency: float) -> float | None:
     """Return how far golden first actions are, in steps of the robot, at least 1; None without pairs of this robot."""
     told = parity.recorded
     asked = [

@@ -8,7 +8,7 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.motion import Motions
+from xpl_cli.audit.offline.motion import MotionEpisodes
 from xpl_cli.audit.served.probe import Probe, blame
 
 _HAND = "hand"
@@ -18,7 +18,7 @@ _EXACT = 1e-3
 
 
 @rule(code="XPL256", requirement="XPL-ACT-17", profile="full")
-def gripper_between(probe: Probe, motions: Motions) -> Iterator[Finding]:
+def gripper_between(probe: Probe, motions: MotionEpisodes) -> Iterator[Finding]:
     """A gripper that is declared binary gets a command between closed and open.
 
     ## What it does

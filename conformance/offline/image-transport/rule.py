@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.rehearsal import Rehearsal
+from xpl_cli.audit.offline.rehearsal import InProcessRun
 from xpl_cli.audit.served.compare import answers, difference, first_step
 from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.transports import FORMS, LEGACY, decoded, encoded, error_of, sees_pictures
 
 
 @rule(code="XPL225", requirement="XPL-IMG-2", compares=True)
-def image_transport(probe: Probe, rehearsal: Rehearsal) -> Iterator[Finding]:
+def image_transport(probe: Probe, rehearsal: InProcessRun) -> Iterator[Finding]:
     """Actions depend on how an image was encoded.
 
     ## What it does

@@ -8,12 +8,12 @@ from xpl import _spec as spec
 from xpl.embodiment import Embodiment
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.limits import Excess, farthest, outside
-from xpl_cli.audit.offline.motion import Answer, Motions
+from xpl_cli.audit.offline.motion import MotionAnswer, MotionEpisodes
 from xpl_cli.audit.served.probe import blame
 
 
 @rule(code="XPL238", requirement="XPL-ACT-9", profile="full")
-def joint_limits(motions: Motions) -> Iterator[Finding]:
+def joint_limits(motions: MotionEpisodes) -> Iterator[Finding]:
     """Joint commands exceed the limits of the embodiment.
 
     ## What it does
@@ -62,7 +62,9 @@ def joint_limits(motions: Motions) -> Iterator[Finding]:
             )
 
 
-def _past(robot: Embodiment, answered: list[Answer], allowed: float) -> Iterator[tuple[Answer, int, Excess]]:
+def _past(
+    robot: Embodiment, answered: list[MotionAnswer], allowed: float
+) -> Iterator[tuple[MotionAnswer, int, Excess]]:
     for answer in answered:
         for index, action in enumerate(answer.chunk):
             for excess in outside(robot, action, allowed):

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.faulty import judge, missing
+from xpl_cli.audit.offline.faulty_inputs import judge, missing
 from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.inputs import present
 from xpl_cli.audit.served.probe import Probe

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.offline.configurations import Configurations, Played
+from xpl_cli.audit.offline.configurations import Configurations, EpisodeResult
 from xpl_cli.audit.served.probe import blame
 
 _MOST = 8
@@ -49,5 +49,5 @@ def null_means_absent(configurations: Configurations) -> Iterator[Finding]:
             )
 
 
-def _null(configurations: Configurations, keys: list[str]) -> Played:
+def _null(configurations: Configurations, keys: list[str]) -> EpisodeResult:
     return configurations.changed(**dict.fromkeys(keys))

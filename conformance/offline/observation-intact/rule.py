@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl.worker.watch import CHANGED
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.offline.rehearsal import Rehearsal
+from xpl_cli.audit.offline.rehearsal import InProcessRun
 from xpl_cli.audit.served.probe import blame
 
 _SHOWN = 4
@@ -14,7 +14,7 @@ _SHOWN = 4
 
 
 @rule(code="XPL226", requirement="XPL-OBS-5")
-def observation_intact(rehearsal: Rehearsal) -> Iterator[Finding]:
+def observation_intact(rehearsal: InProcessRun) -> Iterator[Finding]:
     """The adapter changes an observation that it got.
 
     ## What it does

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl.worker.watch import SHARED
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.offline.rehearsal import Rehearsal
+from xpl_cli.audit.offline.rehearsal import InProcessRun
 from xpl_cli.audit.served.probe import blame
 
 _SHOWN = 4
@@ -14,7 +14,7 @@ _SHOWN = 4
 
 
 @rule(code="XPL227", requirement="XPL-OBS-5")
-def own_memory(rehearsal: Rehearsal) -> Iterator[Finding]:
+def own_memory(rehearsal: InProcessRun) -> Iterator[Finding]:
     """An action shares memory with an observation.
 
     ## What it does

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 from xpl.worker.watch import SWALLOWED
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.rehearsal import Rehearsal
+from xpl_cli.audit.offline.rehearsal import InProcessRun
 from xpl_cli.audit.served.probe import blame
 
 
 @rule(code="XPL224", requirement="XPL-EPI-4")
-def reset_fails_loudly(rehearsal: Rehearsal) -> Iterator[Finding]:
+def reset_fails_loudly(rehearsal: InProcessRun) -> Iterator[Finding]:
     """A failed reset is reported as successful.
 
     ## What it does

@@ -7,12 +7,12 @@ from itertools import pairwise
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.offline.limits import jumps
-from xpl_cli.audit.offline.motion import Motions
+from xpl_cli.audit.offline.motion import MotionEpisodes
 from xpl_cli.audit.served.probe import blame
 
 
 @rule(code="XPL239", requirement="XPL-ACT-15", profile="full")
-def step_size(motions: Motions) -> Iterator[Finding]:
+def step_size(motions: MotionEpisodes) -> Iterator[Finding]:
     """Consecutive actions of a chunk are farther apart than the robot can move.
 
     ## What it does

@@ -48,12 +48,12 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
         for node in function.of(ast.If):
             if not node.orelse and all(map(only_reports, node.body)) and _compares(node.test, _named(function)):
                 yield Finding(
-                    f"an {_KEY} that the adapter cannot serve is only warned about: "
-                    "the run is labelled with one type of action and made with the other",
+                    f"an {_KEY} that the adapter cannot serve is only warned about: the run is labelled with "
+                    "one action type and executed with the other",
                     **source.at(function.file, node.test),
                     expected="an error",
                     got=ast.unparse(node.body[0]).split("\n")[0],
-                    fix=Fix("advice", f"raise where {_KEY} is one that the policy cannot serve"),
+                    fix=Fix("advice", f"raise an error if {_KEY} is one that the policy cannot serve"),
                 )
     if adapter.is_sdk and len(source.manifest.action_types) == 1:
         return  # the base class refuses the other type
@@ -63,12 +63,12 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
         if written is not None:
             function, key, kind = written
             yield Finding(
-                f"{_KEY} is never looked at, and actions are always of type {kind}: "
-                "a run that asks for the other type gets these, under its label",
+                f"{_KEY} is never used, and actions are always of type {kind}: a run with the other type gets "
+                "these, under its label",
                 **source.at(function.file, key),
-                expected=f"a decision by {_KEY}, or an error for what cannot be served",
+                expected=f"a decision by {_KEY}, or an error for a type that cannot be served",
                 got=ast.unparse(key).split("\n")[0],
-                fix=Fix("advice", f"raise unless {_KEY} is {kind!r}"),
+                fix=Fix("advice", f"raise an error unless {_KEY} is {kind!r}"),
             )
 
 

@@ -50,7 +50,7 @@ def arm_keys(source: Source) -> Iterator[Finding]:
             yield Finding(
                 f"the only arm of a one-armed robot gets {shown}: the environment refuses it, or moves nothing",
                 **source.at(function.file, key),
-                expected="keys without a prefix where there is one arm",
+                expected="keys without a prefix for a robot with one arm",
                 got=ast.unparse(key),
                 fix=Fix("advice", "take prefixes from the embodiment: ('',) for one arm; xpl.action.unpack does"),
             )

@@ -50,14 +50,17 @@ def asking_changes(source: Source) -> Iterator[Finding]:
         if function in acting:
             found |= {id(node): (function, node, what) for node, what in _changes(function, shared)}
     for function, node, attribute in _dropped(acting, stored - filled_here):
-        found[id(node)] = (function, node, f"self.{attribute} is dropped")
+        found[id(node)] = (function, node, f"self.{attribute} is emptied")
     for function, node, what in found.values():
         yield Finding(
-            f"{what} while an action is computed: asked again on the same observation, the model fails or sees another",
+            (
+                f"{what} while an action is computed: a second get_action on the same observation fails or gets "
+                "another one"
+            ),
             **source.at(function.file, node),
-            expected="stored observations that only observing and reset change",
+            expected="stored observations that only update_obs and reset change",
             got=ast.unparse(node).split("\n")[0],
-            fix=Fix("advice", "build the model's inputs in a new map, and leave the stored observation alone"),
+            fix=Fix("advice", "build the model's inputs in a new dict, and leave the stored observation unchanged"),
         )
 
 
@@ -101,7 +104,7 @@ def _changes(function: Function, shared: frozenset[str]) -> Iterator[tuple[ast.A
     for node in function.of(ast.Call):
         is_taken = isinstance(node.func, ast.Attribute) and node.func.attr == "pop" and bool(node.args)
         if is_taken and _is_shared(_owner(node.func), function, shared) and not _is_guarded(node, function):
-            yield node, f"{_named(node.args[0])} is taken out"
+            yield node, f"{_named(node.args[0])} is removed"
     changes: list[ast.Assign | ast.AugAssign | ast.Delete] = [*function.of(ast.Assign), *function.of(ast.Delete)]
     for change in (*changes, *function.of(ast.AugAssign)):
         for place in [change.target] if isinstance(change, ast.AugAssign) else change.targets:
@@ -109,7 +112,7 @@ def _changes(function: Function, shared: frozenset[str]) -> Iterator[tuple[ast.A
                 continue
             is_new = not isinstance(change, ast.Assign) or _is_made_anew(change, ast.unparse(place), function)
             if is_new and not _is_guarded(change, function):
-                yield change, f"{_named(place.slice)} is {'taken out' if isinstance(change, ast.Delete) else 'changed'}"
+                yield change, f"{_named(place.slice)} is {'removed' if isinstance(change, ast.Delete) else 'changed'}"
 
 
 def _owner(node: ast.expr) -> ast.expr:

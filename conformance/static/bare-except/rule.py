@@ -38,11 +38,15 @@ def bare_except(source: Source) -> Iterator[Finding]:
                         imports = any(isinstance(entry, (ast.Import, ast.ImportFrom)) for entry in node.body)
                         if "/" in name and not imports:
                             continue  # the inside of a library that the adapter brings along
-                        what = "why an import fails is hidden" if imports else "every error is hidden, Ctrl-C included"
+                        what = (
+                            "the reason of a failed import is hidden"
+                            if imports
+                            else "every error is hidden, Ctrl-C included"
+                        )
                         yield Finding(
-                            f"{what}: what comes next fails for another reason",
+                            f"{what}: the next step fails for another reason",
                             **source.start(name, handler),
-                            expected="the exception that is meant" + (", ImportError" if imports else ""),
+                            expected="the exception that is expected" + (", ImportError" if imports else ""),
                             got="except:" if handler.type is None else "except BaseException:",
                             fix=_fix(source, name, handler, imports=imports),
                         )

@@ -11,7 +11,7 @@ from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, names, parameters, targets
 
-_FIX = Fix("advice", "keep observations in a map by environment index, and look up each entry of the list")
+_FIX = Fix("advice", "keep observations in a dict by environment index, and look up each entry of the list")
 
 
 @rule(code="XPL109", requirement="XPL-BAT-1")
@@ -48,7 +48,7 @@ def batch_by_position(source: Source) -> Iterator[Finding]:
         yield Finding(
             message,
             **source.at(function.file, node),
-            expected=f"each entry of {given[0]} decides what is answered",
+            expected=f"each entry of {given[0]} selects an observation",
             got=ast.unparse(node).split("\n")[0],
             fix=_FIX,
         )
@@ -80,14 +80,14 @@ def _judged(function: Function, parameter: str) -> tuple[str, ast.AST] | None:
             counted = counted or _outermost(read, up)
     if counted is not None:
         return (
-            f"{ACT_BATCH}([9]) answers for the environment that was observed first, say 3: the list is only counted, "
-            f"robots receive each other's commands"
+            f"{ACT_BATCH}([9]) returns the action of the environment that was observed first, say 3: the list "
+            "is only counted, and robots receive each other's commands"
         ), counted
     if any(node.id == parameter for node in reads):
         return None  # looked at in some other way
     return (
-        f"{ACT_BATCH}([9]) answers every environment that was observed, and so 3 when asked for 9: "
-        f"{parameter} is never read"
+        f"{ACT_BATCH}([9]) returns actions for every observed environment, and so that of 3 for 9: {parameter} "
+        "is never read"
     ), function.node
 
 

@@ -43,7 +43,7 @@ def between_actions(source: Source) -> Iterator[Finding]:
             is_shown = loop is not None and (updates(loop, function) or _hands_fresh(loop, function))
             if loop is not None and not is_shown and not hands_on(loop, function, source, 1):
                 yield Finding(
-                    f"{function.name} shows the policy one observation per chunk: a history misses all between",
+                    f"{function.name} sends the policy one observation per chunk: a history lacks all in between",
                     **source.at(function.file, call),
                     expected="an observation after each action",
                     got=f"{ast.unparse(loop).splitlines()[0]} without one",

@@ -41,18 +41,18 @@ def blank_camera(source: Source) -> Iterator[Finding]:
     """
     inputs = source.manifest.inputs
     if inputs is not None and any(entry.startswith(f"{sdk.Obs.VISION}.") for entry in inputs.optional):
-        raise NotApplicable("the manifest declares an optional camera, for which a stand-in may be meant")
+        raise NotApplicable("the manifest declares an optional camera, which the black image may replace on purpose")
     for function in Adapter.of(source).reach(*OBSERVING, *ACTING):
         for blank in blanks(function):
             if blank.is_image and not blank.is_masked and not _is_of_model(blank):
                 doubt = _doubt(blank)
                 yield Finding(
-                    f"a missing camera becomes a black image: the policy is blind where {blank.missing} is not found"
-                    f"{doubt}",
+                    f"a missing camera becomes a black image: the policy gets no image if {blank.missing} is "
+                    f"missing{doubt}",
                     **source.at(function.file, blank.node),
-                    expected="an error that names the cameras that are there",
+                    expected="an error that lists the existing cameras",
                     got=ast.unparse(blank.node),
-                    fix=Fix("advice", "raise, or declare the camera optional in policy.yml"),
+                    fix=Fix("advice", "raise an error, or declare the camera optional in policy.yml"),
                     must=False if doubt else None,
                 )
                 break  # one stand-in of a function is like the next
@@ -63,9 +63,9 @@ def _doubt(blank: Blank) -> str:
     words = {node.id for node in blank.function.of(ast.Name)} | {node.attr for node in blank.function.of(ast.Attribute)}
     words |= {text for node in blank.function.of(ast.Dict) for key in node.keys if key for text in texts(key)}
     if any("mask" in word.lower() for word in words):
-        return f"; whether a mask of {blank.function.name} hides it cannot be told"
+        return f"; a mask of {blank.function.name} may hide it"
     if _is_made_here(blank):
-        return f"; whether the model takes it for a view that a robot may lack in {blank.read} cannot be told"
+        return f"; the model may know it as a view that a robot may lack in {blank.read}"
     return ""
 
 

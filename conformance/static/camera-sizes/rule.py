@@ -45,7 +45,7 @@ def camera_sizes(source: Source) -> Iterator[Finding]:
         if camera not in declared:
             yield _finding(
                 source,
-                f"nobody knows which images of {camera} the policy needs: it is read, and has no size",
+                f"the image size of {camera} that the policy needs is not declared, although it is an input",
                 expected=f"{camera}: {{width: ..., height: ...}}",
                 got=", ".join(declared) or "no camera",
                 fix=f"declare {camera} under {_KEY}, with null for width and height if any image will do",
@@ -54,10 +54,13 @@ def camera_sizes(source: Source) -> Iterator[Finding]:
         if camera not in read:
             yield _finding(
                 source,
-                f"{camera} is declared with a size, and not among the inputs: environments would render it for nothing",
+                (
+                    f"{camera} is declared with a size, and not among the inputs: environments would render it "
+                    "without need"
+                ),
                 expected=f"{sdk.Obs.VISION}.{camera} under inputs.required or inputs.optional",
                 got="neither",
-                fix=f"take {camera} out of {_KEY}, or list it as an input",
+                fix=f"remove {camera} from {_KEY}, or list it as an input",
             )
 
 

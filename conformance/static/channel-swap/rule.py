@@ -38,9 +38,9 @@ def channel_swap(source: Source) -> Iterator[Finding]:
             if swap.claims_bgr or swap.decoded:
                 way = "frames that arrive encoded have" if swap.decoded else "every frame has"
                 yield Finding(
-                    f"{way} red and blue exchanged: the policy sees a blue cup where a red one stands",
+                    f"{way} red and blue swapped: the policy gets a blue cup in place of a red one",
                     **source.at(function.file, swap.node),
                     expected="RGB as it arrives",
                     got=ast.unparse(swap.node),
-                    fix=Fix("advice", "delete the exchange; take images with xpl.observation.get_image"),
+                    fix=Fix("advice", "delete the swap; read images with xpl.observation.get_image"),
                 )

@@ -58,7 +58,10 @@ def checkpoint_written(source: Source) -> Iterator[Finding]:
             root = _root(function, path)
             if root is not None:
                 yield Finding(
-                    f"loading changes the checkpoint (at {root}): who loads it next gets another one, two servers race",
+                    (
+                        f"loading changes the checkpoint (at {root}): its next user loads another one, and two "
+                        "servers race"
+                    ),
                     **source.at(function.file, node),
                     expected="checkpoint files as they were published",
                     got=ast.unparse(node),

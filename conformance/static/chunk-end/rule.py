@@ -41,9 +41,9 @@ def chunk_end(source: Source) -> Iterator[Finding]:
             )
             if loop is not None and not _ends(loop, function) and not hands_on(loop, function, source, 0, ENDS):
                 yield Finding(
-                    f"{function.name} goes on with the chunk after the episode has ended: success may be undone",
+                    f"{function.name} continues the chunk after the episode has ended: success may be undone",
                     **source.at(function.file, call),
-                    expected="a look at is_episode_end() after each action, and a break",
+                    expected="a check of is_episode_end() after each action, and a break",
                     got=f"{ast.unparse(loop).splitlines()[0]} without one",
                     fix=_fix(source, function, call, loop),
                 )

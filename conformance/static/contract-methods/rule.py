@@ -59,7 +59,7 @@ def contract_methods(source: Source) -> Iterator[Finding]:
             **source.start(adapter.file, adapter.node),
             expected=", ".join(sdk.CONTRACT_METHODS),
             got=", ".join(sorted(adapter.methods)),
-            fix=Fix("advice", "derive from xpl.Policy, which has them all, or write them"),
+            fix=Fix("advice", "derive from xpl.Policy, which implements all of them, or write them"),
         )
     for method in sdk.CONTRACT_METHODS:
         function = adapter.method(method)

@@ -44,11 +44,11 @@ def conversion_channel_swap(source: Source) -> Iterator[Finding]:
             found = [swap for swap in swaps(function) if swap.decoded or (swap.claims_bgr and name not in readers)]
             if found:
                 yield Finding(
-                    f"{function.name} trains the policy on red and blue exchanged: evaluation shows it RGB",
+                    f"{function.name} trains the policy on red and blue swapped: in evaluation it gets RGB",
                     **source.at(name, found[0].node),
                     expected="the order that evaluation uses, RGB",
                     got=ast.unparse(found[0].node),
-                    fix=Fix("advice", "delete the exchange and convert the data again"),
+                    fix=Fix("advice", "delete the swap and convert the data again"),
                 )
 
 

@@ -70,11 +70,11 @@ def _zeros(source: Source, function: Function) -> Iterator[Finding]:
     for blank in blanks(function):
         if blank.is_image and not blank.is_masked:
             yield Finding(
-                f"{function.name} trains the policy on black frames where {blank.missing} is not found",
+                f"{function.name} trains the policy on black frames if {blank.missing} is missing",
                 **source.at(function.file, blank.node),
-                expected="an error that names the recording and what it lacks",
+                expected="an error that names the trajectory and what it lacks",
                 got=ast.unparse(blank.node),
-                fix=Fix("advice", "raise, or leave the episode out and say so"),
+                fix=Fix("advice", "raise an error, or skip the trajectory with a log message"),
             )
             return
 
@@ -84,11 +84,11 @@ def _copied(source: Source, function: Function) -> Iterator[Finding]:
     for node in function.nodes:
         if isinstance(node, ast.Assign) and _fills_actions(node) and _is(_STATE, node.value) and _asks(function, node):
             yield Finding(
-                f"{function.name} makes actions of the state where none were recorded: the policy learns to stay",
+                f"{function.name} uses the state as actions if none were recorded: the policy learns to hold its pose",
                 **source.at(function.file, node),
-                expected="an error that names the recording",
+                expected="an error that names the trajectory",
                 got=ast.unparse(node),
-                fix=Fix("advice", "raise, or take the next step's state and say so"),
+                fix=Fix("advice", "raise an error, or use the next step's state with a log message"),
             )
             return
 

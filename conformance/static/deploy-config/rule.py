@@ -36,7 +36,7 @@ def deploy_config(source: Source) -> Iterator[Finding]:
     given = values.get(sdk.Deploy.POLICY_NAME) if isinstance(values, dict) else None
     if isinstance(given, str) and given != source.path.name:
         yield Finding(
-            f"launchers look for the policy {given}, but this is {source.path.name}",
+            f"launchers load the policy {given}, but this is {source.path.name}",
             path=name,
             line=key_line(source, name, sdk.Deploy.POLICY_NAME),
             column=1,

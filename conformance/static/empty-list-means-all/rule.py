@@ -43,7 +43,7 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
         if isinstance(node, ast.BoolOp) and isinstance(node.op, ast.Or) and _is(node.values[0], name):
             default = " or ".join(ast.unparse(value) for value in node.values[1:])
             yield Finding(
-                f"{ACT_BATCH}([]) answers for {default} although no environment runs any more: [] counts as false",
+                f"{ACT_BATCH}([]) returns actions for {default} although no environment is running: [] is false",
                 **source.at(function.file, node),
                 expected="[] is answered by []",
                 got=ast.unparse(node),
@@ -51,7 +51,7 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
             )
         elif isinstance(node, ast.IfExp) and (_is(node.test, name) or _is_not(node.test, name)):
             yield Finding(
-                f"{ACT_BATCH}([]) answers as if no list were given although no environment runs any more",
+                f"{ACT_BATCH}([]) acts as if no list were given although no environment is running",
                 **source.at(function.file, node),
                 expected="[] is answered by []",
                 got=ast.unparse(node),
@@ -61,7 +61,7 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
             consequence = _consequence(node, name)
             if consequence is not None:
                 yield Finding(
-                    f"{ACT_BATCH}([]) {consequence} although no environment runs any more",
+                    f"{ACT_BATCH}([]) {consequence} although no environment is running",
                     **source.at(function.file, node.test),
                     expected="[] is answered by []",
                     got=f"if {ast.unparse(node.test)}: {ast.unparse(node.body[0])}",
@@ -101,7 +101,7 @@ def _consequence(node: ast.If, name: str) -> str | None:
     if always_raises(node.body):
         return "raises"
     if any(_is(target, name) for entry in node.body for target in targets(entry)):
-        return "answers as if no list were given"
+        return "acts as if no list were given"
     return None
 
 

@@ -61,12 +61,12 @@ def error_counted(source: Source) -> Iterator[Finding]:
             for handler in node.handlers if asked else ():
                 if is_broad(handler) and not _hands_on(handler):
                     yield Finding(
-                        f"when {asked} fails, {function.name} goes on in silence: "
-                        "a broken trial counts as a failure of the policy",
+                        f"when {asked} fails, {function.name} continues without an error: an infrastructure "
+                        "error counts as a failure of the policy",
                         **source.start(function.file, handler),
                         expected="an exception that reaches the runner",
                         got=ast.unparse(handler).replace("\n", " ")[:80],
-                        fix=Fix("advice", "raise, or catch one expected type only"),
+                        fix=Fix("advice", "raise again, or catch one expected type only"),
                     )
 
 

@@ -54,8 +54,8 @@ def failure_answered(source: Source) -> Iterator[Finding]:
             for handler in node.handlers:
                 if risky and is_broad(handler) and (instead := _instead(handler, node, function)) is not None:
                     yield Finding(
-                        f"when {risky[0]} fails, {function.name} goes on with {instead}: "
-                        "the robot moves although the model gave no action",
+                        f"when {risky[0]} fails, {function.name} continues with {instead}: the robot moves "
+                        "although the model returned no action",
                         **source.start(function.file, handler),
                         expected="an exception",
                         got=ast.unparse(handler).split("\n")[0] + " ... " + instead,

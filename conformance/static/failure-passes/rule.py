@@ -74,7 +74,7 @@ def _passed(source: Source, name: str, script: Script) -> Iterator[Finding]:
     words = runs(first)
     others = f", and so are {len(passed) - 1} further steps" if len(passed) > 1 else ""
     yield Finding(
-        f"that `{shown(words, 3)}` failed is passed over{others}: {name} goes on and may end with success",
+        f"a failure of `{shown(words, 3)}` is ignored{others}: {name} continues and may end with success",
         **place(name, words[0]),
         expected="set -euo pipefail before the first step",
         got="a script without set -e",
@@ -96,7 +96,7 @@ def _hidden(source: Source, name: str, script: Script) -> Iterator[Finding]:
             expected = "set -o pipefail"
             edits = (_first(source, name, expected),)
         elif command.end == "||" and following in {"true", ":"} and not _may_fail(command):
-            message = f"that `{shown(words, 3)}` failed is passed over: {name} goes on without what it should have made"
+            message = f"a failure of `{shown(words, 3)}` is ignored: {name} continues without its result"
             expected = "the step without `|| true`"
             edits = _without(command, script[number + 1], name)
         else:

@@ -56,16 +56,16 @@ def _taken(function: Function, *, is_conversion: bool) -> Iterator[tuple[ast.Cal
         while isinstance(parent, ast.Call) and called(parent) in _KEEPS:
             node, parent = parent, function.up.get(parent)
         if _by_place(parent, node):
-            yield call, "another machine takes another file"
+            yield call, "another machine uses another file"
         elif isinstance(parent, ast.Assign) and parent.value is node:
             names = {target.id for target in targets(parent) if isinstance(target, ast.Name)}
             if not _is_ordered(function, names) and any(
                 isinstance(entry, ast.Subscript) and getattr(entry.value, "id", "") in names and _is_end(entry)
                 for entry in function.nodes
             ):
-                yield call, "another machine takes another file"
+                yield call, "another machine uses another file"
         elif is_conversion and isinstance(parent, ast.For) and called(node) == "enumerate":
-            yield call, "another machine numbers the episodes otherwise"
+            yield call, "another machine numbers the episodes differently"
 
 
 def _by_place(parent: ast.AST | None, node: ast.AST) -> bool:
@@ -97,7 +97,7 @@ def _finding(source: Source, file: str, call: ast.Call, what: str) -> Finding:
     text = f"sorted({written(source, file, call)})"
     edit: Edit = replaced(source, file, call, text)
     return Finding(
-        f"{last(called(call))} gives files in the order of the disk: {what}",
+        f"{last(called(call))} returns files in the order of the file system: {what}",
         **source.at(file, call),
         expected=text,
         got=ast.unparse(call),

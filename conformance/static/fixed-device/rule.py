@@ -46,11 +46,11 @@ def fixed_device(source: Source) -> Iterator[Finding]:
             found = _fixed(node)
             if found and not _is_chosen(node, function):
                 yield Finding(
-                    f"{found}: no setting of the device has an effect, and servers that share a machine meet on one",
+                    f"{found}: a setting of the device has no effect, and servers on one machine share one device",
                     **source.at(function.file, node),
                     expected="a device from the configuration",
                     got=ast.unparse(node).split("\n")[0][:80],
-                    fix=Fix("advice", "read the device from deploy.yml, and hand it down"),
+                    fix=Fix("advice", "read the device from deploy.yml, and pass it on"),
                 )
                 break  # one device of a function is like the next
 

@@ -19,7 +19,7 @@ from xpl_cli.audit.static.syntax import constant, dotted, enclosing, last, texts
 _STATE = (sdk.State.ARM_JOINT_STATE, sdk.State.EE_JOINT_STATE)
 _FEWEST_CUTS = 3
 _COORDINATES = 6
-_FIX = Fix("advice", "ask self.embodiment, or use xpl.action.pack and unpack, which do")
+_FIX = Fix("advice", "use the dimensions of self.embodiment, or xpl.action.pack and unpack")
 
 _OLD = re.compile(r"legacy|compat|deprecated|(?:^|_)old(?:_|$)", re.IGNORECASE)
 _ROBOT = re.compile(r"robot|embodiment|env_cfg", re.IGNORECASE)
@@ -137,7 +137,7 @@ def _cut_values(function: Function) -> Iterator[tuple[ast.AST, str]]:
             continue
         lower, upper = bounds
         if _names_joints(node.value) and upper is not None and upper - lower > 1:
-            yield node, f"joint values are cut to {upper - lower}: a robot with more joints loses the rest"
+            yield node, f"joint values are truncated to {upper - lower}: a robot with more joints loses the rest"
     for table in function.of(ast.Dict):
         for key, value in zip(table.keys, table.values, strict=True):
             if key is None or not _is_joint_key(key):
@@ -174,6 +174,6 @@ def _layout(function: Function) -> Iterator[tuple[ast.AST, str]]:
                 if len(found) >= _FEWEST_CUTS and edges <= bounds and length in edges and len(edges) >= 4:
                     yield (
                         found[0],
-                        f"vectors are taken apart as those of {name}: another robot's joints end up in each other",
+                        f"vectors are split as those of {name}: another robot's joints get each other's values",
                     )
                     break

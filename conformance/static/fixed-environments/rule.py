@@ -67,9 +67,9 @@ def _stores(source: Source, file: str, owner: ast.ClassDef) -> Iterator[Finding]
     for name in sorted(made.keys() & indexed):
         node, size = made[name]
         yield Finding(
-            f"{name} has room for {size} environments: environment {size} ends the evaluation with an IndexError",
+            f"{name} has space for {size} environments: environment {size} ends the evaluation with an IndexError",
             **source.at(file, node),
-            expected="a map by environment, which grows with the run",
+            expected="a dict by environment, which grows with the run",
             got=ast.unparse(node),
             fix=Fix("advice", f"make {name} a dict, or a defaultdict, by {sdk.Obs.ENV_IDX}"),
         )

@@ -45,7 +45,7 @@ def fixed_sleep(source: Source) -> Iterator[Finding]:
                     duration = command.arguments[1]
                     if not re.fullmatch(r"0?\.\d+s?|0|inf(?:inity)?", duration.text):
                         yield Finding(
-                            "a fixed time is waited: on a slower machine the server is not ready yet",
+                            "the script waits a fixed time: on a slower machine the server is not ready yet",
                             path=name,
                             line=command.words[0].line,
                             column=command.words[0].column,
@@ -68,7 +68,7 @@ def _in_loop(source: Source) -> Iterator[Finding]:
             is_poll = any(isinstance(entry, (ast.While, ast.For)) for entry in enclosing(node, up))
             if isinstance(seconds, (int, float)) and seconds >= 1 and not is_poll:
                 yield Finding(
-                    "a fixed time is waited in every episode: too short on one machine, wasted on the other",
+                    "the loop waits a fixed time in every episode: too short on one machine, wasted on the other",
                     **source.at(name, node),
                     expected="a wait for readiness",
                     got=ast.unparse(node),

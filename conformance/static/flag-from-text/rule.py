@@ -42,10 +42,16 @@ def flag_from_text(source: Source) -> Iterator[Finding]:
         keys = list(dict.fromkeys(use.read.key for use, _ in uses))
         others = f", and likewise {', '.join(keys[1:])}" if keys[1:] else ""
         yield Finding(
-            f'`{keys[0]}: "false"`, as an override arrives from a command line, switches {keys[0]} on{others}',
+            f'`{keys[0]}: "false"`, an override from the command line, switches {keys[0]} on{others}',
             **source.at(file, call),
             expected="a YAML boolean, and an error for anything else",
             got=ast.unparse(call),
             evidence={use.read.key: other.lineno for use, other in uses},
-            fix=Fix("advice", f"self.setting({keys[0]!r}, False), or compare with True and False and raise otherwise"),
+            fix=Fix(
+                "advice",
+                (
+                    f"self.setting({keys[0]!r}, False), or compare with True and False and raise an error for anything "
+                    "else"
+                ),
+            ),
         )

@@ -34,12 +34,12 @@ def generated_files(source: Source) -> Iterator[Finding]:
     Safe: restores the rendered file from `.xpl/rendered.json`. Edits are lost unless version control has them.
     """
     if not source.has(LOCK):
-        raise NotApplicable(f"there is no {LOCK}: the package does not tell which of its files are generated")
+        raise NotApplicable(f"there is no {LOCK}: the package does not list its generated files")
     try:
         kept = generated.read(source)
     except UserError as error:
         yield Finding(
-            f"which files are generated cannot be told, and the package cannot be updated: {error}",
+            f"the generated files are unknown, and the package cannot be updated: {error}",
             path=LOCK,
             line=1,
             column=1,
@@ -53,13 +53,13 @@ def generated_files(source: Source) -> Iterator[Finding]:
     for name in edited:
         edit = generated.undone(source, name, rendered.get(name), kept.generated[name])
         yield Finding(
-            f"{name} is not as it was rendered: it may behave otherwise than in other adapters, and updates merge it",
+            f"{name} was edited: it may behave differently from other adapters, and updates have to merge it",
             path=name,
             line=1,
             column=1,
-            expected=f"the file as it was rendered, or its name under free in {LOCK}",
+            expected=f"the rendered file, or its name under free in {LOCK}",
             got="an edited file",
-            fix=Fix("advice", f"bring {name} back as it was, or list it under free in {LOCK}")
+            fix=Fix("advice", f"restore {name}, or list it under free in {LOCK}")
             if edit is None
             else Fix("safe_edit", f"render {name} again", (edit,)),
         )

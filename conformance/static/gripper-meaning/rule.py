@@ -45,14 +45,14 @@ def gripper_meaning(source: Source) -> Iterator[Finding]:
     if with_gripper and declared is None:
         yield _finding(
             source,
-            f"what the policy's gripper commands mean on {', '.join(with_gripper)} is not said",
+            f"the meaning of the policy's gripper commands on {', '.join(with_gripper)} is not declared",
             expected="{command: position} or {command: binary}",
             got="null",
         )
     if declared is not None and robots and not with_gripper and all(robot in kinds for robot in robots):
         yield _finding(
             source,
-            f"commands of a gripper are declared, and {', '.join(robots)} have hands",
+            f"gripper commands are declared, but {', '.join(robots)} have hands",
             expected="null",
             got=f"command: {declared.command}",
         )
@@ -60,7 +60,7 @@ def gripper_meaning(source: Source) -> Iterator[Finding]:
     if model_io is not None and model_io.closed == model_io.open:
         yield _finding(
             source,
-            "closed and open are one value for the model: no gripper command can be told from another",
+            "closed and open are one value for the model: gripper commands cannot be distinguished",
             expected="two values",
             got=f"closed {model_io.closed}, open {model_io.open}",
         )

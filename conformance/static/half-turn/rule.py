@@ -44,12 +44,12 @@ def half_turn(source: Source) -> Iterator[Finding]:
             continue
         for node in _mistaken(function):
             yield Finding(
-                f"{function.name} answers no rotation for one by 180 degrees: a gripper that points down counts as "
-                "one that points up",
+                f"{function.name} returns no rotation for one by 180 degrees: a gripper that points down is "
+                "treated as one that points up",
                 **source.at(function.file, node),
-                expected="the axis from the diagonal of the matrix where the angle is close to pi",
+                expected="the axis from the diagonal of the matrix if the angle is close to pi",
                 got=ast.unparse(node).split("\n")[0],
-                fix=Fix("advice", "use xpl.rotation.to_axis_angle, or take the axis from (R + I) / 2 there"),
+                fix=Fix("advice", "use xpl.rotation.to_axis_angle, or compute the axis from (R + I) / 2 there"),
             )
 
 

@@ -47,7 +47,7 @@ def heavy_imports(source: Source) -> Iterator[Finding]:
         for module in modules:
             if module.partition(".")[0] not in _ALWAYS_THERE and module not in own:
                 yield Finding(
-                    f"{name} cannot be imported where {module} is missing, not even to be looked at",
+                    f"{name} cannot be imported without {module}, not even to inspect it",
                     **source.at(name, node),
                     expected="the import inside load()",
                     got=ast.unparse(node),

@@ -43,24 +43,24 @@ def hollow_scripts(source: Source) -> Iterator[Finding]:
         found = [entry for entry in found if not entry.by_xpl]
         if not found:
             raise NotApplicable(
-                "the template's places are still open; the rule placeholders lists these scripts with them"
+                "placeholders of the template remain; the rule placeholders lists these scripts with them"
             )
     for entry in found:
         at = {"path": entry.script} if entry.word is None else place(entry.script, entry.word)
         if not entry.runs:
-            message, got = f"{entry.script} does nothing but talk", "no command that does the work"
+            message, got = f"{entry.script} only prints", "no command that does the work"
         elif entry.is_there:
             message, got = (
                 f"{entry.script} runs {entry.runs}, which does nothing",
-                f"{entry.runs} that only talks or raises",
+                f"{entry.runs} that only prints or raises",
             )
         else:
-            message, got = f"{entry.script} runs {entry.runs}, which is not there", f"no file {entry.runs}"
+            message, got = f"{entry.script} runs {entry.runs}, which does not exist", f"no file {entry.runs}"
         wanted = entry.runs or next(name for name in RUN_BY_XPL.values() if name[:5] == entry.script[:5])
         yield Finding(
-            f"{message}: nobody can repeat what the package seems to offer",
+            f"{message}: users cannot reproduce the training that the package seems to provide",
             **at,
-            expected="something that does the work, or evaluation_only: true in policy.yml",
+            expected="a program that does the work, or evaluation_only: true in policy.yml",
             got=got,
             fix=Fix("advice", f"write {wanted}, or declare evaluation_only: true and delete {entry.script}"),
         )

@@ -18,14 +18,14 @@ _CONSEQUENCES: Final = {
     Deploy.TASK_NAME: "every task is evaluated as the same one",
     Deploy.CKPT_NAME: "every checkpoint name runs the same weights",
     Deploy.ENV_CFG_TYPE: "every robot is served as the same one",
-    Deploy.ACTION_TYPE: "every kind of action is served as the same one",
+    Deploy.ACTION_TYPE: "every action type is served as the same one",
     Deploy.SEED: "runs with different seeds are the same run",
-    Deploy.GPU_ID: "training runs on whatever GPU comes first",
-    Deploy.PORT: "the client asks where nobody listens",
-    "policy_gpu_id": "the model runs on whatever GPU comes first",
-    "env_gpu_id": "the simulator runs on whatever GPU comes first",
-    "policy_env": "the model runs in whatever Python comes first",
-    "eval_env": "the simulator runs in whatever Python comes first",
+    Deploy.GPU_ID: "training runs on the first GPU",
+    Deploy.PORT: "the client connects to the wrong server",
+    "policy_gpu_id": "the model runs on the first GPU",
+    "env_gpu_id": "the simulator runs on the first GPU",
+    "policy_env": "the model runs in the first Python on the path",
+    "eval_env": "the simulator runs in the first Python on the path",
 }
 _BOTH: Final = frozenset((Deploy.ENV_CFG_TYPE, Deploy.SEED, Deploy.PORT))
 _SERVED: Final = _BOTH | {Deploy.CKPT_NAME, Deploy.ACTION_TYPE, "policy_gpu_id", "policy_env"}
@@ -111,7 +111,7 @@ def _finding(name: str, argument: str, at: Location | None, got: str) -> Finding
     return Finding(
         f"{name} ignores {argument}: {_CONSEQUENCES[argument]}",
         **(at or {"path": name, "line": 1, "column": 1}),
-        expected=f"{argument} handed on to what {name} runs",
+        expected=f"{argument} passed on to the programs of {name}",
         got=got,
         fix=Fix("advice", f"hand {argument} on"),
     )

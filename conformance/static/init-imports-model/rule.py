@@ -41,7 +41,7 @@ def init_imports_model(source: Source) -> Iterator[Finding]:
             way = [file] if file == model else ([file, model] if model in source.reached(file) else [])
             if way:
                 yield Finding(
-                    f"importing the package imports {' and so '.join(way)}: a simulator that needs "
+                    f"importing the package imports {', and that imports '.join(way)}: a simulator that needs "
                     f"{sdk.File.DEPLOY_PY} loads the policy's libraries too",
                     **source.at(name, node),
                     expected="no import of the model",

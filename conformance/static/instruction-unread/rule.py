@@ -61,7 +61,7 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
         other = _MANY if spelling == _ONE else _ONE
         function, node = read[0]
         yield Finding(
-            f"an observation with `{other}` is not understood, only one with `{spelling}`: the policy stops there, or "
+            f"an observation with `{other}` is not read, only one with `{spelling}`: the policy stops there, or "
             "follows a default",
             **source.at(function.file, node),
             expected=f"`{_ONE}`, or the first of `{_MANY}`",
@@ -73,8 +73,8 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
         if spoken is not None:
             function, given, name = spoken
             yield Finding(
-                f"the policy takes {name}, and no instruction of an observation is ever read: every wording gets one "
-                "answer; whether its weights know one task only cannot be told",
+                f"the policy has the input {name}, but never reads the instruction of an observation: every "
+                "instruction gives the same action; its weights may know one task only",
                 **source.at(function.file, given),
                 expected=f"`{_ONE}` of the observation",
                 got=ast.unparse(given).split("\n")[0][:80],
@@ -129,11 +129,13 @@ def _sentences(source: Source, adapter: Adapter) -> Iterator[Finding]:
             sentence = constant(values[-1])
             if isinstance(sentence, str) and len(sentence.split()) >= _WORDS and "{" not in sentence:
                 yield Finding(
-                    "where no instruction is given the policy follows a sentence from the code, on whatever task; "
-                    "whether that ever happens cannot be told",
+                    "without an instruction the policy follows a sentence from the code, on every task; that "
+                    "may never happen",
                     **source.start(function.file, node),
-                    expected="an error where there is no instruction",
+                    expected="an error if there is no instruction",
                     got=repr(sentence)[:80],
-                    fix=Fix("advice", "raise where neither the observation nor the configuration has an instruction"),
+                    fix=Fix(
+                        "advice", "raise an error if neither the observation nor the configuration has an instruction"
+                    ),
                     must=False,
                 )

@@ -57,11 +57,11 @@ def load_goes_on(source: Source) -> Iterator[Finding]:
 
 def _finding(source: Source, function: Function, node: ast.AST, what: str, instead: str) -> Finding:
     return Finding(
-        f"{what} is passed over, and the policy runs with {instead}: it moves, and its score is that of another model",
+        f"{what} is ignored, and the policy runs with {instead}: it moves, and its score is that of another model",
         **source.start(function.file, node),
         expected="an exception that names what is missing",
         got=ast.unparse(node).split("\n")[0],
-        fix=Fix("advice", "raise; where a part is optional, let the configuration say so"),
+        fix=Fix("advice", "raise an error; if a part is optional, let a setting decide"),
     )
 
 

@@ -36,12 +36,12 @@ def loop_differs(source: Source) -> Iterator[Finding]:
     for function in loops(source):
         for node in _endless(function):
             yield Finding(
-                f"where the policy answers nothing {function.name} asks again for ever: nothing moves the environment, "
-                "so that the episode never ends",
+                f"if the policy returns nothing, {function.name} calls it again forever: no action is executed, "
+                "so the episode never ends",
                 **source.start(function.file, node),
-                expected="an error where there is no action",
+                expected="an error if there is no action",
                 got=ast.unparse(node).split("\n")[0],
-                fix=Fix("advice", "do it as the loop of a fresh scaffold does, which raises there"),
+                fix=Fix("advice", "copy the loop of a fresh scaffold, which raises an error there"),
             )
 
 

@@ -52,7 +52,7 @@ def manifest(source: Source) -> Iterator[Finding]:
     for robot in declared if isinstance(declared, list) else []:
         if isinstance(robot, str) and robot not in known.names():
             yield Finding(
-                f"nobody can evaluate this policy on {robot}: there is no embodiment of that name",
+                f"this policy cannot be evaluated on {robot}: there is no embodiment of that name",
                 path=name,
                 line=key_line(source, name, "embodiments"),
                 column=1,

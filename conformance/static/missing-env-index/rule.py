@@ -14,7 +14,9 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import LOOPS, KeyRead, called, constant, enclosing, key_read, names, parameters, texts
 
 _KEY = sdk.Obs.ENV_IDX
-_FIX = Fix("advice", f"enumerate the batch and use obs.get({_KEY!r}, place) both for the order and for the store")
+_FIX = Fix(
+    "advice", f"enumerate the batch and use obs.get({_KEY!r}, index) both for the order and for the stored observations"
+)
 
 
 @rule(code="XPL112", requirement="XPL-BAT-4")
@@ -53,7 +55,7 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
         if read.default is not None and isinstance(constant(read.default), int):
             slot = constant(read.default)
             consequence = (
-                f"the order counts by position but all are stored as environment {slot}: environment 1 is unknown"
+                f"the order is by position but all are stored as environment {slot}: environment 1 is unknown"
                 if by_position
                 else f"all are stored as environment {slot}: every environment acts on the last observation"
             )
@@ -75,10 +77,10 @@ def _in_helpers(source: Source, adapter: Adapter, function: Function) -> Iterato
         seen.add(id(helper.node))
         for choice in _chosen(helper):
             yield Finding(
-                f"{caller.name} hands a batch to {helper.name} one by one: without {_KEY} all count as "
+                f"{caller.name} passes a batch to {helper.name} one by one: without {_KEY} all count as "
                 f"environment {constant(choice.orelse)}, and overwrite each other or share one history",
                 **source.at(helper.file, choice),
-                expected="position in the batch where the key is missing",
+                expected="position in the batch if the key is missing",
                 got=ast.unparse(choice),
                 fix=_FIX,
             )
@@ -95,7 +97,7 @@ def _in_helpers(source: Source, adapter: Adapter, function: Function) -> Iterato
                     source,
                     helper,
                     read,
-                    f"{caller.name} hands a batch to {helper.name} one by one: without {_KEY} all count as "
+                    f"{caller.name} passes a batch to {helper.name} one by one: without {_KEY} all count as "
                     f"environment {constant(read.default)}, and overwrite each other or share one history",
                 )
             elif read.required:
@@ -163,7 +165,7 @@ def _finding(source: Source, function: Function, read: KeyRead, message: str) ->
     return Finding(
         message,
         **source.at(function.file, read.node),
-        expected="position in the batch where the key is missing",
+        expected="position in the batch if the key is missing",
         got=ast.unparse(read.node),
         fix=_FIX,
     )

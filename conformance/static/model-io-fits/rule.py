@@ -69,8 +69,8 @@ def model_io_fits(source: Source) -> Iterator[Finding | Proof]:
                 seen.add(str(error))
                 yield _finding(
                     source,
-                    f"the policy stops on {robot} with {action_type} actions: {error}",
-                    f"a block that fits {robot} and {action_type} actions",
+                    f"the policy fails on {robot} with {action_type} actions: {error}",
+                    f"a block that matches {robot} and {action_type} actions",
                 )
     yield Proof({"statistics_absent": len(lacking)})
 
@@ -123,7 +123,7 @@ def _outside(source: Source, model_io: Entry) -> Iterator[Finding]:
         if Path(file).is_absolute() or ".." in Path(file).parts:
             yield _finding(
                 source,
-                f"the statistics {file} lie outside of the package, where nobody else has them",
+                f"the statistics {file} lie outside of the package, where other users do not have them",
                 "a path below the package or the checkpoint",
             )
 
@@ -134,11 +134,11 @@ def _undeclared(source: Source, model_io: Entry) -> Iterator[Finding]:
     for name, path in dict(_read(model_io)).items():
         if name not in listed:
             yield Finding(
-                f"the model_io block reads {name}, and the manifest does not list it: environments need not send it",
+                f"the model_io block reads {name}, and the manifest does not list it: environments may not send it",
                 **place_in(source, _FILE, (_BLOCK, *path)),
                 expected=f"{name} under inputs.required or inputs.optional",
                 got=", ".join(sorted(listed)) or "no input",
-                fix=Fix("advice", f"list {name} under inputs.required, or leave it out of the model_io block"),
+                fix=Fix("advice", f"list {name} under inputs.required, or remove it from the model_io block"),
             )
 
 

@@ -44,12 +44,12 @@ def model_io_open(source: Source) -> Iterator[Finding]:
         what = "a value" if len(found) == 1 else f"{len(found)} values"
         first, *rest = (f"{gap.where} ({gap.reason})" for gap in found)
         yield Finding(
-            f"{what} of the model_io block nobody knows yet: {'; '.join((first, *rest))}",
+            f"{what} of the model_io block unknown: {'; '.join((first, *rest))}",
             **place_in(source, _FILE, (_BLOCK, *found[0].path)),
             expected="a value in each place",
             got=f"{len(found)} times unknown",
             evidence={gap.where: gap.reason for gap in found},
             fix=Fix(
-                "advice", "write what the authors' code does there, or {assumed: value, why: reason} to run without it"
+                "advice", "write the value of the authors' code, or {assumed: value, why: reason} to run without it"
             ),
         )

@@ -49,12 +49,12 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
                 continue
             reported |= {statistics, str(id(node))}
             yield Finding(
-                f"where {statistics} {why}, {function.name} passes values on unnormalised: "
-                "numbers between -1 and 1 are taken for radians, or radians for them",
+                f"if {statistics} {why}, {function.name} passes values on unnormalised: numbers between -1 and "
+                "1 are treated as radians, or vice versa",
                 **source.start(function.file, node),
-                expected="an error where statistics are missing",
+                expected="an error if statistics are missing",
                 got=ast.unparse(node).split("\n")[0],
-                fix=Fix("advice", f"raise where {statistics} {why}; a policy without normalisation declares it"),
+                fix=Fix("advice", f"raise an error if {statistics} {why}; a policy without normalisation declares it"),
             )
 
 

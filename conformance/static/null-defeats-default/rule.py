@@ -47,7 +47,7 @@ def null_defeats_default(source: Source) -> Iterator[Finding]:
         if not _handles_none(setting):
             default = ast.unparse(read.default)
             yield Finding(
-                f"{read.key} is null in {sdk.File.DEPLOY_YML}, so that the policy gets None here and not {default}",
+                f"{read.key} is null in {sdk.File.DEPLOY_YML}, so the policy gets None here and not {default}",
                 **source.at(setting.function.file, read.node),
                 expected=default,
                 got="None",

@@ -54,7 +54,7 @@ def _in_function(source: Source, function: Function) -> Iterator[Finding]:
         if listing is None or (name == "sorted" and not _last_of(call, function)):
             continue
         yield Finding(
-            "the latest checkpoint is chosen among texts: step 9000 comes after step 10000",
+            "the latest checkpoint is chosen by comparing strings: step 9000 comes after step 10000",
             **source.at(function.file, call),
             expected=f"{name}(..., key=...) by the number",
             got=ast.unparse(call)[:80],

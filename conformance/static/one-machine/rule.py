@@ -69,7 +69,7 @@ def _fixed(name: str, command: Command) -> Iterator[Finding]:
         if found:
             yield _finding(
                 place(name, word),
-                f"{found.group(1)} is {found.group(2)}, whatever the launcher chose: two runs meet on it",
+                f"{found.group(1)} is {found.group(2)}, whatever the launcher chose: two runs share it",
                 f"{found.group(1)} from the script's argument or the environment",
                 word.raw,
             )
@@ -89,7 +89,7 @@ def _words(script: Script) -> Iterator[Word]:
 
 
 def _folder(at: Location, path: str) -> Finding:
-    message = f"{path} exists on its author's machine only: elsewhere nothing is found there"
+    message = f"{path} exists only on its author's machine"
     return _finding(at, message, "a path from the configuration, the environment, or the adapter's folder", path)
 
 
@@ -116,8 +116,8 @@ def _roots(source: Source, name: str) -> Iterator[Finding]:
                 if levels is not None and levels > _CHECKOUT:
                     yield _finding(
                         source.at(name, node),
-                        f"a folder {levels - 1} above the adapter is on the path of imports, beyond the checkout: "
-                        "whatever lies there on this machine is imported",
+                        f"a folder {levels - 1} above the adapter is on the import path, outside the checkout: "
+                        "modules there on this machine are imported",
                         "the folder that holds the checkout, three above the adapter",
                         ast.unparse(entry),
                     )

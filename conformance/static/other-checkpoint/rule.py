@@ -62,28 +62,28 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
         listed = [node for node in function.of(ast.Call) if last(called(node)) in _LISTS]
         for node, wanted in (*_prefixes(function, listed), *_patterns(listed)):
             yield Finding(
-                f"a checkpoint {wanted!r} that does not exist is replaced by one whose name begins like it",
+                f"a checkpoint {wanted!r} that does not exist is replaced by one whose name starts with it",
                 **source.at(function.file, node),
-                expected="an error that lists what is there",
+                expected="an error that lists the existing checkpoints",
                 got=ast.unparse(node),
                 fix=Fix("advice", "compare whole names, or use xpl.checkpoint.resolve"),
             )
         given = _given(function)
         for place in _unrefused(adapter, function, given):
             yield Finding(
-                f"where {min(given)} names a checkpoint that does not exist, the search goes on and loads another one",
+                f"if {min(given)} names a checkpoint that does not exist, the search continues and loads another one",
                 **source.start(function.file, place),
                 expected="an error after the checkpoint was not found",
                 got=ast.unparse(place).split("\n")[0],
-                fix=Fix("advice", "raise where the checkpoint was not found"),
+                fix=Fix("advice", "raise an error if the checkpoint was not found"),
             )
         for loop in _neighbours(function):
             yield Finding(
-                "where the checkpoint lacks a file, that of a neighbouring run is taken: the first in the folder",
+                "if the checkpoint lacks a file, that of a neighbouring run is used: the first in the folder",
                 **source.start(function.file, loop),
                 expected="an error that names the missing file",
                 got=ast.unparse(loop).split("\n")[0],
-                fix=Fix("advice", "look in the checkpoint's own folder only, and raise"),
+                fix=Fix("advice", "look in the checkpoint's own folder only, and raise an error"),
             )
 
 

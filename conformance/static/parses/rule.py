@@ -53,13 +53,13 @@ def parses(source: Source) -> Iterator[Finding]:
             if problem is not None:
                 message, line, column = problem
                 yield Finding(
-                    f"{name} cannot be read, so that none of its values arrive: {message}",
+                    f"{name} cannot be parsed, so none of its values are used: {message}",
                     path=name,
                     line=line,
                     column=column,
                     expected="YAML",
                     got=message,
-                    fix=Fix("advice", "mend the syntax at this place"),
+                    fix=Fix("advice", "fix the syntax at this position"),
                 )
     yield from _vendored(source)
 
@@ -71,8 +71,8 @@ def _vendored(source: Source) -> Iterator[Finding]:
             for number, line in enumerate(text.split("\n"), start=1):
                 if _CONFLICT.match(line):
                     yield Finding(
-                        f"a merge conflict is left in a vendored file: whoever runs {name} gets an error; "
-                        "whether the adapter does cannot be told",
+                        f"a merge conflict is left in a vendored file: running {name} fails; the adapter may "
+                        "never run it",
                         path=name,
                         line=number,
                         column=1,
@@ -88,7 +88,7 @@ def _conflicts(source: Source, name: str) -> Iterator[Finding]:
     for number, line in enumerate(source.text(name).split("\n"), start=1):
         if _CONFLICT.match(line):
             yield Finding(
-                f"a merge conflict is left in {name}: whoever runs it gets an error, or both versions",
+                f"a merge conflict is left in {name}: running it fails, or runs both versions",
                 path=name,
                 line=number,
                 column=1,
@@ -115,13 +115,13 @@ def _shell(source: Source, name: str) -> Iterator[Finding]:
     if refused is not None:
         line, said = refused
         yield Finding(
-            f"{name} does not parse, so that bash ends there: {said}",
+            f"{name} does not parse, so bash ends there: {said}",
             path=name,
             line=line,
             column=1,
-            expected="a script that bash takes",
+            expected="a script that bash parses",
             got=said,
-            fix=Fix("advice", f"`bash -n {name}` shows where bash stops"),
+            fix=Fix("advice", f"`bash -n {name}` prints where bash stops"),
         )
 
 
@@ -129,7 +129,7 @@ def _python(source: Source, name: str) -> Iterator[Finding]:
     error, bytes_refused = source.syntax_error(name), source.encoding_error(name)
     if bytes_refused is not None:
         yield Finding(
-            f"{name} does not parse, so that importing it fails: {bytes_refused}",
+            f"{name} does not parse, so importing it fails: {bytes_refused}",
             path=name,
             line=1,
             expected="UTF-8, or the encoding that its first lines declare",
@@ -144,7 +144,7 @@ def _python(source: Source, name: str) -> Iterator[Finding]:
             column=max(error.offset or 1, 1),
             expected="Python",
             got=error.msg,
-            fix=Fix("advice", "mend the syntax at this place"),
+            fix=Fix("advice", "fix the syntax at this position"),
         )
     elif error is not None:
         yield Finding(f"{name} does not parse: {error}", path=name, expected="Python", got=str(error))

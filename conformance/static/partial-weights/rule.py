@@ -44,12 +44,16 @@ def partial_weights(source: Source) -> Iterator[Finding]:
                 for call in _lenient(function):
                     if not _is_checked(function, call):
                         yield Finding(
-                            "weights that the checkpoint lacks stay random, and nobody is told",
+                            "weights that the checkpoint lacks stay random, without an error",
                             **source.at(name, call),
                             expected="strict=True, or an error for missing and unexpected keys",
                             got=ast.unparse(call),
                             fix=Fix(
-                                "advice", "load with strict=True, or raise for every key that is not expected to miss"
+                                "advice",
+                                (
+                                    "load with strict=True, or raise an error for every key that is not expected "
+                                    "to be missing"
+                                ),
                             ),
                         )
 

@@ -42,9 +42,9 @@ def placeholders(source: Source) -> Iterator[Finding]:
         first = min(found)
         hollow = {entry.script: entry for entry in hollow_scripts(source) if entry.by_xpl}
         missing = " and ".join(sorted(entry.runs for entry in hollow.values()))
-        advice = "fill the places in and delete the markers"
+        advice = "fill in the placeholders and delete the markers"
         yield Finding(
-            f"{count} places that the template marked are still open, in {', '.join(sorted(found))}",
+            f"{count} placeholders of the template remain, in {', '.join(sorted(found))}",
             path=first,
             line=found[first][0],
             column=1,

@@ -75,7 +75,7 @@ def private_places(source: Source) -> Iterator[Finding]:
                     path=name,
                     line=number,
                     column=start + 1,
-                    expected="nothing that only the author has",
+                    expected="nothing that exists only on the author's machines",
                     got=got,
                     fix=Fix("advice", advice),
                 )
@@ -98,7 +98,7 @@ def _vendored(source: Source) -> Iterator[Finding]:
                     path=name,
                     line=number,
                     column=issued.start() + 1,
-                    expected="nothing that only the author has",
+                    expected="nothing that exists only on the author's machines",
                     got=f"a literal of {len(issued.group(issued.lastindex or 0))} characters",
                     fix=Fix("advice", "revoke it, and delete the line"),
                 )
@@ -106,8 +106,7 @@ def _vendored(source: Source) -> Iterator[Finding]:
                 if _is_private(found.group()) and _DEFAULT.search(line[: found.start()]):
                     address = True
                     yield Finding(
-                        "a vendored script falls back on a host of a private network; whether the adapter runs it "
-                        "cannot be told",
+                        "a vendored script falls back on a host of a private network; the adapter may never run it",
                         path=name,
                         line=number,
                         column=found.start() + 1,
@@ -135,19 +134,21 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 def _suspects(line: str) -> Iterator[tuple[str, int, str, str]]:
     proxy = _PROXY.search(line)
     if proxy is not None:
-        yield "every download goes through a proxy that users do not have", proxy.start(), "a proxy", "delete it"
+        yield "every download uses a proxy that users do not have", proxy.start(), "a proxy", "delete it"
     for found in _ADDRESS.finditer(line) if proxy is None else ():
         if _is_private(found.group()) and not _VERSION.search(line[: found.start()]):
-            message = "a host of a private network is named: it is not reachable, or another machine, elsewhere"
-            yield message, found.start(), found.group(), "delete it, or take it from the configuration"
+            message = "a host of a private network is named: elsewhere it is unreachable, or another machine"
+            yield message, found.start(), found.group(), "delete it, or read it from the configuration"
     for found in _HOME.finditer(line):
         if found.group(1).lower() not in _ANYBODY:
             message = f"a path in the home folder of {found.group(1)} exists on one machine only"
-            yield message, found.start(), found.group(), "take the path from the configuration or the environment"
+            yield message, found.start(), found.group(), "read the path from the configuration or the environment"
     for found in _LINK.finditer(line):
         if _is_mirror(found.group()) and not line.lstrip().startswith("#"):
             host = urlsplit(found.group()).hostname
-            message = f"packages and weights are taken from the mirror {host}, whether or not users trust and reach it"
+            message = (
+                f"packages and weights are downloaded from the mirror {host}, whether or not users trust and reach it"
+            )
             yield message, found.start(), str(host), "delete it: users set a mirror in their own configuration"
     issued = _ISSUED.search(line) or _SECRET.search(line)
     if issued is not None and _is_random(issued.group(issued.lastindex or 0)):

@@ -33,13 +33,13 @@ def reference_independent(source: Source) -> Iterator[Finding]:
     No automatic fix.
     """
     if not source.has(names.CODE):
-        raise NotApplicable(f"there is no {names.CODE}: nothing says what the model does")
+        raise NotApplicable(f"there is no {names.CODE}: there is no reference for the model")
     source.tree(names.CODE)
     for found in borrowed(source):
         yield Finding(
-            f"{names.CODE} is no second reading: {found.place['path']} {found.by} the adapter's own {found.what}",
+            f"{names.CODE} is not independent: {found.place['path']} {found.by} the adapter's own {found.what}",
             **found.place,
             expected="the authors' code, and the configuration that answers(config) gets",
             got=found.what,
-            fix=Fix("advice", "go through the authors' classes and transforms instead"),
+            fix=Fix("advice", "use the authors' classes and transforms instead"),
         )

@@ -41,10 +41,10 @@ def reference_sources(source: Source) -> Iterator[Finding | Proof]:
     No automatic fix.
     """
     if not source.has(names.CODE):
-        raise NotApplicable(f"there is no {names.CODE}: nothing says what the model does")
+        raise NotApplicable(f"there is no {names.CODE}: there is no reference for the model")
     reading = read_tree(source.tree(names.CODE))
     if reading.place is None:
-        message = f"{names.CODE} has no {names.CONVENTIONS}: nobody can look up what it assumes"
+        message = f"{names.CODE} has no {names.CONVENTIONS}: a reviewer cannot look up its sources"
         yield _finding(source, message, None, "no such map")
         return
     applies = applying(source.manifest)
@@ -58,7 +58,7 @@ def _findings(source: Source, reading: Reading, applies: Sequence[str]) -> Itera
         yield _finding(source, problem, place, "another map")
     lacking = [name for name in applies if name not in (*reading.conventions, *reading.renamed)]
     if lacking:
-        message = f"{names.CODE} does not say where it has {', '.join(lacking)} from"
+        message = f"{names.CODE} cites no source for {', '.join(lacking)}"
         yield _finding(source, message, reading.place, "nothing for these")
     model_io = source.manifest.model_io
     values = {} if model_io is None else declared(model_io)
@@ -82,12 +82,12 @@ def _unfounded(source: Source, name: str, told: Told, values: Sequence[Value]) -
     quoted = lookup(cited, folders(here))
     if quoted is None:
         if not cited.is_foreign and (here / cited.path.partition("/")[0]).exists():
-            message = f"the source of {name} cannot be looked up: {cited.path} is not there"
+            message = f"the source of {name} cannot be looked up: {cited.path} does not exist"
             yield _finding(source, message, told.place, told.text)
     elif quoted.problem is not None:
         yield _finding(source, f"the source of {name} cannot be looked up: {quoted.problem}", told.place, told.text)
     elif (contrary := contradiction(quoted, values)) is not None:
-        message = f"the source of {name} says otherwise: {contrary}"
+        message = f"the source of {name} contradicts it: {contrary}"
         yield _finding(source, message, told.place, f"{cited.path}:{cited.first}: {' '.join(quoted.text)}")
 
 
@@ -98,5 +98,5 @@ def _finding(source: Source, message: str, place: Place | None, got: str) -> Fin
         **where,
         expected=f"{names.CONVENTIONS} = {{convention: file:line of the authors' code, or assumed: why}}",
         got=got,
-        fix=Fix("advice", "name the line of the authors' code that says it, or write assumed, and why"),
+        fix=Fix("advice", "cite the line of the authors' code that states it, or write assumed, and why"),
     )

@@ -38,9 +38,9 @@ def required_files(source: Source) -> Iterator[Finding]:
     manifest = files["manifest"]
     if os.path.lexists(source.path / manifest) and not source.has(manifest):
         yield Finding(
-            message=f"{manifest} is no file of the package: nobody can read what it declares",
+            message=f"{manifest} is not a regular file: tools cannot read what it declares",
             expected=f"a file {manifest} in the adapter's folder, or none",
-            got="a folder, a pipe, a device, or a link that leads out",
+            got="a folder, a pipe, a device, or a link to outside the package",
             fix=Fix("advice", f"replace it by a file, as a fresh `xpl new-policy` writes {manifest}"),
         )
     for name in required:

@@ -12,7 +12,7 @@ from xpl_cli.audit.static.function import Function, Write, writes
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, is_conditional, self_attribute, targets
 
-_FIX = Fix("advice", "set these attributes anew in reset, or derive from xpl.Policy, which keeps and clears them")
+_FIX = Fix("advice", "set these attributes in reset, or derive from xpl.Policy, which stores and clears them")
 
 
 @rule(code="XPL115", requirement="XPL-EPI-1")
@@ -54,8 +54,8 @@ def reset_incomplete(source: Source) -> Iterator[Finding]:
     first = next(iter(left.values()))
     where = source.start(*((place.file, place.node) if place is not None else (adapter.file, adapter.node)))
     yield Finding(
-        f"{RESET} leaves {' and '.join(f'self.{name}' for name in left)} as the last episode set it: "
-        "the next episode starts with an observation or a plan of the one before",
+        f"{RESET} leaves {' and '.join(f'self.{name}' for name in left)} as the previous episode set it: the "
+        "next episode starts with its observation or plan",
         **where,
         expected=f"{RESET} sets it anew",
         got=f"{first.function.name} sets it in line {first.line}",

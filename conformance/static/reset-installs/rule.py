@@ -61,10 +61,10 @@ def reset_installs(source: Source) -> Iterator[Finding]:
         first = next(iter(missing.values()))
         user, node = needed[first.attribute]
         yield Finding(
-            f"{' and '.join(f'self.{name}' for name in missing)} exists only after {RESET}: "
-            f"{user.name} of a model that was just made, or restarted, raises AttributeError",
+            f"{' and '.join(f'self.{name}' for name in missing)} exists only after {RESET}: {user.name} of a "
+            "new or restarted model raises AttributeError",
             **source.at(user.file, node),
-            expected="construction sets everything that observing and acting read",
+            expected="__init__ sets everything that update_obs and get_action read",
             got=f"first set in {first.function.name}, line {first.line}",
             fix=Fix("advice", "call self.reset() at the end of __init__"),
         )
@@ -87,10 +87,9 @@ def _defaults(
                     name = dotted(target)
                     if name in missing and name not in before and last(name) in reads and name.count(".") > 1:
                         yield Finding(
-                            f"{name} gets its default only in {RESET}: a model that was just made, or restarted, "
-                            "acts without it",
+                            f"{name} gets its default only in {RESET}: a new or restarted model acts without it",
                             **source.at(function.file, node),
-                            expected="construction sets every default",
+                            expected="__init__ sets every default",
                             got=ast.unparse(node).split("\n")[0],
                             fix=Fix("advice", "set it in __init__, or call self.reset() at its end"),
                         )

@@ -42,14 +42,14 @@ def reset_swallows(source: Source) -> Iterator[Finding]:
             if isinstance(node, ast.Try):
                 for handler in node.handlers:
                     if is_broad(handler) and _goes_on(function, node, handler):
-                        yield _finding(source, function, handler, "the error is caught and dropped")
+                        yield _finding(source, function, handler, "the error is caught and not raised")
             elif isinstance(node, (ast.With, ast.AsyncWith)) and _suppresses(node):
                 yield _finding(source, function, node, "the error is suppressed")
 
 
 def _finding(source: Source, function: Function, node: ast.AST, got: str) -> Finding:
     return Finding(
-        f"{RESET} that fails passes in silence: the next episode goes on with the memory of the one before",
+        f"an error in {RESET} is hidden: the next episode starts with the state of the previous one",
         **source.start(function.file, node),
         expected="an exception",
         got=got,

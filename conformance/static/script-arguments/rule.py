@@ -56,7 +56,7 @@ def _taken(script: str, order: list[str], command: Command) -> Iterator[Finding]
         if position is None or position < 1 or name not in order or order.index(name) + 1 == position:
             continue
         really = order[position - 1] if position <= len(order) else "nothing"
-        yield _finding(script, word, f"{script} takes {really} for {name}", f"{variable}=${{{order.index(name) + 1}}}")
+        yield _finding(script, word, f"{script} uses {really} as {name}", f"{variable}=${{{order.index(name) + 1}}}")
 
 
 def _given(script: str, called: str, wanted: list[str], command: Command) -> Iterator[Finding]:
@@ -70,12 +70,12 @@ def _given(script: str, called: str, wanted: list[str], command: Command) -> Ite
     for word, expected in zip(words[place + 1 :], wanted, strict=False):
         given = (word.variable or "").lower()
         if given in wanted and given != expected:
-            yield _finding(script, word, f"{called} gets {given} where it takes {expected}", f'"${{{expected}}}"')
+            yield _finding(script, word, f"{called} gets {given} in the position of {expected}", f'"${{{expected}}}"')
 
 
 def _finding(script: str, word: Word, consequence: str, expected: str) -> Finding:
     return Finding(
-        f"{consequence}: the run is another one than its label says",
+        f"{consequence}: the run differs from its label",
         path=script,
         line=word.line,
         column=word.column,

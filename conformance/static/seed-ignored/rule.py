@@ -70,7 +70,7 @@ def _replaced(source: Source, setting: Setting) -> Iterator[Finding]:
             replaced = test.test if isinstance(test, ast.If) else test
         if replaced is not None:
             yield Finding(
-                "seed 0, the first seed of every benchmark, counts as not given and is replaced or ignored",
+                "seed 0, the first seed of every benchmark, is treated as missing and is replaced or ignored",
                 **source.at(function.file, replaced),
                 expected="0 is a seed like any other",
                 got=ast.unparse(replaced),
@@ -98,11 +98,11 @@ def _unused(source: Source, adapter: Adapter, found: list[Setting]) -> Iterator[
                 return
     setting = found[0]
     yield Finding(
-        "the seed is stored and never used: runs with different seeds are the same run, or none can be repeated",
+        "the seed is stored and never used: runs with different seeds are equal, or no run can be reproduced",
         **source.at(setting.function.file, setting.read.node),
         expected="a generator seeded with it",
         got="stored, never read",
-        fix=Fix("advice", "seed the policy's generator with it; xpl.Policy gives self.rng(env)"),
+        fix=Fix("advice", "seed the policy's generator with it; xpl.Policy provides self.rng(env)"),
     )
 
 
@@ -119,7 +119,7 @@ def _unseeded(source: Source, adapter: Adapter) -> Iterator[Finding]:
                 if any(keyword.arg == "generator" for keyword in node.keywords):
                     continue
                 yield Finding(
-                    f"actions depend on {name}, which no seed reaches: equal seeds give different episodes",
+                    f"actions depend on {name}, which is not seeded: equal seeds give different episodes",
                     **source.at(function.file, node),
                     expected="random numbers from a generator that the run seed determines",
                     got=ast.unparse(node),

@@ -52,7 +52,7 @@ def shared_rollout(source: Source) -> Iterator[Finding]:
                 **source.start(function.file, loop),
                 expected="state per environment, such as self.history[env]",
                 got=f"{ast.unparse(first.node).splitlines()[0]} in {first.function.name}, line {first.line}",
-                fix=Fix("advice", "keep it in a map by environment index, cleared at reset"),
+                fix=Fix("advice", "store it in a dict by environment index, cleared at reset"),
             )
             return
 

@@ -48,11 +48,11 @@ def signatures(source: Source) -> Iterator[Finding]:
             takes = f"{required} to {allowed}" if allowed != required else str(required)
             ends = "" if len(failing) > 1 else "s"
             yield Finding(
-                f"{name} takes {takes} positional arguments, so that {calls} raise{ends} TypeError",
+                f"{name} takes {takes} positional arguments, so {calls} raise{ends} TypeError",
                 **source.start(function.file, function.node),
                 expected=calls,
                 got=f"def {name}({ast.unparse(function.node.args)})",
-                fix=Fix("advice", "give the further parameters defaults, or drop them"),
+                fix=Fix("advice", "give the other parameters defaults, or remove them"),
             )
 
 

@@ -72,13 +72,13 @@ def _left(name: str, commands: Script) -> Iterator[Finding]:
             continue
         if kills and "errexit" not in commands.options:
             continue
-        when = "where a later step fails, " if kills else ""
+        when = "if a later step fails, " if kills else ""
         yield Finding(
-            f"{when}`{shown(words, 2)}` runs on after {name} has ended: it keeps its GPU memory and its port",
+            f"{when}`{shown(words, 2)}` continues to run after {name} has ended: it keeps its GPU memory and its port",
             **place(name, words[0]),
             expected="trap 'kill \"$pid\"' EXIT, or wait",
             got=f"{shown(words, 2)} in the background, {'ended only in the last lines' if kills else 'never ended'}",
-            fix=Fix("advice", "keep `$!`, and end it in `trap ... EXIT`"),
+            fix=Fix("advice", "store `$!`, and end it in `trap ... EXIT`"),
         )
 
 
@@ -91,9 +91,9 @@ def _by_name(name: str, commands: Script) -> Iterator[Finding]:
         yield Finding(
             f"`{shown(command.arguments)}` also ends processes that {name} did not start: other runs stop",
             **place(name, command.arguments[0]),
-            expected="kill with the process id that the script kept",
+            expected="kill with the process id that the script stored",
             got=shown(command.arguments),
-            fix=Fix("advice", "keep `$!` of what the script starts, and end that"),
+            fix=Fix("advice", "store `$!` of what the script starts, and end that"),
         )
 
 

@@ -55,7 +55,11 @@ def _finding(source: Source, file: str, entry: Entry, right: str) -> Finding:
     edits: tuple[Edit, ...] = ()
     if isinstance(text, str) and is_number(entry.name, right):
         edits = (replaced(source, file, entry.key, same_quotes(source, file, entry.key, _renamed(text, right))),)
-    what = "the conversion ends with a KeyError" if entry.required else "it is never found, and training goes without"
+    what = (
+        "the conversion ends with a KeyError"
+        if entry.required
+        else "it is never found, and training continues without it"
+    )
     return Finding(
         f"trajectories have {right} and not {entry.name} below {entry.group}: {what}",
         **source.at(file, entry.key),

@@ -58,7 +58,7 @@ def unbounded_history(source: Source) -> Iterator[Finding]:
                 **source.at(write.function.file, write.node),
                 expected="a bound, such as deque(maxlen=...)",
                 got=ast.unparse(write.node).split("\n")[0],
-                fix=Fix("advice", "use collections.deque(maxlen=N), N being what the model reads"),
+                fix=Fix("advice", "use collections.deque(maxlen=N), where N is the number that the model reads"),
             )
 
 

@@ -52,11 +52,17 @@ def undeclared_channel_swap(source: Source) -> Iterator[Finding]:
             is_found_already = swap.claims_bgr or swap.decoded
             if swap.observed and not is_found_already and not _says_why(source, function):
                 yield Finding(
-                    "red and blue of an observation's image are exchanged, and nothing says that the model wants BGR",
+                    (
+                        "red and blue of an observation's image are swapped without a declaration that the model "
+                        "needs BGR"
+                    ),
                     **source.at(function.file, swap.node),
-                    expected="RGB as it arrives, or a word on BGR",
+                    expected="an unchanged RGB image, or a declaration of BGR",
                     got=ast.unparse(swap.node),
-                    fix=Fix("advice", "delete the exchange; or, if the weights were trained on BGR, say so beside it"),
+                    fix=Fix(
+                        "advice",
+                        ("delete the swap; or, if the weights were trained on BGR, declare it in a comment beside it"),
+                    ),
                 )
 
 
@@ -69,8 +75,8 @@ def _defaults(source: Source) -> Iterator[Finding]:
             continue
         if default.lower() != told.lower() and {default.lower(), told.lower()} & {_WORD, "rgb"}:
             yield Finding(
-                f"where {read.key} is not given it is {default}, while deploy.yml says {told}: without that line red "
-                "and blue are exchanged",
+                f"the default of {read.key} is {default}, but deploy.yml sets {told}: without that line red and "
+                "blue are swapped",
                 **source.at(setting.function.file, read.node),
                 expected=f"{told!r}, or an error",
                 got=repr(default),

@@ -35,12 +35,12 @@ def unknown_environment(source: Source) -> Iterator[Finding]:
     for function in Adapter.of(source).reach(ACT_BATCH):
         for node, instead in _fallbacks(function):
             yield Finding(
-                f"an environment that was never observed is answered from {ast.unparse(instead)}: "
-                f"{ACT_BATCH}([5]) sends robot 5 a command that was meant for another",
+                f"an environment without an observation gets the action for {ast.unparse(instead)}: "
+                f"{ACT_BATCH}([5]) sends robot 5 a command for another one",
                 **source.at(function.file, node),
                 expected="an error that names the unknown environment",
                 got=ast.unparse(node).split("\n")[0],
-                fix=Fix("advice", "look the environment up with [...], or raise"),
+                fix=Fix("advice", "look the environment up with [...], or raise an error"),
             )
 
 

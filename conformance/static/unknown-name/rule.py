@@ -43,22 +43,25 @@ def unknown_name(source: Source) -> Iterator[Finding]:
     for function in adapter.reach(*LOADING):
         for node, name, robot in _robots(function):
             yield Finding(
-                f"where {name} is not given the robot is {robot!r}: dimensions and keys are then that robot's; "
-                "whether every launcher names one cannot be told",
+                f"without {name} the robot is {robot!r}: dimensions and keys are then that robot's; every "
+                "launcher may name one",
                 **source.at(function.file, node),
-                expected="an error where no robot is named",
+                expected="an error if no robot is named",
                 got=ast.unparse(node).split("\n")[0],
-                fix=Fix("advice", f"read {name} with [...], and raise where it is missing"),
+                fix=Fix("advice", f"read {name} with [...], and raise an error if it is missing"),
                 must=False,
             )
     for function in adapter.reach(*LOADING, *OBSERVING, *ACTING):
         for node, name, instead in (*_defaults(function), *_first(function)):
             yield Finding(
-                f"an unknown {name} is taken for {instead}: the run is filed under a name that the policy never heard",
+                (
+                    f"an unknown {name} is treated as {instead}: the run is recorded under a name that the policy "
+                    "did not get"
+                ),
                 **source.at(function.file, node),
-                expected="an error that lists the names there are",
+                expected="an error that lists the known names",
                 got=ast.unparse(node).split("\n")[0],
-                fix=Fix("advice", "look the name up with [...], or raise with the names that are known"),
+                fix=Fix("advice", "look the name up with [...], or raise an error with the known names"),
             )
 
 

@@ -131,9 +131,9 @@ def _plain(name: str) -> str:
 def _finding(at: Location, names: list[str]) -> Finding:
     listed = ", ".join(names)
     return Finding(
-        f"whoever installs later gets other versions of {listed}: weights or actions may differ from those tested",
+        f"a later installation gets other versions of {listed}: weights or actions may differ from those tested",
         **at,
         expected=f"{names[0]}==<version>, or @<commit> for a repository",
         got=f"{listed} without a version",
-        fix=Fix("advice", "write down the versions of the environment that was tested"),
+        fix=Fix("advice", "pin the versions of the tested environment"),
     )

@@ -73,7 +73,7 @@ def _finding(name: str, command: Command, bare: list[Word]) -> Finding:
     )
     better = " ".join(quoted)
     return Finding(
-        f"where {which} is empty or holds a blank, {called} takes each later argument for another one",
+        f"if {which} is empty or contains a space, every later argument of {called} shifts",
         **place(name, bare[0]),
         expected=better[:120],
         got=" ".join(word.raw for word in bare)[:120],

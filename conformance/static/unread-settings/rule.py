@@ -47,7 +47,7 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     """
     adapter = Adapter.of(source)
     if adapter.config_escapes:
-        raise NotApplicable("the whole configuration is handed on to another package, which may read any key")
+        raise NotApplicable("the whole configuration is passed on to another package, which may read any key")
     standard = set(spec.schema("deploy")["properties"])
     read = {text for name in source.python_files if source.parses(name) for text in _texts(source, name)}
     scripts = "\n".join(source.text(name) for name in source.text_files if name.endswith(".sh"))
@@ -60,7 +60,7 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     line = next((number for number, text in enumerate(lines, start=1) if text.startswith(f"{unread[0]}:")), 1)
     what = "it" if len(unread) == 1 else "one of them"
     yield Finding(
-        f"nobody reads {_named(unread)}: changing {what} has no effect",
+        f"no code reads {_named(unread)}: changing {what} has no effect",
         path=sdk.File.DEPLOY_YML,
         line=line,
         column=1,
@@ -78,7 +78,7 @@ def _named(keys: list[str]) -> str:
 def _deleted(source: Source, keys: list[str]) -> Fix:
     """Return the fix that deletes keys; it is unsafe, because a misspelt one should be renamed."""
     edits = tuple(deleted(source, sdk.File.DEPLOY_YML, [str(key) for key in keys]))
-    text = f"delete {_named(keys)}, or give them the names that the code reads"
+    text = f"delete {_named(keys)}, or rename them to the keys that the code reads"
     return Fix("unsafe_edit" if edits else "advice", text, edits)
 
 
@@ -117,7 +117,7 @@ def _stored(source: Source, adapter: Adapter, standard: set[str]) -> Iterator[Fi
                 yield Finding(
                     f"{setting.read.key} is stored and never used: changing it has no effect",
                     **source.at(setting.function.file, parent),
-                    expected=f"self.{name} decides something",
+                    expected=f"self.{name} has an effect",
                     got=ast.unparse(parent),
                     fix=Fix("advice", "use the value, or delete the key"),
                 )
@@ -136,7 +136,7 @@ def _misnamed(source: Source, adapter: Adapter, standard: set[str], scripts: str
         if meant is not None and meant not in read and meant not in written:
             reported.add(key)
             is_given = re.search(rf"(?<![\w/]){re.escape(key)}\b(?!/)", scripts) is not None
-            who = "only the adapter's own scripts give a value" if is_given else "nobody gives a value"
+            who = "only the adapter's own scripts set it" if is_given else "nobody gives a value"
             yield Finding(
                 f"{key} is read, to which {who}, and {meant}, which every launcher sets, is not: "
                 f"{'without them' if is_given else 'so'} the adapter acts as if it had not been given",

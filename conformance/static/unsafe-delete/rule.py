@@ -53,10 +53,10 @@ def _checked(name: str, script: Script, word: Word) -> Iterator[Finding]:
     leading, closing = _LEADING.fullmatch(word.raw), _CLOSING.fullmatch(word.raw)
     if leading and _is_open(leading.group(1), script):
         deleted = f"/{leading.group(2)}".replace('"', "")
-        yield _finding(name, word, leading.group(1), f"{deleted} is deleted, from the root of the disk")
+        yield _finding(name, word, leading.group(1), f"{deleted} is deleted, from the root of the file system")
     elif closing and _is_open(closing.group(2), script):
         deleted = closing.group(1).replace('"', "") or "/"
-        yield _finding(name, word, closing.group(2), f"all of {deleted} is deleted, the work of other runs too")
+        yield _finding(name, word, closing.group(2), f"all of {deleted} is deleted, including other runs")
 
 
 def _is_open(variable: str, script: Script) -> bool:
@@ -71,10 +71,10 @@ def _elsewhere(name: str, script: Script, word: Word, before: Command | None) ->
         return
     if before.end not in {"&&", "||"} and not word.text.startswith(("/", "$", "~", "-")):
         yield Finding(
-            f"where `cd` fails, {word.text} is deleted in the folder from which {name} was started",
+            f"if `cd` fails, {word.text} is deleted in the folder from which {name} was started",
             **place(name, word),
             expected="set -e, or cd ... && rm ...",
-            got=f"{before.words[0].raw} without a look at its failure",
+            got=f"{before.words[0].raw} without a check for failure",
             fix=Fix("advice", "set -e, or delete by a path that starts at the script's folder"),
         )
 
@@ -84,7 +84,7 @@ def _finding(name: str, word: Word, variable: str, consequence: str) -> Finding:
     text = re.sub(rf"\$(?:{variable}\b|\{{{variable}(?::-)?\}})", lambda _: checked, word.raw)
     end = word.column + len(word.raw)
     return Finding(
-        f"where {variable} is empty, {consequence}",
+        f"if {variable} is empty, {consequence}",
         **place(name, word),
         expected=checked,
         got=word.raw,

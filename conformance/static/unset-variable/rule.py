@@ -69,8 +69,8 @@ def _unset(name: str, script: Script, unknown: set[str]) -> Iterator[Finding]:
         for item in word.expansions:
             if item.name in left:
                 left.remove(item.name)
-                then = "the script stops there" if nounset else "the shell puts nothing in its place"
-                yield _finding(name, word, f"{item.name} is set nowhere: {then}", f"{item.name} set, or a default")
+                then = "the script stops there" if nounset else "the shell expands it to nothing"
+                yield _finding(name, word, f"{item.name} is never set: {then}", f"{item.name} set, or a default")
 
 
 def _extended(name: str, script: Script) -> Iterator[Finding]:
@@ -92,7 +92,7 @@ def _extended(name: str, script: Script) -> Iterator[Finding]:
             else:
                 continue
             wanted = f"${{{variable}:+:${variable}}}"
-            yield _finding(name, value, f"where the caller has no {variable}, {then}", wanted)
+            yield _finding(name, value, f"if the caller does not set {variable}, {then}", wanted)
 
 
 def _sets_unknown(command: Command) -> bool:

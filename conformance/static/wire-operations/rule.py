@@ -59,13 +59,13 @@ def wire_operations(source: Source) -> Iterator[Finding]:
                         **source.at(function.file, keyword.value),
                         expected=f"{name or sdk.Message.CALL}(..., {sdk.Payload.OBS}=...)",
                         got=ast.unparse(node)[:80],
-                        fix=Fix("advice", f"hand it over as {sdk.Payload.OBS}"),
+                        fix=Fix("advice", f"pass it as {sdk.Payload.OBS}"),
                     )
             if first is None and is_call:
                 first = node
                 if name is not None and name != RESET and not hands_on(function.node, function, source, 1):
                     yield Finding(
-                        f"{function.name} does not reset first: the episode starts with what the one before left",
+                        f"{function.name} does not reset first: the episode starts with the state of the previous one",
                         **source.at(function.file, node),
                         expected=f"{RESET} before {name}",
                         got=ast.unparse(node)[:80],

@@ -54,7 +54,7 @@ def work_at_import(source: Source) -> Iterator[Finding]:
             if call is not None:
                 what = _done(call)
                 yield Finding(
-                    f"{what} when {file} is imported: whoever imports it waits, or fails where that cannot be done",
+                    f"{what} when {file} is imported: the import takes long, or fails if that is impossible",
                     **source.at(file, call),
                     expected="definitions only",
                     got=ast.unparse(call)[:80],
@@ -82,9 +82,9 @@ def _done(call: ast.Call) -> str:
         if name in group or (last(name) in group and "." not in last(name) and last(name) != "open"):
             return "" if name == "open" and _is_own_stream(call) else what
     if last(name) == "cuda" and isinstance(call.func, ast.Attribute) and dotted(call.func) != "torch.cuda":
-        return "memory of a GPU is taken"
+        return "GPU memory is allocated"
     if last(name) == "to" and any(str(constant(entry)).startswith("cuda") for entry in call.args):
-        return "memory of a GPU is taken"
+        return "GPU memory is allocated"
     return ""
 
 

@@ -59,7 +59,7 @@ def working_directory(source: Source) -> Iterator[Finding]:
 
 def _finding(source: Source, function: Function, node: ast.AST, path: str) -> Finding:
     return Finding(
-        f"{path} depends on the folder where the server was started: elsewhere it is not found, or another is",
+        f"{path} depends on the working directory of the server: elsewhere it is not found, or is another file",
         **source.at(function.file, node),
         expected="a path that starts at the adapter's folder",
         got=ast.unparse(node),
@@ -142,8 +142,8 @@ def _scratch(source: Source, adapter: Adapter) -> Iterator[Finding]:
             if isinstance(path, str) and _RELATIVE.match(path) and path not in reported:
                 reported.add(path)
                 yield Finding(
-                    f"{path} is made in the folder where the server was started: two servers that were started there "
-                    "write over each other's files",
+                    f"{path} is created in the working directory of the server: two servers started there "
+                    "overwrite each other's files",
                     **source.at(function.file, where),
                     expected="a folder of its own, from tempfile or the configuration",
                     got=ast.unparse(where).split("\n")[0],
@@ -172,7 +172,7 @@ def _called_by(source: Source, script: str) -> Iterator[Finding]:
             path = words[1]
             if not path.text.startswith(("/", "$", "~")) and "$" not in path.text and source.has(path.text):
                 yield Finding(
-                    f"{script} finds {path.text} only when it is started in the adapter's own folder",
+                    f"{script} finds {path.text} only if it is started in the adapter's own folder",
                     path=script,
                     line=path.line,
                     column=path.column,

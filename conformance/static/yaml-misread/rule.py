@@ -79,11 +79,11 @@ def _misread(key: str, node: yaml.ScalarNode) -> str | None:
     is_name = _NAMES.fullmatch(key.removesuffix("[]"))
     is_alone = not key or key.endswith("[]")
     told = {
-        "str": "a text" if _TEXTUAL.fullmatch(text) else None,
+        "str": "a string" if _TEXTUAL.fullmatch(text) else None,
         "int": f"the number {int(text, 8)}" if is_octal else "a number of seconds" if is_clock else None,
         "timestamp": "a date",
         "float": f"the number {float(text)}" if is_name and _ENDS_IN_ZERO.fullmatch(text) else None,
-        "bool": f"the truth value {text.lower() in _TRUE}" if is_alone and text.lower() in _WORDS else None,
+        "bool": f"the boolean {text.lower() in _TRUE}" if is_alone and text.lower() in _WORDS else None,
     }
     return told.get(tag)
 
@@ -96,7 +96,7 @@ def _finding(file: str, key: str, node: yaml.ScalarNode, read: str) -> Finding:
     better = _number(text) if is_number else f'"{text}"'
     what = f"{key.removesuffix('[]')}: " if key else "the key "
     return Finding(
-        f"{what}{text} is {read} to YAML, and the policy runs with that",
+        f"YAML parses {what}{text} as {read}, and the policy runs with that",
         file,
         *place,
         expected=better,

@@ -39,11 +39,11 @@ def zero_action(source: Source) -> Iterator[Finding]:
         for blank in blanks(function):
             if not blank.is_image and not blank.is_masked and _is_output(blank.read):
                 yield Finding(
-                    f"where the model's output lacks {blank.missing}, the robot is sent to zero",
+                    f"if the model's output lacks {blank.missing}, the robot is sent to zero",
                     **source.at(function.file, blank.node),
                     expected="an error that names the missing key",
                     got=ast.unparse(blank.node),
-                    fix=Fix("advice", "read the key with [...], or raise"),
+                    fix=Fix("advice", "read the key with [...], or raise an error"),
                 )
 
 

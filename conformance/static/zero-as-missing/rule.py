@@ -65,7 +65,7 @@ def _replaced(source: Source, adapter: Adapter) -> Iterator[Finding]:
             is_converted = isinstance(test.values[0], ast.Call) and called(test.values[0]) in _NUMBERS
             edits = () if is_converted else (replaced(source, function.file, test, f"({instead})"),)
             yield Finding(
-                f"{read.key}: 0 counts as not given: the policy runs with {default}",
+                f"{read.key}: 0 is treated as missing: the policy runs with {default}",
                 **source.at(function.file, test),
                 expected=instead,
                 got=ast.unparse(test),
@@ -82,7 +82,7 @@ def _selected(source: Source, function: Function) -> Iterator[Finding]:
         for value in values:
             if _asks_for_zero(value) and _selects(function, node):
                 yield Finding(
-                    "what was predicted is dropped where an entry is exactly 0, such as a closed gripper",
+                    "predictions are dropped if an entry is exactly 0, such as a closed gripper",
                     **source.at(function.file, node),
                     expected="a count of the rows that were filled in, or NaN for the others",
                     got=ast.unparse(node),

@@ -79,7 +79,7 @@ def test_any_number_that_differs_is_found_where_it_differs_first(seed: int, numb
     assert found is not None
     assert (found.part, found.question.number, found.step) == (f"ee_pose[{index}]", number, step)
     assert (found.pairs, found.parts) == (1, (found.part,))
-    assert found.given - found.golden == pytest.approx(0.01, abs=1e-5) or index >= 3
+    assert found.answer - found.golden == pytest.approx(0.01, abs=1e-5) or index >= 3
     assert found.share == pytest.approx(0.01 / found.span, rel=1e-3)
 
 
@@ -129,7 +129,7 @@ def test_answers_of_the_same_model_are_distributed_alike(seed: int, noise: float
     both = session(seed, takes=64, noise=noise)
     given = [[chunks(both, take)[number] for take in range(32, 64)] for number in range(len(both.questions))]
     halves = tuple(tuple({key: values[:32] for key, values in one.items()} for one in told) for told in both.answers)
-    assert distribution.shift(both.with_answers(halves, takes=32), given, 1e-4) is None
+    assert distribution.find_shift(both.with_answers(halves, takes=32), given, 1e-4) is None
 
 
 @pytest.mark.parametrize(
@@ -150,9 +150,9 @@ def test_answers_of_another_model_are_not(change: Callable[[np.ndarray], np.ndar
     for one in others:
         one["ee_joint_state"] = change(one["ee_joint_state"])
     given = [[[{k: v[t, s] for k, v in one.items()} for s in range(3)] for t in range(32)] for one in others]
-    found = distribution.shift(both.with_answers(halves, takes=32), given, 1e-4)
+    found = distribution.find_shift(both.with_answers(halves, takes=32), given, 1e-4)
     assert found is not None
-    assert (found.part, found.parts, found.what) == ("ee_joint_state[0]", ("ee_joint_state[0]",), what)
+    assert (found.part, found.parts, found.statistic) == ("ee_joint_state[0]", ("ee_joint_state[0]",), what)
 
 
 # -- served ------------------------------------------------------------------------------------------------------------
@@ -277,7 +277,7 @@ def test_a_model_that_takes_none_is_compared_in_distribution(tmp_path: Path) -> 
     block["action"]["parts"][1]["gripper"].update(closed=1.0, open=0.0)
     parity.made(folder, block, model=model, code=golden, deterministic=False)
     finding = only(audited(folder))
-    assert "ee_joint_state[0] is not distributed as the reference's" in finding.message
+    assert "ee_joint_state[0] has another distribution than the reference's" in finding.message
     assert "with `gripper: closed and open exchanged (action)`" in finding.message
 
 
