@@ -25,7 +25,7 @@ from xpl_cli.evaluation.rollout.backend import BackendConfig, RolloutJob
 from xpl_cli.evaluation.rollout.backends import make_backend
 from xpl_cli.evaluation.rollout.config import Runtime
 from xpl_cli.evaluation.runs import evaluate, plan, runner
-from xpl_cli.evaluation.runs.plan import Wishes
+from xpl_cli.evaluation.runs.plan import PlanRequest
 from xpl_cli.evaluation.runs.schedule import Schedule
 from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import environments, package
@@ -68,12 +68,12 @@ class _Suite:
 
     def __init__(self, episodes: int, folder: Path) -> None:
         adapter, environment = package.load(POLICY), environments.find(ENVIRONMENT)
-        wishes = Wishes(tasks=TASK, episodes=episodes, horizon=1)
-        self.plan = plan.make(adapter, environment, adapter.config({}), wishes).plan
+        wishes = PlanRequest(tasks=TASK, episodes=episodes, horizon=1)
+        self.plan = plan.make_plan(adapter, environment, adapter.config({}), wishes).plan
         self.episodes = episodes
         self._folder = folder
         self._runs = 0
-        orders = evaluate.orders(adapter, environment, self.plan, Runtime(), IsolationSettings())
+        orders = evaluate.make_configs(adapter, environment, self.plan, Runtime(), IsolationSettings())
         self._backends = {lanes: make_backend(BackendConfig(lanes=lanes), *orders, episodes) for lanes in (1, 2)}
 
     def __enter__(self) -> Self:
@@ -90,7 +90,7 @@ class _Suite:
         slots = self.plan.slots()
         jobs = [RolloutJob(slot.index, 1, slot.task, slot.setting, slot.seed, trace=False) for slot in slots]
         began = _now()
-        lines = list(runner.replay(self.plan, jobs, self._backends[lanes]))
+        lines = list(runner.rerun_episodes(self.plan, jobs, self._backends[lanes]))
         took = _since(began)
         assert all(line.success for line in lines)
         return took
@@ -99,8 +99,8 @@ class _Suite:
         """Play a recorded run."""
         self._runs += 1
         began = _now()
-        with records.Writer(self._folder / str(self._runs), self.plan) as writer:
-            runner.play(writer, self._backends[lanes], Schedule(writer.run, 0, lambda _: False), _Silent())
+        with records.RecordWriter(self._folder / str(self._runs), self.plan) as writer:
+            runner.run_schedule(writer, self._backends[lanes], Schedule(writer.run, 0, lambda _: False), _Silent())
         took = _since(began)
         assert all(line.success for line in writer.run.finals.values())
         return took

@@ -14,7 +14,7 @@ from xpl.episode import SUCCESS_SCORE, Simulated
 from xpl.poses import compose, invert, pose
 from xpl.rendering import choose_opengl
 from xpl.rotation import from_matrix
-from xpl.simulator.changes import COMMANDED, MEASURED, Changes, bounded
+from xpl.simulator.pose_deltas import COMMANDED, MEASURED, PoseDeltas, clip
 
 from .drawing import Pictures
 
@@ -53,7 +53,7 @@ class LiberoEpisode(Episode):
         bddl = Path(get_libero_path("bddl_files")) / suite / f"{name}.bddl"
         self._env = ControlEnv(str(bddl), **self._pictures.options())
         self._pictures.prepare(self._env.env)
-        self._changes = Changes(COMMANDED if "delta" in words else MEASURED)
+        self._changes = PoseDeltas(COMMANDED if "delta" in words else MEASURED)
 
     def reset(self, seed: int) -> None:
         """Begin an episode from the initial state of this number, counted on from the first after the last."""
@@ -78,8 +78,8 @@ class LiberoEpisode(Episode):
     def step(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Execute one action step: send the tool to a pose, or as far as the command went on from the one before."""
         wanted = self._reached(action[spec.State.EE_POSE])
-        change = self._changes.change(wanted, self._reached(self._flange())) / _SCALE
-        move, past = bounded(change.tolist(), together=self._changes.counted_from == MEASURED)
+        change = self._changes.delta(wanted, self._reached(self._flange())) / _SCALE
+        move, past = clip(change.tolist(), together=self._changes.counted_from == MEASURED)
         self._told = np.append(move, 1.0 - 2.0 * float(action[spec.State.EE_JOINT_STATE][0]))
         obs, _, self._success, _ = self._env.step(self._told)
         self._look(obs)

@@ -10,7 +10,7 @@ from xpl import _spec as spec
 from xpl import get_embodiment, rotation
 from xpl.kinematics import Chain
 from xpl.poses import compose, invert
-from xpl.simulator.changes import COMMANDED, Changes, bounded
+from xpl.simulator.pose_deltas import COMMANDED, PoseDeltas, clip
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -69,7 +69,7 @@ class JointChanges:
     def told(self, action: Mapping[str, Any], arm: Arm) -> Told:
         """Return how far the command went on from the one before."""
         wanted = action[spec.State.ARM_JOINT_STATE].astype(np.float64)
-        change, past = bounded(((wanted - self._before) / self._range[: len(wanted)]).tolist(), together=False)
+        change, past = clip(((wanted - self._before) / self._range[: len(wanted)]).tolist(), together=False)
         self._before = wanted
         opening = float(action[spec.State.EE_JOINT_STATE][0])
         return np.append(change, arm.gripper.change(opening, self._range)), _beyond(past)
@@ -100,7 +100,7 @@ class PoseChanges:
     mode = "pd_ee_delta_pose"
 
     def __init__(self) -> None:
-        self._changes = Changes(COMMANDED)
+        self._changes = PoseDeltas(COMMANDED)
 
     def begin(self, arm: Arm) -> None:
         """Count from the pose that a policy observes first."""
@@ -111,8 +111,8 @@ class PoseChanges:
     def told(self, action: Mapping[str, Any], arm: Arm) -> Told:
         """Return how far the command went on from the one before."""
         present = arm.reached(arm.state[spec.State.EE_POSE])
-        change = self._changes.change(arm.reached(action[spec.State.EE_POSE]), present)
-        move, past = bounded((change[:3] / self._move).tolist(), together=False)
+        change = self._changes.delta(arm.reached(action[spec.State.EE_POSE]), present)
+        move, past = clip((change[:3] / self._move).tolist(), together=False)
         turn, turned_past = bounded_turn(euler(rotation.from_axis_angle(change[3:])) / self._turn)
         command = np.concatenate([move, turn])
         opening = arm.gripper.command(float(action[spec.State.EE_JOINT_STATE][0]))

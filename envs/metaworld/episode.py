@@ -15,7 +15,7 @@ from xpl.environment import Episode, Setup
 from xpl.episode import SUCCESS_SCORE, Simulated
 from xpl.rendering import choose_opengl
 from xpl.rotation import angle_between
-from xpl.simulator.changes import COMMANDED, MEASURED, Changes, bounded
+from xpl.simulator.pose_deltas import COMMANDED, MEASURED, PoseDeltas, clip
 
 from .pictures import Pictures
 from .touching import Touching
@@ -79,7 +79,7 @@ class MetaWorldEpisode(Episode):
         env.touching_object = Touching(env).touches
         self._policy = ENV_POLICY_MAP[name]()
         self._seen = _Seen.of(env.model, env.data)
-        self._changes = Changes(COMMANDED if "delta" in words else MEASURED)
+        self._changes = PoseDeltas(COMMANDED if "delta" in words else MEASURED)
         self._pictures = Pictures(env.model, setup, is_fast="fast" in words)
 
     def reset(self, seed: int) -> None:
@@ -100,8 +100,8 @@ class MetaWorldEpisode(Episode):
         # Few numbers: one by one they cost a fraction of what numpy takes for them.
         wanted = action[spec.State.EE_POSE].tolist()
         # What is pulled is where an absolute command counts from, and not the hand, which lags behind.
-        change = [moved / self._env.action_scale for moved in self._changes.move(wanted, self._pulled)]
-        move, past = bounded(change, together=self._changes.counted_from == MEASURED)
+        change = [moved / self._env.action_scale for moved in self._changes.translation(wanted, self._pulled)]
+        move, past = clip(change, together=self._changes.counted_from == MEASURED)
         self._told = np.array([*move, 1.0 - 2.0 * float(action[spec.State.EE_JOINT_STATE][0])])
         obs, _, _, _, info = self._env.step(self._told)
         self._look(obs)

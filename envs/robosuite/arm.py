@@ -11,7 +11,7 @@ from xpl import _spec as spec
 from xpl import rotation
 from xpl.poses import compose, invert, pose
 from xpl.rotation import from_matrix
-from xpl.simulator.changes import MEASURED, Changes, bounded
+from xpl.simulator.pose_deltas import MEASURED, PoseDeltas, clip
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,7 +37,7 @@ class Arm:
 
     def __init__(self, prefix: str, number: int, counted_from: str) -> None:
         self.prefix, self._number = prefix, number
-        self._changes = Changes(counted_from)
+        self._changes = PoseDeltas(counted_from)
 
     def find(self, env: Any) -> None:
         """Look up what is in a model that was loaded."""
@@ -75,10 +75,10 @@ class Arm:
 
     def change(self, flange: Any) -> tuple[NDArray[np.float64], float]:
         """Return robosuite's six numbers for a commanded pose of the flange, and how far the largest was past 1."""
-        change = self._changes.change(self.reached(flange), self._present)
+        change = self._changes.delta(self.reached(flange), self._present)
         parts = [rotation.rotate(self._to_base, part) for part in np.split(change, 2)]
         wanted = (np.concatenate(parts) / _SCALE).tolist()
-        move, past = bounded(wanted, together=self._changes.counted_from == MEASURED)
+        move, past = clip(wanted, together=self._changes.counted_from == MEASURED)
         return np.array(move), past
 
     def _flange(self) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from xpl import rotation
 from xpl.environment import Episode, Setup
 from xpl.episode import SUCCESS_SCORE, Simulated
 from xpl.rendering import choose_opengl
-from xpl.simulator.changes import COMMANDED, MEASURED
+from xpl.simulator.pose_deltas import COMMANDED, MEASURED
 
 from .arm import Arm
 from .drawing import Pictures

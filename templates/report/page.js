@@ -134,7 +134,7 @@
     add("Corrected", Object.entries(get("corrections", row) || {}).map(([name, count]) => `${name.replaceAll("_", " ")} in ${count} steps`).join(", "));
     add("Guard", Object.entries(get("safety", row) || {}).map(([name, worst]) => `${name.replaceAll("_", " ")} ${worst.count ?? ""} times`).join(", "));
     const index = String(get("index", row)), earlier = data.episodes.earlier[index] || [];
-    add("Earlier attempts", earlier.map((place) => data.episodes.values[place] || "spoilt").join("; "));
+    add("Earlier attempts", earlier.map((place) => data.episodes.values[place] || "infrastructure error").join("; "));
     add("Steps, time", `${get("steps", row) ?? "–"} steps, ${said(get("seconds", row), 1)} s, ${said(get("ms", row), 1)} ms per request`);
     add("Played by", [get("worker", row), get("server", row)].filter(Boolean).join(", "));
     add("Digest of states", get("digest", row), "mono");

@@ -17,10 +17,10 @@ from tests.support.adapters import drill
 from tests.support.peer import wait_until, xpl
 from tests.support.places import ROOT, copy
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.evaluation.loop.desk import EndlessError
-from xpl_cli.evaluation.loop.process import Limits, Loop, LoopLostError, LoopRaisedError
+from xpl_cli.evaluation.loop.process import AdapterLoop, LoopLostError, LoopRaisedError, LoopTimeouts
+from xpl_cli.evaluation.loop.request_handler import EndlessLoopError
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.records.cells import survivors
+from xpl_cli.evaluation.records.cells import retried_after_crash
 from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import environments
 
@@ -32,14 +32,14 @@ FORGED = """
 
     def attack():
         import xpl_cli.evaluation.records.failures as failures
-        failures.played = failures.failed = failures.spoilt = forge
+        failures.outcome_of = failures.policy_error = failures.infrastructure_error = forge
         for name, module in list(sys.modules.items()):
             if name.startswith(("xpl_cli", "xpl.")):
-                for key in ("played", "failed", "spoilt", "results", "exit_code"):
+                for key in ("outcome_of", "policy_error", "infrastructure_error", "results", "exit_code"):
                     if hasattr(module, key):
                         setattr(module, key, forge)
         for found in gc.get_objects():
-            if type(found).__name__ in ("Watch", "VectorEnv", "Lane", "GuardedEnv"):
+            if type(found).__name__ in ("TelemetryWrapper", "VectorEnv", "RolloutWorker", "GuardedEnv"):
                 type(found).results = lambda self: [forge()]
 
     attack()
@@ -193,7 +193,7 @@ class _Stage:
     """
 
     folder: Path
-    loop: Loop
+    loop: AdapterLoop
 
     def play(self, body: str) -> _World:
         """Run statements as a loop, and return what was asked of environment and policy."""
@@ -209,7 +209,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Stage]:
     body = "exec((Path(__file__).parent / 'body').read_text(), {'env': env, 'policy': policy, '__file__': __file__})"
     code = f"from pathlib import Path\ndef eval_one_episode(env, policy):\n    {body}\n"
     (folder / "deploy.py").write_text(code, encoding="utf-8")
-    loop = Loop(folder, limits=Limits(think_s=1.5), is_silent=True)
+    loop = AdapterLoop(folder, limits=LoopTimeouts(think_s=1.5), is_silent=True)
     yield _Stage(folder, loop)
     loop.close()
 
@@ -286,9 +286,9 @@ def test_what_is_no_question_is_not_answered(stage: _Stage, question: str) -> No
 
 def test_a_loop_that_never_acts_or_never_ends_is_broken_off(stage: _Stage) -> None:
     """After the end it may ask a little longer, and before it not for ever."""
-    with pytest.raises(EndlessError, match="does not notice"):
+    with pytest.raises(EndlessLoopError, match="does not notice"):
         stage.play("while True: env.take_action({})")
-    with pytest.raises(EndlessError, match="without a control step"):
+    with pytest.raises(EndlessLoopError, match="without a control step"):
         stage.play("while True: policy.call(func_name='update_obs', obs=None)")
 
 
@@ -382,7 +382,7 @@ _NONSENSE = """
 
 @pytest.mark.slow
 def test_a_loop_that_makes_its_environment_raise_where_it_loses_gains_nothing(room: Path) -> None:
-    """Nothing but actions of the robot reaches the environment, so no episode is spoilt, and played again for that."""
+    """Nothing but actions of the robot reaches the environment, so no attempt is an infrastructure error."""
     client = room / "envs" / "drill" / "client.py"
     code = client.read_text()
     assert "def render(self, env_idx=0, camera=None):" in code
@@ -401,12 +401,12 @@ def test_a_loop_that_makes_its_environment_raise_where_it_loses_gains_nothing(ro
 
 
 @pytest.mark.slow
-def test_a_success_after_a_spoilt_attempt_is_told(room: Path) -> None:
+def test_a_success_after_an_infrastructure_error_is_reported(room: Path) -> None:
     """The infrastructure was to blame as far as anybody saw; whoever reads the figures knows how many rest on that."""
     drill.mark(room / "envs" / "drill", "env-dies-0", 1)
     done = _eval(room, "--out", "run", "--episodes", "2", "--film", "0")
     assert done.returncode == ExitCode.CLEAN, done.stderr
-    assert "1 episode succeeded in an attempt that followed one that the infrastructure had spoilt" in done.stdout
+    assert "1 episode succeeded after an attempt that ended with an infrastructure error" in done.stdout
 
 
 @pytest.mark.slow
@@ -423,7 +423,7 @@ def test_a_model_that_kills_itself_where_it_loses_gains_nothing(tmp_path: Path, 
     assert found["failures"]["infrastructure"] == 0
     assert found["successes"] == (4 if times == 1 else 3)
     run = records.read(tmp_path / "run")
-    again = survivors(run.attempts)
+    again = retried_after_crash(run.attempts)
     scores = [0.0 if index in again else line.score or 0.0 for index, line in run.finals.items()]
     assert found["mean_score"] == pytest.approx(sum(scores) / 6)
 
@@ -454,8 +454,8 @@ def test_an_exit_in_deploy_py_never_ends_an_audit(tmp_path: Path, where: str) ->
     assert done.returncode == ExitCode.FINDINGS, done.stderr
     (gate,) = json.loads(done.stdout)["targets"][0]["gates"]
     found = {result["slug"]: result for result in gate["results"]}
-    assert found["own-loop"]["outcome"] == "fail"
-    assert "exit code 0" in found["own-loop"]["findings"][0]["message"]
+    assert found["evaluation-loop-runs"]["outcome"] == "fail"
+    assert "exit code 0" in found["evaluation-loop-runs"]["findings"][0]["message"]
     assert found["closed-loop"]["outcome"] == "pass"
 
 

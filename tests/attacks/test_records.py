@@ -159,8 +159,8 @@ def test_bytes_that_are_no_line_are_refused_wherever_they_stand(name: str, sound
         records.read(_changed(sound, tmp_path / "run", RAW[name], 1), skip=True)
     last = _changed(sound, tmp_path / "run", RAW[name], len(_lines(sound)))
     try:
-        lines.parsed(RAW[name])
-    except lines.NotJsonError:
+        lines.parse_line(RAW[name])
+    except lines.LineNotJsonError:
         assert records.read(last).torn
     except lines.LineError:
         with pytest.raises(RecordError, match=f"line {len(_lines(sound))}"):
@@ -177,7 +177,7 @@ def _again(lines: Lines, *first: dict[str, Any]) -> Lines:
     return [*lines[:-1], *attempts, {**last, "attempt": len(first) + 1}]
 
 
-SPOILT = {"success": None, "score": None, "failure": "infrastructure", "end_reason": "infrastructure", "error": "x"}
+ERRORED = {"success": None, "score": None, "failure": "infrastructure", "end_reason": "infrastructure", "error": "x"}
 FAILED = {"success": False, "failure": "task", "end_reason": "max_steps"}
 DIED = {"success": False, "failure": "policy", "end_reason": "policy_died", "error": "x"}
 AGAINST: dict[str, tuple[Callable[[Lines], Lines], str]] = {
@@ -186,7 +186,7 @@ AGAINST: dict[str, tuple[Callable[[Lines], Lines], str]] = {
         'success: expected false with failure "task", got true',
     ),
     "success and lost infrastructure": (
-        lambda lines: [*lines[:-1], {**lines[-1], **SPOILT, "success": True}],
+        lambda lines: [*lines[:-1], {**lines[-1], **ERRORED, "success": True}],
         'success: expected null with failure "infrastructure", got true',
     ),
     "no success and no failure": (
@@ -198,23 +198,23 @@ AGAINST: dict[str, tuple[Callable[[Lines], Lines], str]] = {
         "attempt: expected 1 for episode 7, at most 3, got 3",
     ),
     "more attempts than the plan allows": (
-        lambda lines: _again(lines, SPOILT, SPOILT, SPOILT),
+        lambda lines: _again(lines, ERRORED, ERRORED, ERRORED),
         "attempt: expected 4 for episode 7, at most 3, got 4",
     ),
     "an honest failure played again": (
         lambda lines: _again(lines, FAILED),
-        "final: expected true, since nothing spoilt this attempt at episode 7",
+        "final: expected true: this attempt at episode 7 may not be retried",
     ),
     "a failed task that says that a process died": (
         lambda lines: _again(lines, {**DIED, "failure": "task"}),
-        "final: expected true, since nothing spoilt this attempt at episode 7",
+        "final: expected true: this attempt at episode 7 may not be retried",
     ),
 }
 
 
 @pytest.mark.parametrize("name", AGAINST)
 def test_lines_that_contradict_each_other_or_their_plan_are_refused(name: str, tmp_path: Path) -> None:
-    """An episode is played again only where something spoilt it, as often as the plan allows, and ends once."""
+    """An episode is retried only after an infrastructure error or crash, as often as the plan allows, and ends once."""
     change, said = AGAINST[name]
     run = rewritten(synthetic(tmp_path / "run", episodes=2, faults=Faults(retried=0)), change)
     with pytest.raises(RecordError, match=re.escape(said)):
@@ -222,11 +222,11 @@ def test_lines_that_contradict_each_other_or_their_plan_are_refused(name: str, t
     assert said in records.read(run, skip=True).skipped[0]
 
 
-@pytest.mark.parametrize("spoilt", [SPOILT, DIED])
-def test_an_episode_that_something_spoilt_may_be_played_again(spoilt: dict[str, Any], tmp_path: Path) -> None:
+@pytest.mark.parametrize("line", [ERRORED, DIED])
+def test_an_episode_that_failed_otherwise_than_the_task_may_be_retried(line: dict[str, Any], tmp_path: Path) -> None:
     """Twice, as the plan says."""
     run = rewritten(
-        synthetic(tmp_path / "run", episodes=2, faults=Faults(retried=0)), lambda lines: _again(lines, spoilt, spoilt)
+        synthetic(tmp_path / "run", episodes=2, faults=Faults(retried=0)), lambda lines: _again(lines, line, line)
     )
     assert records.read(run).finals[7].attempt == 3
 
@@ -444,7 +444,7 @@ def test_the_compiled_schema_says_what_the_other_validator_says(sound: Path) -> 
 
 def _is_line(raw: bytes) -> bool:
     try:
-        lines.parsed(raw)
+        lines.parse_line(raw)
     except lines.LineError:
         return False
     return True

@@ -39,8 +39,8 @@ def test_the_command_plays_what_the_table_shows() -> None:
     command = typer.main.get_command(app).get_command(None, name)  # type: ignore[attr-defined]
     given = command.make_context(name, arguments).params
     adapter = package.load(ROOT / given["policy"])
-    wishes = plan.Wishes(given["task"], given["setting"], given["episodes"], horizon=given["horizon"])
-    planned = plan.make(adapter, find(given["env"]), adapter.config(), wishes).plan
+    wishes = plan.PlanRequest(given["task"], given["setting"], given["episodes"], horizon=given["horizon"])
+    planned = plan.make_plan(adapter, find(given["env"]), adapter.config(), wishes).plan
     rows = [line.split()[:3] for line in _block("table").splitlines()]
     expected = [[*cell.place, f"{given['episodes']}/{given['episodes']}"] for cell in planned.cells]
     assert [row for row in rows if row in expected] == expected

@@ -18,9 +18,9 @@ import pytest
 from tests.support.adapters import drill
 from tests.support.peer import DEADLINE_S, wait_until
 from tests.support.places import ROOT
-from xpl.simulator.asking import TERMINAL, NobodyThereError
-from xpl.simulator.crew import Limits
 from xpl.simulator.process import EnvRaisedError
+from xpl.simulator.terminal import TERMINAL, NoTerminalError
+from xpl.simulator.worker_pool import EnvTimeouts
 from xpl.vector import VectorEnv
 
 CLIENT = """
@@ -109,7 +109,7 @@ def test_closing_closes_once(start: Callable[..., VectorEnv], client: Path) -> N
 @pytest.mark.parametrize("do", ["hang", "raise"])
 def test_an_environment_that_is_lost_is_closed_before(start: Callable[..., VectorEnv], client: Path, do: str) -> None:
     """In a step from which it does not come back another thread closes it."""
-    env = start(limits=Limits(step_s=0.3))
+    env = start(limits=EnvTimeouts(step_s=0.3))
     env.reset([0])
     env.take_action_batch([{"do": do}], [0])
     assert _closed(client) == "c"
@@ -184,7 +184,7 @@ def test_without_a_terminal_it_is_told_so(
     (client.parent / "asks").touch()
     with pytest.raises(EnvRaisedError, match="no terminal") as failure:
         start().reset([0])
-    assert failure.value.kind == NobodyThereError.__name__
+    assert failure.value.kind == NoTerminalError.__name__
 
 
 SLOW = """

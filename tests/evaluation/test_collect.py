@@ -52,7 +52,7 @@ def test_a_set_is_recorded_and_is_valid(tmp_path: Path) -> None:
 def test_practice_leaves_the_evaluation_seeds_alone() -> None:
     folder = environments.find("mujoco")
     tests = check.seeds(folder, "lift_cube", "clean")
-    wishes = plan.Wishes(episodes=500, first=min(tests), is_practice=True)
+    wishes = plan.PlanRequest(episodes=500, first=min(tests), is_practice=True)
     seeds, frozen = plan._seeds(folder, "lift_cube", "clean", wishes)
     assert (len(seeds), len(set(seeds)), frozen) == (500, 500, False)
     assert not set(seeds) & set(tests)
@@ -78,11 +78,15 @@ def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path
         if failure is None:
             (tmp_path / trajectory_recorder.file_name(index)).write_bytes(b"12345")
     line = planned(cells=[PlannedCell("lift", "clean", None, range(5), frozen=False)])
-    request = collect.Request("E", config.RecordingConfig(str(tmp_path), config.SUCCESS), episodes=2)
+    request = collect.RecordRequest("E", config.RecordingConfig(str(tmp_path), config.SUCCESS), episodes=2)
     told = collect._summary(records.Run(tmp_path / "run", line, finals=lines), request, "P", 1.0)
-    assert told.tasks == [collect.TaskSet("lift", "clean", 2, wanted=2, tried=4, discarded=1, spoilt=1, steps=14)]
+    assert told.tasks == [
+        collect.TaskDemonstrations(
+            "lift", "clean", 2, requested=2, tried=4, discarded=1, infrastructure_errors=1, steps=14
+        )
+    ]
     assert (told.bytes, [path.name for path in tmp_path.glob("*.hdf5")].count("episode_0000004.hdf5")) == (10, 0)
-    assert "1 of 4 tries discarded, 1 spoilt" in told.text()
+    assert "1 of 4 tries discarded, 1 infrastructure errors" in told.text()
     collect._return_surplus(tmp_path)
     assert (tmp_path / "episode_0000004.hdf5").is_file()
     (tmp_path / "episode_0000000.hdf5").unlink()

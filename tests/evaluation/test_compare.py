@@ -81,15 +81,15 @@ def test_a_run_played_again_is_recognised(tmp_path: Path) -> None:
     assert moved["same_trajectories"] == found["same_trajectories"] - 1
 
 
-def test_spoilt_episodes_are_compared_as_failed_and_others_only_where_both_have_them(tmp_path: Path) -> None:
+def test_infrastructure_errors_are_compared_as_failed_and_others_only_where_both_have_them(tmp_path: Path) -> None:
     """Seeds that one run lacks are left out, and this is said; whoever spoils an episode has not won it."""
     foo = synthetic(tmp_path / "foo", **ONE, episodes=40, policy="Foo", rate=1.0, faults=Faults(infrastructure=0.2))
     bar = synthetic(tmp_path / "bar", **ONE, episodes=30, policy="Bar", rate=1.0, first_seed=5, faults=Faults(policy=0))
     found = compared(foo, bar)
-    spoilt = [line.seed for line in records.read(foo).finals.values() if line.failure == "infrastructure"]
+    errors = [line.seed for line in records.read(foo).finals.values() if line.failure == "infrastructure"]
     row = found["overall"]
     assert row["pairs"] == 30
-    assert row["only_second"] >= sum(5 <= seed < 35 for seed in spoilt) > 0
+    assert row["only_second"] >= sum(5 <= seed < 35 for seed in errors) > 0
     assert found["left_out"] == {"first": 10, "second": 0}
     assert [entry["what"] for entry in found["differences"]] == ["seeds of lift_cube (clean)"]
 

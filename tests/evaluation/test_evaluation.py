@@ -18,8 +18,8 @@ from tests.support.peer import xpl
 from tests.support.places import ROOT
 from tests.support.recordings.runs import episode
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.runs import look
-from xpl_cli.evaluation.runs.outcome import Evaluation, Played
+from xpl_cli.evaluation.runs import quick_eval
+from xpl_cli.evaluation.runs.evaluation import EvalSetup, Evaluation
 from xpl_cli.evaluation.runs.settings import with_robot
 from xpl_cli.packages import environments, package
 from xpl_cli.standard.validate import validate
@@ -268,9 +268,9 @@ def test_there_is_one_environment_for_each_worker_unless_told_otherwise(
 ) -> None:
     if expected is None:
         with pytest.raises(UserError):
-            look.places(num_envs, workers)
+            quick_eval.num_envs_and_workers(num_envs, workers)
     else:
-        assert look.places(num_envs, workers) == expected
+        assert quick_eval.num_envs_and_workers(num_envs, workers) == expected
 
 
 SEES = """
@@ -325,12 +325,12 @@ def test_the_robot_is_the_first_that_policy_and_environment_both_have(environmen
     assert with_robot(named, environment, {}) == {}
 
 
-def test_an_episode_that_is_spoilt_for_good_counts_as_failed() -> None:
-    """Without a verdict nobody can tell who was to blame; where no episode has a success, there is no rate."""
+def test_an_episode_with_an_infrastructure_error_in_every_attempt_counts_as_failed() -> None:
+    """If no episode has a success, there is no rate."""
     won = episode()
-    spoilt = episode(success=None, score=None, end_reason="infrastructure", failure="infrastructure")
-    played = Played("Foo", "mujoco", "lift_cube", "clean", "arx_x5", "joint")
-    told = Evaluation(played, [won, spoilt])
-    assert (told.successes, told.success_rate, told.mean_score, told.spoilt) == (1, 0.5, 0.5, 1)
-    assert Evaluation(played, [spoilt]).success_rate is None
+    failed = episode(success=None, score=None, end_reason="infrastructure", failure="infrastructure")
+    played = EvalSetup("Foo", "mujoco", "lift_cube", "clean", "arx_x5", "joint")
+    told = Evaluation(played, [won, failed])
+    assert (told.successes, told.success_rate, told.mean_score, told.infrastructure_errors) == (1, 0.5, 0.5, 1)
+    assert Evaluation(played, [failed]).success_rate is None
     assert validate(told.as_json(), "evaluation") == []

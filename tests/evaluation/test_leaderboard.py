@@ -89,14 +89,17 @@ def test_a_run_whose_adapter_could_reach_its_judge_is_neither_ranked_nor_submitt
         prepare.submit(prepare.Request(package.load(EXPERT), (runs[1].folder,), tmp_path / "bundle.zip"))
 
 
-def test_a_run_of_which_too_much_was_spoilt_is_not_ranked(tmp_path: Path) -> None:
-    """It is named with the reason; a run with few spoilt episodes is ranked by the rate with these as failures."""
-    spoilt, bad = _run(tmp_path, "Spoilt", faults=Faults(infrastructure=1.0)), _run(tmp_path, "Bad", rate=0.0)
-    found = _rank(spoilt, bad)
+def test_a_run_with_too_many_infrastructure_errors_is_not_ranked(tmp_path: Path) -> None:
+    """It is named with the reason; a run with few of them is ranked by the rate with these as failures."""
+    broken, bad = _run(tmp_path, "Broken", faults=Faults(infrastructure=1.0)), _run(tmp_path, "Bad", rate=0.0)
+    found = _rank(broken, bad)
     assert [row.policy for row in found.rows] == ["Bad"]
-    assert "Spoilt is not ranked: the infrastructure spoilt 80 of its 80 episodes, more than 10%" in board.text(found)
+    assert (
+        "Broken is not ranked: 80 of its 80 episodes ended with an infrastructure error, more than 10%"
+        in board.text(found)
+    )
     with pytest.raises(UserError, match="no run can be ranked"):
-        _rank(spoilt)
+        _rank(broken)
     some = _run(tmp_path, "Some", rate=0.5, faults=Faults(infrastructure=0.05, policy=0.0))
     (row,) = _rank(some).rows
     assert 0 < row.failures["infrastructure"] <= 8
@@ -172,7 +175,7 @@ def test_other_machines_are_named_and_no_reason_to_refuse(tmp_path: Path) -> Non
 
 
 def test_common_episodes_make_runs_alike(tmp_path: Path) -> None:
-    """Only what all of them played is ranked: tasks and seeds; what was spoilt in one has failed there."""
+    """Only what all of them played is ranked: tasks and seeds; an infrastructure error counts as failed."""
     runs = [
         _run(tmp_path, "One", tasks=["a", "b", "c"], episodes=30, faults=Faults(infrastructure=0.05)),
         _run(tmp_path, "Other", tasks=["b", "a"], episodes=30, first_seed=10, played=100),
@@ -212,7 +215,7 @@ def test_the_command_ranks_and_writes_what_others_read(tmp_path: Path) -> None:
 
 
 def test_robodojo_reads_rates_scores_and_details_by_index(tmp_path: Path) -> None:
-    """Numbers of its own kind: a rate to 1, a score to 100, details from 0 on; what was spoilt has failed."""
+    """Numbers of its own kind: a rate to 1, a score to 100, details from 0 on; an infrastructure error is a failure."""
     run = _run(tmp_path, "One", faults=Faults(policy=0.1, infrastructure=0.2))
     found = {path.parts: json.loads(text) for path, text in export.robodojo(run)}
     assert {parts[0] for parts in found} == {"lift_cube", "lift_cube_random", "stack_cubes", "stack_cubes_random"}

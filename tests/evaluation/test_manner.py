@@ -12,8 +12,8 @@ from tests.support.adapters import drill
 from tests.support.peer import xpl
 from tests.support.recordings.runs import planned
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.records import manner, records
-from xpl_cli.evaluation.records.manner import Manner
+from xpl_cli.evaluation.records import records, run_mode
+from xpl_cli.evaluation.records.run_mode import RunMode
 from xpl_cli.evaluation.rollout.backend import RolloutJob
 from xpl_cli.evaluation.rollout.instruction import with_instruction
 from xpl_cli.evaluation.statistics.matching import differences
@@ -71,7 +71,7 @@ def test_a_policy_that_is_not_here_is_recorded(room: Path, elsewhere: str) -> No
     run = records.read(room / "run")
     policy = run.plan.policy
     assert (policy.name, policy.checkpoint) == ("Foreign", None)
-    told = manner.of(run.plan)
+    told = run_mode.run_mode_of(run.plan)
     assert told.announced is not None
     assert told.announced["policy"]["embodiment"] == "franka_single"
     assert elsewhere not in (room / "run" / records.FILE).read_text()
@@ -103,7 +103,7 @@ def test_a_batch_is_recorded_with_its_size(room: Path) -> None:
     done = _eval(room, "Drilled", *options, "--num-envs", "2", "--workers", "2")
     assert done.returncode == 0, done.stderr
     run = records.read(room / "run")
-    assert manner.of(run.plan) == Manner(num_envs=2)
+    assert run_mode.run_mode_of(run.plan) == RunMode(num_envs=2)
     assert [line.success for line in run.finals.values()] == [True, True, False] * 2
     assert sum(line.inference is not None for line in run.finals.values()) == 4
     assert not any(line.trace or line.film for line in run.finals.values())
@@ -121,14 +121,14 @@ def test_a_policy_is_told_what_another_episode_is_about(room: Path) -> None:
     done = _eval(room, "Drilled", "--episodes", "2", "--instruction", "swap")
     assert done.returncode == 0, done.stderr
     run = records.read(room / "run")
-    assert manner.of(run.plan) == Manner(instruction=manner.SWAP)
+    assert run_mode.run_mode_of(run.plan) == RunMode(instruction=run_mode.SWAP)
     assert [(line.seed, line.failure) for line in run.finals.values()] == [(0, "policy"), (1, None)]
     # Whoever sees the figures sees that they are not the policy's own.
     assert "The policy was told what another episode is about" in done.stdout
 
 
 @pytest.mark.parametrize(
-    ("instead", "told"), [(manner.BLANK, ["", ""]), (manner.SWAP, ["lift the blue one", "lift the red one"])]
+    ("instead", "told"), [(run_mode.BLANK, ["", ""]), (run_mode.SWAP, ["lift the blue one", "lift the red one"])]
 )
 def test_other_words_depend_on_the_seed_alone(instead: str, told: list[str]) -> None:
     """Each episode is told what the next one is told that is about something else; all else stays as it is."""
@@ -145,7 +145,7 @@ def test_other_words_depend_on_the_seed_alone(instead: str, told: list[str]) -> 
 
 def test_where_all_episodes_are_told_the_same_nothing_is_swapped() -> None:
     with pytest.raises(UserError, match=r"pick, clean: episodes of the next 30 seeds are told nothing else"):
-        with_instruction(_Told(["lift it"]), manner.SWAP, [RolloutJob(0, 1, "pick", "clean", 1)], 1)
+        with_instruction(_Told(["lift it"]), run_mode.SWAP, [RolloutJob(0, 1, "pick", "clean", 1)], 1)
 
 
 class _Told:
@@ -170,10 +170,10 @@ class _Told:
 
 def test_a_manner_reads_what_it_wrote() -> None:
     """And takes what is none for the usual one; adapters are given nothing of it."""
-    foreign = Manner(announced={"policy": {"name": "x"}})
-    for how in (Manner(), Manner(3), Manner(2, {"policy": {}}), foreign, Manner(instruction=manner.BLANK)):
-        config = how.written_in({"seed": 1})
-        assert manner.of(planned(json.loads(json.dumps(config)))) == how
-        assert manner.without(config) == {"seed": 1}
+    foreign = RunMode(announced={"policy": {"name": "x"}})
+    for how in (RunMode(), RunMode(3), RunMode(2, {"policy": {}}), foreign, RunMode(instruction=run_mode.BLANK)):
+        config = how.add_to({"seed": 1})
+        assert run_mode.run_mode_of(planned(json.loads(json.dumps(config)))) == how
+        assert run_mode.without_run_mode(config) == {"seed": 1}
     for odd in (1, {"num_envs": True}, {"num_envs": "4"}, {"num_envs": 0}, {"announced": []}, {"instruction": "?"}):
-        assert manner.of(planned({"xpl.run": odd})) == Manner()
+        assert run_mode.run_mode_of(planned({"xpl.run": odd})) == RunMode()

@@ -23,22 +23,22 @@ _RECORD = spec.schema("record")["$defs"]
 _PLAN = _RECORD["run"]["properties"]
 _SUBMISSION = spec.schema("submission")
 _SUMMARY, _COMPARISON, _LEADERBOARD = map(spec.schema, ("summary", "comparison", "leaderboard"))
-_COURSE = _SUMMARY["properties"]["course"]
+_EXECUTION = _SUMMARY["properties"]["execution"]
 _ANSWER = {"schema", "next"}
 
 
 @pytest.mark.parametrize(
     ("kind", "schema", "apart"),
     [
-        (model.Plan, _RECORD["run"], {"kind", "schema"}),
+        (model.RunPlan, _RECORD["run"], {"kind", "schema"}),
         (model.PlannedPolicy, _PLAN["policy"], set()),
-        (model.Checkpoint, _PLAN["policy"]["properties"]["checkpoint"], set()),
+        (model.LoadedCheckpoint, _PLAN["policy"]["properties"]["checkpoint"], set()),
         (model.PlannedEnvironment, _PLAN["environment"], set()),
         (model.Control, _PLAN["control"], set()),
         (model.PlannedCell, _PLAN["cells"]["items"], set()),
-        (model.Episode, _RECORD["episode"], {"kind"}),
+        (model.EpisodeRecord, _RECORD["episode"], {"kind"}),
         (model.Inference, _RECORD["episode"]["properties"]["inference"], set()),
-        (model.File, _RECORD["file"], set()),
+        (model.RecordedFile, _RECORD["file"], set()),
         (bundle.Manifest, _SUBMISSION, {"schema", "tool"}),
         (bundle.Adapter, _SUBMISSION["properties"]["policy"], set()),
         (bundle.Entry, _SUBMISSION["properties"]["files"]["additionalProperties"], set()),
@@ -48,9 +48,9 @@ _ANSWER = {"schema", "next"}
         (summaries.Summary, _SUMMARY, _ANSWER),
         (summaries.Row, _SUMMARY["$defs"]["row"], set()),
         (summaries.Contrast, _SUMMARY["properties"]["contrasts"]["items"], set()),
-        (summaries.Course, _COURSE, set()),
-        (summaries.Latency, _COURSE["properties"]["inference"], set()),
-        (summaries.Error, _COURSE["properties"]["errors"]["items"], set()),
+        (summaries.ExecutionStats, _EXECUTION, set()),
+        (summaries.Latency, _EXECUTION["properties"]["inference"], set()),
+        (summaries.Error, _EXECUTION["properties"]["errors"]["items"], set()),
         (comparisons.Comparison, _COMPARISON, _ANSWER),
         (comparisons.Side, _COMPARISON["$defs"]["side"], set()),
         (comparisons.Row, _COMPARISON["$defs"]["row"], set()),

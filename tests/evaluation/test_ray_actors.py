@@ -34,8 +34,8 @@ JOB = RolloutJob(0, 1, "hold", "clean", 0)
 def orders(tmp_path: Path) -> tuple[RolloutConfig, ServerConfig]:
     """Return what lanes and servers of a run are told."""
     environment, adapter = drill.environment(tmp_path), package.load(drill.adapter(tmp_path))
-    line = plan.make(adapter, environment, adapter.config({}), plan.Wishes()).plan
-    return evaluate.orders(adapter, environment, line, Runtime(), IsolationSettings())
+    line = plan.make_plan(adapter, environment, adapter.config({}), plan.PlanRequest()).plan
+    return evaluate.make_configs(adapter, environment, line, Runtime(), IsolationSettings())
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 
 from xpl import rollout, trajectory
 from xpl_cli.basics.errors import UserError
-from xpl_cli.evaluation.records.model import Ending
+from xpl_cli.evaluation.records.model import EpisodeOutcome
 from xpl_cli.evaluation.rollout.backend import RolloutJob
 from xpl_cli.evaluation.rollout.config import ALL, SUCCESS, EnvSettings, RecordingConfig, RolloutConfig
 from xpl_cli.evaluation.rollout.trajectory_recorder import recording
@@ -78,8 +78,8 @@ def _orders(folder: Path, keep: str = ALL, **told: bool) -> RolloutConfig:
     return RolloutConfig("policy/P", "1" * 64, "envs/E", "2" * 64, {}, settings, demos=demos)
 
 
-def _line(*, success: bool = True, failure: str | None = None) -> Ending:
-    return Ending(success=success, failure=failure, steps=4, score=float(success), end_reason="success")
+def _line(*, success: bool = True, failure: str | None = None) -> EpisodeOutcome:
+    return EpisodeOutcome(success=success, failure=failure, steps=4, score=float(success), end_reason="success")
 
 
 def _job(index: int) -> RolloutJob:
@@ -146,7 +146,9 @@ def test_a_batch_becomes_one_file_for_each_episode(tmp_path: Path) -> None:
         (ALL, _line(success=False, failure="infrastructure"), False),
     ],
 )
-def test_only_episodes_that_are_wanted_leave_a_file(tmp_path: Path, keep: str, line: Ending, kept: bool) -> None:
+def test_only_episodes_that_are_wanted_leave_a_file(
+    tmp_path: Path, keep: str, line: EpisodeOutcome, kept: bool
+) -> None:
     """Those that succeeded, or that were played to their end; never one that broke off."""
     with recording(Counting(2), _orders(tmp_path, keep), [_job(0)], 25.0) as recorder:
         assert recorder is not None

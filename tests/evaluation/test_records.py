@@ -17,8 +17,8 @@ from tests.support.recordings.runs import synthetic
 from tests.support.work import calls
 from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.records.model import Episode
-from xpl_cli.evaluation.records.records import RecordError, Writer
+from xpl_cli.evaluation.records.model import EpisodeRecord
+from xpl_cli.evaluation.records.records import RecordError, RecordWriter
 from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def _write(folder: Path, lines: list[Any]) -> None:
     (folder / records.FILE).write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")
 
 
-def _next(folder: Path, index: int = 5) -> Episode:
+def _next(folder: Path, index: int = 5) -> EpisodeRecord:
     """Return a final line of an episode that was not played."""
     run = records.read(folder)
     slot = run.plan.slots()[index]
@@ -52,7 +52,7 @@ def test_a_record_is_what_its_lines_say(folder: Path) -> None:
     lines = _lines(folder)
     assert run.plan.as_json() == lines[0]
     assert run.machines == {lines[1]["machine"]: lines[1]["facts"]}
-    assert [Episode.parse(line) for line in lines[2:]] == run.attempts
+    assert [EpisodeRecord.parse(line) for line in lines[2:]] == run.attempts
     assert list(run.finals) == [0, 1, 2, 3, 4]
     assert not run.torn
     assert records.read(folder / records.FILE) == run
@@ -69,7 +69,7 @@ def test_a_line_that_was_cut_short_anywhere_counts_for_nothing_and_is_written_an
         run = records.read(folder)
         assert list(run.finals) == [0, 1, 2, 3]
         assert run.torn == (end > start)
-        with Writer(folder, whole.plan) as writer:
+        with RecordWriter(folder, whole.plan) as writer:
             writer.add(whole.finals[4])
         assert json.loads(file.read_bytes().splitlines()[-1]) == whole.finals[4].as_json()
         assert records.read(folder).finals == whole.finals
@@ -80,7 +80,7 @@ def test_a_last_line_of_zeros_counts_for_nothing(folder: Path) -> None:
     with (folder / records.FILE).open("ab") as stream:
         stream.write(b"\0" * 100 + b"\n")
     assert records.read(folder).torn
-    with Writer(folder, records.read(folder).plan) as writer:
+    with RecordWriter(folder, records.read(folder).plan) as writer:
         writer.add(_next(folder))
     assert len(records.read(folder).finals) == 6
 
@@ -111,30 +111,33 @@ def test_a_new_record_begins_with_its_plan(folder: Path, tmp_path: Path) -> None
         (tmp_path / "new" / records.FILE).write_bytes(left)
         with pytest.raises(RecordError, match="no first line"):
             records.read(tmp_path / "new")
-        Writer(tmp_path / "new", plan).close()
+        RecordWriter(tmp_path / "new", plan).close()
         assert records.read(tmp_path / "new").plan == plan
 
 
 def test_a_record_has_one_writer_and_one_plan(folder: Path) -> None:
     """Another writer is refused while the first lives, another plan always, and by name of what differs."""
     plan = records.read(folder).plan
-    with Writer(folder, plan), pytest.raises(RecordError, match="being written by another process"):
-        Writer(folder, plan)
+    with RecordWriter(folder, plan), pytest.raises(RecordError, match="being written by another process"):
+        RecordWriter(folder, plan)
     other = replace(plan, policy=replace(plan.policy, digest="0" * 64), until_width=0.1).named()
     with pytest.raises(RecordError, match=r"policy\.digest, until_width differ"):
-        Writer(folder, other)
+        RecordWriter(folder, other)
 
 
 def test_an_episode_becomes_final_once(folder: Path) -> None:
     """Whoever adds it again is refused, and nothing is written."""
     before = (folder / records.FILE).read_bytes()
-    with Writer(folder, records.read(folder).plan) as writer, pytest.raises(RecordError, match="final line already"):
+    with (
+        RecordWriter(folder, records.read(folder).plan) as writer,
+        pytest.raises(RecordError, match="final line already"),
+    ):
         writer.add(writer.run.finals[0])
     assert (folder / records.FILE).read_bytes() == before
 
 
 def test_a_machine_is_written_once(folder: Path) -> None:
-    with Writer(folder, records.read(folder).plan) as writer:
+    with RecordWriter(folder, records.read(folder).plan) as writer:
         names = {writer.machine({"processor": "a"}) for _ in range(3)}
     assert [line["machine"] for line in _lines(folder) if line["kind"] == "machine"][1:] == [*names]
     assert validate(_lines(folder)[-1], "record") == []

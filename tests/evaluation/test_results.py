@@ -60,7 +60,7 @@ def test_figures_are_those_of_the_benchmarks_own_rule(whole: Path) -> None:
     """Tasks by seed, dimensions of tasks, the average of dimensions; spreads over the seeds."""
     told = _told(whole)
     good, poor = told["rows"]
-    assert (good["policy"], good["rank"], good["counted"], good["wanted"]) == ("Good", 1, 126, 126)
+    assert (good["policy"], good["rank"], good["counted"], good["expected"]) == ("Good", 1, 126, 126)
     assert (poor["policy"], poor["rank"], poor["counted"]) == ("Poor", 2, 123)
     assert told["dimensions"] == ["Generalization", "Precision", "Long-Horizon", "Memory", "Open"]
     generalization = [((20 + seed) / 25 + 10 / 25) / 2 for seed in (0, 1, 2)]

@@ -16,8 +16,8 @@ from tests.support.examples import examples
 from tests.support.recordings.runs import synthetic
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.records.model import Conduct, Ending
-from xpl_cli.evaluation.records.records import RecordError, Writer
+from xpl_cli.evaluation.records.model import AttemptExecution, EpisodeOutcome
+from xpl_cli.evaluation.records.records import RecordError, RecordWriter
 from xpl_cli.evaluation.rollout.backend import RolloutJob, RolloutResult, lost_rollout
 from xpl_cli.evaluation.runs import runner
 from xpl_cli.evaluation.runs.schedule import Schedule
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from xpl_cli.evaluation.records.model import Episode, Plan
+    from xpl_cli.evaluation.records.model import EpisodeRecord, RunPlan
 
-GOOD = Ending(success=True, score=1.0, end_reason="success")
-WHEN = Conduct(started="2026-11-21T12:00:00Z", wall_seconds=1.0)
+GOOD = EpisodeOutcome(success=True, score=1.0, end_reason="success")
+WHEN = AttemptExecution(started="2026-11-21T12:00:00Z", wall_seconds=1.0)
 
 
 class Killed(Exception):  # noqa: N818 - no error, but what a test does
@@ -67,7 +67,7 @@ class Script:
 class Silent:
     """A view that shows nothing."""
 
-    def add(self, line: Episode, left: int) -> None:
+    def add(self, line: EpisodeRecord, left: int) -> None:
         assert left >= 0
 
 
@@ -83,20 +83,20 @@ def _first(_count: int) -> int:
     return 0
 
 
-def _play(folder: Path, plan: Plan, backend: Script, enough: Any = _never) -> records.Run:
-    with Writer(folder, plan) as writer:
-        runner.play(writer, backend, Schedule(writer.run, 0, enough), Silent())
+def _play(folder: Path, plan: RunPlan, backend: Script, enough: Any = _never) -> records.Run:
+    with RecordWriter(folder, plan) as writer:
+        runner.run_schedule(writer, backend, Schedule(writer.run, 0, enough), Silent())
     return records.read(folder)
 
 
 @pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+def plan(tmp_path_factory: pytest.TempPathFactory) -> RunPlan:
     """Return a plan of two cells with three episodes each, and three attempts."""
     folder = synthetic(tmp_path_factory.mktemp("plan"), tasks=["a"], episodes=3, played=0)
     return records.read(folder).plan
 
 
-def test_episodes_are_played_in_the_order_of_the_plan(plan: Plan, tmp_path: Path) -> None:
+def test_episodes_are_played_in_the_order_of_the_plan(plan: RunPlan, tmp_path: Path) -> None:
     backend = Script(2, _good, _first)
     run = _play(tmp_path, plan, backend)
     assert [job.index for job in backend.played] == [0, 1, 2, 3, 4, 5] == list(run.finals)
@@ -104,10 +104,10 @@ def test_episodes_are_played_in_the_order_of_the_plan(plan: Plan, tmp_path: Path
 
 
 @pytest.mark.parametrize("name", ["traces", "films", records.FILE])
-def test_nothing_is_written_through_a_link_of_a_run(name: str, plan: Plan, tmp_path: Path) -> None:
+def test_nothing_is_written_through_a_link_of_a_run(name: str, plan: RunPlan, tmp_path: Path) -> None:
     """Whoever began a run that is continued may have put a link to anywhere into it."""
     run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
-    Writer(run, plan).close()
+    RecordWriter(run, plan).close()
     elsewhere.mkdir()
     (elsewhere / "0.npz").write_text("somebody's")
     if name == records.FILE:
@@ -125,9 +125,9 @@ def test_nothing_is_written_through_a_link_of_a_run(name: str, plan: Plan, tmp_p
     assert {path: path.read_bytes() for path in elsewhere.iterdir()} == before
 
 
-def test_a_file_of_a_run_that_is_a_link_is_replaced(plan: Plan, tmp_path: Path) -> None:
+def test_a_file_of_a_run_that_is_a_link_is_replaced(plan: RunPlan, tmp_path: Path) -> None:
     """Not what it leads to."""
-    Writer(tmp_path, plan).close()
+    RecordWriter(tmp_path, plan).close()
     (tmp_path / "kept").write_text("somebody's")
     (tmp_path / "traces").mkdir()
     (tmp_path / "traces" / "0.npz").symlink_to(tmp_path / "kept")
@@ -138,7 +138,7 @@ def test_a_file_of_a_run_that_is_a_link_is_replaced(plan: Plan, tmp_path: Path) 
     assert (tmp_path / "traces" / "0.npz").read_bytes() == b"curves"
 
 
-def test_a_spoilt_attempt_is_played_again_after_others_and_within_a_bound(plan: Plan, tmp_path: Path) -> None:
+def test_an_infrastructure_error_is_retried_after_others_and_within_a_bound(plan: RunPlan, tmp_path: Path) -> None:
     """What fails for good is final as a failure of the infrastructure; attempts are counted from 1."""
 
     def answer(job: RolloutJob) -> list[RolloutResult]:
@@ -153,7 +153,7 @@ def test_a_spoilt_attempt_is_played_again_after_others_and_within_a_bound(plan: 
     assert (run.finals[1].failure, run.finals[1].success) == ("infrastructure", None)
 
 
-def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: Plan, tmp_path: Path) -> None:
+def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: RunPlan, tmp_path: Path) -> None:
     """Nothing can be played: the run stops, nearly all stays open, and resuming plays it."""
     cells = [replace(cell, seeds=list(range(20))) for cell in plan.cells]
     long = replace(plan, cells=cells).named()
@@ -164,7 +164,7 @@ def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: Plan, tmp_path
     assert len(_play(tmp_path, long, Script(3, _good, _first)).finals) == 40
 
 
-def test_many_lanes_that_are_lost_at_once_are_no_outage(plan: Plan, tmp_path: Path) -> None:
+def test_many_lanes_that_are_lost_at_once_are_no_outage(plan: RunPlan, tmp_path: Path) -> None:
     """Only attempts that began after the last one that went well tell of one."""
     cells = [replace(cell, seeds=list(range(40))) for cell in plan.cells]
     lost_once = Counter[int]()
@@ -180,7 +180,7 @@ def test_many_lanes_that_are_lost_at_once_are_no_outage(plan: Plan, tmp_path: Pa
     assert not any(line.failure for line in run.finals.values())
 
 
-def test_a_backend_may_have_nothing_to_tell(plan: Plan, tmp_path: Path) -> None:
+def test_a_backend_may_have_nothing_to_tell(plan: RunPlan, tmp_path: Path) -> None:
     pauses = iter([True, False] * 12)
     backend = Script(2, _good, _first)
     wait = backend.wait
@@ -188,7 +188,7 @@ def test_a_backend_may_have_nothing_to_tell(plan: Plan, tmp_path: Path) -> None:
     assert len(_play(tmp_path, plan, backend).finals) == 6
 
 
-def test_a_cell_ends_when_it_is_enough(plan: Plan, tmp_path: Path) -> None:
+def test_a_cell_ends_when_it_is_enough(plan: RunPlan, tmp_path: Path) -> None:
     """By its episodes in the order of the plan, whatever the order in which they end; the other cell goes on."""
     cells = [replace(cell, seeds=list(range(20))) for cell in plan.cells]
     long = replace(plan, cells=cells).named()
@@ -209,7 +209,7 @@ def test_a_cell_ends_when_it_is_enough(plan: Plan, tmp_path: Path) -> None:
 @settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data(), lanes=st.integers(1, 4))
 def test_whatever_happens_each_episode_is_final_once(
-    plan: Plan, tmp_path: Path, data: st.DataObject, lanes: int
+    plan: RunPlan, tmp_path: Path, data: st.DataObject, lanes: int
 ) -> None:
     """Lanes die, outcomes come twice or late, the run is killed and resumed: nothing is counted twice or missing."""
     folder = tmp_path / "run"

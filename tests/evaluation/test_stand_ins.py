@@ -12,7 +12,7 @@ from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.evaluation.leaderboard import export, field, trees
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.report import markdown
-from xpl_cli.evaluation.runs.outcome import Evaluation, Played
+from xpl_cli.evaluation.runs.evaluation import EvalSetup, Evaluation
 from xpl_cli.evaluation.statistics.comparison import compare
 from xpl_cli.evaluation.statistics.summary import summarise
 from xpl_cli.submission import prepare
@@ -43,7 +43,7 @@ def test_every_report_says_it_first(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("setting", "is_said"), [(SETTING, True), ("clean", False)])
 @pytest.mark.parametrize("rate", [None, 1.0])
 def test_an_evaluation_says_it_beside_its_figure(setting: str, is_said: bool, rate: float | None) -> None:
-    played = Played("x", "x", "x", setting, "x", "joint")
+    played = EvalSetup("x", "x", "x", setting, "x", "joint")
     told = Evaluation(played, [episode(success=None if rate is None else True, score=rate)])
     assert told.success_rate == rate
     assert (SAID in told.text()) is is_said

@@ -21,11 +21,11 @@ def test_a_cell_ends_with_the_first_interval_that_is_narrow_enough() -> None:
 
 
 def test_episodes_that_count_neither_way_are_passed_over() -> None:
-    """What the infrastructure spoilt makes nothing surer, and is played within the cell all the same."""
-    spoilt = [None, None, *[True, None] * 40]
+    """An infrastructure error narrows no interval and still takes one of the cell's episodes."""
+    outcomes = [None, None, *[True, None] * 40]
     point = stopping_point([True] * 40, 0.15)
     assert point is not None
-    assert stopping_point(spoilt, 0.15) == 2 + 2 * point - 1
+    assert stopping_point(outcomes, 0.15) == 2 + 2 * point - 1
     assert stopping_point([None] * 100, 1.0) is None
 
 

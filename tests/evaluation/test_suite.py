@@ -67,7 +67,7 @@ def _outcomes(run: records.Run) -> list[dict[str, Any]]:
 def _table(run: records.Run) -> str:
     """Return the final table, as bytes would show it."""
     found = summary.summarise(run).as_json()
-    return json.dumps({key: value for key, value in found.items() if key != "course"})
+    return json.dumps({key: value for key, value in found.items() if key != "execution"})
 
 
 def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
@@ -111,7 +111,7 @@ def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
 
 @pytest.mark.slow
 def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_again(tmp_path: Path) -> None:
-    """A policy that raises fails its episode; who dies is replaced; what is spoilt for good counts as failed."""
+    """A policy that raises fails its episode; a crashed one is restarted; infrastructure errors count as failed."""
     place = drill.environment(tmp_path, tasks=("hold",))
     drill.adapter(tmp_path, raises=[1])
     drill.mark(place, "env-dies-3", 1)
@@ -120,7 +120,7 @@ def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_agai
     drill.mark(place, "blind", 99)  # no film, and no harm
     done = _eval(tmp_path, "--episodes", "6", "--horizon", "2", "--film", "6", "--json")
     assert done.returncode == ExitCode.NOT_RUN, done.stderr
-    assert "1 of 6 episodes were spoilt" in done.stderr
+    assert "1 of 6 episodes ended with an infrastructure error" in done.stderr
     run = records.read(tmp_path / "run")
     assert [problem for line in run.attempts for problem in validate(line.as_json(), "record")] == []
     finals = run.finals
@@ -130,14 +130,16 @@ def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_agai
     assert "no idea what to do about 1" in finals[1].error
     assert (finals[4].success, finals[4].score) == (None, None)
     assert "SIGKILL" in finals[4].error
-    spoilt = [line for line in run.attempts if line.failure == "infrastructure"]
-    assert [line.index for line in spoilt].count(0) == 0
+    errors = [line for line in run.attempts if line.failure == "infrastructure"]
+    assert [line.index for line in errors].count(0) == 0
     (died,) = (line for line in run.attempts if line.end_reason == "policy_died")
     assert (died.index, died.failure, died.success, died.final) == (0, "policy", False, False)
     assert not any(line.film for line in run.attempts)
     overall = summary.summarise(run).overall
     assert (overall.successes, overall.judged) == (2, 5)
-    assert overall.success_rate == pytest.approx(1 / 6)  # one was spoilt, and one won after its policy had died
+    assert overall.success_rate == pytest.approx(
+        1 / 6
+    )  # one is an infrastructure error, and one succeeded after its policy had crashed
 
 
 @pytest.mark.slow
@@ -150,8 +152,8 @@ def test_a_run_that_is_there_is_only_continued_if_asked_and_by_the_same_plan(
     again = _eval(room, "--episodes", "1")
     assert (again.returncode, "--resume" in again.stderr) == (ExitCode.USAGE, True)
     silent = _eval(room, "--resume", "--json")
-    assert (silent.returncode, json.loads(silent.stdout)["overall"]["played"]) == (ExitCode.CLEAN, 8)
-    other = _request(room, plan.Wishes(episodes=2))
+    assert (silent.returncode, json.loads(silent.stdout)["overall"]["completed"]) == (ExitCode.CLEAN, 8)
+    other = _request(room, plan.PlanRequest(episodes=2))
     with pytest.raises(UserError, match=r"cells, control\.horizon differ"):
         evaluate.evaluate(other)
     with (room / "policy" / "Drilled" / "model.py").open("a") as stream:
@@ -161,18 +163,18 @@ def test_a_run_that_is_there_is_only_continued_if_asked_and_by_the_same_plan(
     assert (room / "run" / records.FILE).read_bytes() == before
 
 
-def _request(place: Path, wishes: plan.Wishes | None, **more: Any) -> evaluate.Request:
+def _request(place: Path, wishes: plan.PlanRequest | None, **more: Any) -> evaluate.EvalRequest:
     adapter = package.load(place / "policy" / "Drilled")
-    return evaluate.Request(adapter, str(place / "envs" / "drill"), place / "run", wishes, resume=True, **more)
+    return evaluate.EvalRequest(adapter, str(place / "envs" / "drill"), place / "run", wishes, resume=True, **more)
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"wishes": plan.Wishes(tasks="hold,fold")}, "no task 'fold'"),
-        ({"wishes": plan.Wishes(tasks="hold,hold")}, "twice"),
-        ({"wishes": plan.Wishes(), "room": BackendConfig("cloud")}, "local, ray"),
-        ({"wishes": plan.Wishes(), "overrides": {"env_cfg_type": "piper_single"}}, "has no piper_single"),
+        ({"wishes": plan.PlanRequest(tasks="hold,fold")}, "no task 'fold'"),
+        ({"wishes": plan.PlanRequest(tasks="hold,hold")}, "twice"),
+        ({"wishes": plan.PlanRequest(), "room": BackendConfig("cloud")}, "local, ray"),
+        ({"wishes": plan.PlanRequest(), "overrides": {"env_cfg_type": "piper_single"}}, "has no piper_single"),
     ],
 )
 def test_what_cannot_be_played_is_refused_before_anything_is_recorded(
@@ -204,7 +206,7 @@ def test_evaluation_seeds_are_those_of_the_environment_where_it_has_some(room: P
     adapter = package.load(room / "policy" / "Drilled")
 
     def cell(**wishes: Any) -> PlannedCell:
-        made = plan.make(adapter, seeds.parent, adapter.config(), plan.Wishes(**wishes))
+        made = plan.make_plan(adapter, seeds.parent, adapter.config(), plan.PlanRequest(**wishes))
         return made.plan.cells[0]
 
     assert (cell(first=2, episodes=2).seeds, cell(first=2, episodes=2).frozen) == ([72, 73], True)
@@ -287,9 +289,9 @@ def test_lanes_and_servers_that_are_killed_are_replaced(tmp_path: Path) -> None:
     assert process.returncode == ExitCode.CLEAN, told.decode()
     run = records.read(tmp_path / "run")
     assert [line.success for line in run.finals.values()] == [seed % 3 != 2 for seed in range(60)]
-    spoilt = [line.error for line in run.attempts if line.failure == "infrastructure"]
-    assert any("was ended by signal SIGKILL" in error for error in spoilt)
-    assert 2 <= len(spoilt) <= 4
+    errors = [line.error for line in run.attempts if line.failure == "infrastructure"]
+    assert any("was ended by signal SIGKILL" in error for error in errors)
+    assert 2 <= len(errors) <= 4
     assert not processes(mark)
 
 

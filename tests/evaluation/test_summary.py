@@ -32,7 +32,7 @@ def summary_of(folder: Path, method: str = "wilson") -> dict[str, Any]:
 
 def results(summary: dict[str, Any]) -> dict[str, Any]:
     """Return what follows from results alone."""
-    return {key: value for key, value in summary.items() if key != "course"}
+    return {key: value for key, value in summary.items() if key != "execution"}
 
 
 def test_rows_count_what_was_played(tmp_path: Path) -> None:
@@ -42,7 +42,7 @@ def test_rows_count_what_was_played(tmp_path: Path) -> None:
         ("lift_cube", "clean"), ("lift_cube", "randomized"), ("stack_cubes", "clean"), ("stack_cubes", "randomized"),
     ]  # fmt: skip
     overall = found["overall"]
-    assert (overall["planned"], overall["played"], overall["judged"], overall["unplayed"]) == (100, 100, 100, 0)
+    assert (overall["planned"], overall["completed"], overall["judged"], overall["remaining"]) == (100, 100, 100, 0)
     assert overall["successes"] == sum(row["successes"] for row in found["cells"])
     assert overall["successes"] + sum(overall["failures"].values()) == 100
     assert overall["failures"]["policy"] > 0
@@ -75,35 +75,37 @@ def test_results_do_not_depend_on_the_order_in_which_episodes_ended(tmp_path: Pa
 
     after = summary_of(rewritten(folder, shuffled))
     assert json.dumps(results(after)) == json.dumps(results(before))
-    assert after["course"]["retried"] < before["course"]["retried"]
+    assert after["execution"]["retried"] < before["execution"]["retried"]
 
 
-def test_what_the_infrastructure_spoilt_counts_as_failed_and_is_told(tmp_path: Path) -> None:
-    """Nobody can tell who was to blame: the rate is of all episodes, and what it might have been stands beside it."""
+def test_infrastructure_errors_count_as_failed_and_are_reported(tmp_path: Path) -> None:
+    """The rate is of all episodes, and the bounds of what it might have been stand beside it."""
     found = summary_of(synthetic(tmp_path / "run", faults=Faults(infrastructure=0.1)))
     row = found["overall"]
-    spoilt = row["failures"]["infrastructure"]
-    assert spoilt > 0
-    assert row["judged"] + spoilt == row["played"] == 80
-    worst, best = row["if_spoilt"]
+    errors = row["failures"]["infrastructure"]
+    assert errors > 0
+    assert row["judged"] + errors == row["completed"] == 80
+    worst, best = row["infrastructure_bounds"]
     assert worst == row["success_rate"] == pytest.approx(row["successes"] / 80)
-    assert best == pytest.approx((row["successes"] + spoilt) / 80)
-    (note,) = (note for note in found["notes"] if note.startswith(f"{spoilt} episodes were spoilt by"))
+    assert best == pytest.approx((row["successes"] + errors) / 80)
+    (note,) = (
+        note for note in found["notes"] if note.startswith(f"{errors} episodes ended with an infrastructure error")
+    )
     assert f"without them {row['successes']} of {row['judged']} succeeded" in note
-    assert summary_of(synthetic(tmp_path / "other"))["overall"]["if_spoilt"] is None
+    assert summary_of(synthetic(tmp_path / "other"))["overall"]["infrastructure_bounds"] is None
     nothing = summary_of(synthetic(tmp_path / "nothing", faults=Faults(infrastructure=1.0)))
-    assert (nothing["overall"]["success_rate"], nothing["overall"]["if_spoilt"]) == (None, None)
-    assert nothing["notes"][0] == "80 episodes were spoilt by the infrastructure: nothing can be said of them."
+    assert (nothing["overall"]["success_rate"], nothing["overall"]["infrastructure_bounds"]) == (None, None)
+    assert nothing["notes"][0] == "80 episodes ended with an infrastructure error: they have no result."
 
 
-def test_a_task_of_which_every_episode_was_spoilt_counts_as_failed_too(tmp_path: Path) -> None:
+def test_a_task_with_nothing_but_infrastructure_errors_counts_as_failed(tmp_path: Path) -> None:
     """Leaving it out would reward whoever spoils the hard ones."""
     folder = synthetic(tmp_path / "run", settings=["clean"], episodes=20, rate={("lift_cube", "clean"): 1.0,
                        ("stack_cubes", "clean"): 0.0}, faults=Faults(policy=0.0, retried=0.0))  # fmt: skip
 
     def spoiling(lines: list[Line]) -> list[Line]:
-        spoilt = {"success": None, "score": None, "failure": "infrastructure", "end_reason": "infrastructure"}
-        return [line | (spoilt if line["task"] == "stack_cubes" else {}) for line in lines]
+        errors = {"success": None, "score": None, "failure": "infrastructure", "end_reason": "infrastructure"}
+        return [line | (errors if line["task"] == "stack_cubes" else {}) for line in lines]
 
     found = summary_of(rewritten(folder, spoiling))
     assert [row["success_rate"] for row in found["cells"]] == [1.0, 0.0]
@@ -121,8 +123,8 @@ def test_a_success_after_the_policys_process_died_is_not_counted(tmp_path: Path)
 
     found = summary_of(rewritten(folder, reviving))
     assert (found["overall"]["successes"], found["overall"]["success_rate"]) == (20, 0.95)
-    assert found["overall"]["if_spoilt"] == [0.95, 1.0]
-    assert any("only after the policy's process had died" in note for note in found["notes"])
+    assert found["overall"]["infrastructure_bounds"] == [0.95, 1.0]
+    assert any("only after the policy's process had crashed" in note for note in found["notes"])
 
 
 def test_a_policy_that_fails_has_not_succeeded_and_has_no_score(tmp_path: Path) -> None:
@@ -148,15 +150,15 @@ def test_an_environment_without_success_has_no_rate(tmp_path: Path) -> None:
     found = summary_of(rewritten(folder, driving))
     row = found["overall"]
     assert (row["success_rate"], row["success_interval"], row["mean_score"], row["judged"]) == (None, None, None, 0)
-    assert row["played"] == 20
-    assert any(note.startswith("No episode with a success to speak of: lift_cube (clean)") for note in found["notes"])
+    assert row["completed"] == 20
+    assert any(note.startswith("No episode defines success in lift_cube (clean)") for note in found["notes"])
 
 
 def test_a_run_that_is_not_finished_says_so(tmp_path: Path) -> None:
     """A cell without any episode takes no part in the means."""
     found = summary_of(synthetic(tmp_path / "run", episodes=10, played=12))
-    assert [row["played"] for row in found["cells"]] == [10, 2, 0, 0]
-    assert found["overall"]["unplayed"] == 28
+    assert [row["completed"] for row in found["cells"]] == [10, 2, 0, 0]
+    assert found["overall"]["remaining"] == 28
     assert found["cells"][2]["success_rate"] is None
     mean = (found["cells"][0]["success_rate"] + found["cells"][1]["success_rate"]) / 2
     assert found["overall"]["success_rate"] == pytest.approx(mean)
@@ -171,12 +173,12 @@ def test_what_was_played_after_a_cell_had_ended_does_not_count(tmp_path: Path) -
     row = whole["overall"]
     outcomes = [line.success for line in records.read(tmp_path / "whole").finals.values()]
     assert row["judged"] == stopping_point(outcomes, 0.3)
-    assert (row["unplayed"], whole["course"]["beyond"]) == (0, 60 - row["judged"])
-    assert "not counted" in whole["course"]["notes"][0]
+    assert (row["remaining"], whole["execution"]["beyond"]) == (0, 60 - row["judged"])
+    assert "not counted" in whole["execution"]["notes"][0]
     assert any("Tasks ended as soon as" in note for note in whole["notes"])
 
     def cut(lines: list[Line]) -> list[Line]:
-        return [line for line in lines if line["index"] < row["played"]]
+        return [line for line in lines if line["index"] < row["completed"]]
 
     short = summary_of(rewritten(synthetic(tmp_path / "short", **cell), cut, until_width=0.3))
     assert json.dumps(results(short)) == json.dumps(results(whole))
@@ -190,7 +192,7 @@ def test_a_gap_keeps_a_cell_from_ending(tmp_path: Path) -> None:
         return [line for line in lines if line["index"] != 3]
 
     found = summary_of(rewritten(folder, gap, until_width=0.3))
-    assert (found["overall"]["played"], found["overall"]["unplayed"], found["course"]["beyond"]) == (59, 1, 0)
+    assert (found["overall"]["completed"], found["overall"]["remaining"], found["execution"]["beyond"]) == (59, 1, 0)
 
 
 def test_settings_are_held_against_the_first(tmp_path: Path) -> None:
@@ -210,15 +212,15 @@ def test_settings_are_held_against_the_first(tmp_path: Path) -> None:
 def test_the_course_of_a_run_is_told_apart(tmp_path: Path) -> None:
     """Retries, errors, and latency as exactly as a histogram can tell it."""
     folder = synthetic(tmp_path / "run", faults=Faults(retried=0.3))
-    course = summary_of(folder)["course"]
-    assert course["attempts"] == 80 + course["retried"]
-    assert course["errors"][0]["count"] >= course["retried"] > 0
+    execution = summary_of(folder)["execution"]
+    assert execution["attempts"] == 80 + execution["retried"]
+    assert execution["errors"][0]["count"] >= execution["retried"] > 0
 
     def timed(lines: list[Line]) -> list[Line]:
         for line in lines:
             line["inference"] = {"count": 10, "seconds": 0.1, "histogram": [0, 0, 9, 0, 0, 0, 0, 0, 1, 0]}
         return lines
 
-    told = summary_of(rewritten(folder, timed))["course"]["inference"]
+    told = summary_of(rewritten(folder, timed))["execution"]["inference"]
     assert 0.002 < told["p50"] < 0.003
     assert 0.016 < told["p95"] < told["p99"] < 0.023

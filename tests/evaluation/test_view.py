@@ -13,13 +13,13 @@ import pytest
 
 from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.runs.view import view
+from xpl_cli.evaluation.runs.progress import show_progress
 
 if TYPE_CHECKING:
     import io
     from pathlib import Path
 
-    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.model import EpisodeRecord
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def run(tmp_path: Path) -> records.Run:
     return records.read(synthetic(tmp_path, ["lift"], episodes=4, rate=1.0, played=3, faults=faults))
 
 
-def _next(run: records.Run, index: int, **more: Any) -> Episode:
+def _next(run: records.Run, index: int, **more: Any) -> EpisodeRecord:
     slot = run.plan.slots()[index]
     place = {"index": index, "task": slot.task, "setting": slot.setting, "seed": slot.seed}
     return replace(run.finals[0], **place, **more)
@@ -42,7 +42,7 @@ def test_a_line_tells_what_happened_and_how_far_the_run_is(
     run: records.Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Episodes of an earlier process count, except for the pace."""
-    with view(run, 5) as shown:
+    with show_progress(run, 5) as shown:
         shown.add(_next(run, 3, final=False, wall_seconds=36.0, **SPOILT), 5)
         shown.add(_next(run, 3), 4)
     first, second = capsys.readouterr().err.splitlines()
@@ -67,7 +67,7 @@ def test_a_terminal_shows_cells_and_the_last_failure(run: records.Run, monkeypat
     with os.fdopen(ours, "rb", buffering=0) as told:
         with os.fdopen(theirs, "w") as terminal:
             monkeypatch.setattr(sys, "stderr", terminal)
-            with view(run, 5) as shown:
+            with show_progress(run, 5) as shown:
                 shown.add(_next(run, 3, **SPOILT), 4)
         text = _all_of(told)
     for part in ("clean", "4/4", "randomized", "0/4", "3 of 3 succeeded", "last failure: lift, clean, seed 3"):

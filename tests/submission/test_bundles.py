@@ -128,7 +128,7 @@ class TestClaims:
         entries = {"audit.json": bundle.Entry.of(b"{}")}
         manifest = bundle.Manifest(policy, [claims.claim(run)], entries, audit).as_json()
         assert validate(manifest, "submission") == []
-        assert sum(cell["played"] for cell in manifest["runs"][0]["cells"]) == len(run.finals)
+        assert sum(cell["completed"] for cell in manifest["runs"][0]["cells"]) == len(run.finals)
         assert str(tmp_path) not in bundle.document(manifest).decode()
 
     def test_an_environment_is_a_name_and_no_path(self, tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def _pair(recorded: bool | None, replayed: bool | None, *, digests: str = "ab", 
     return Pair(old, new, is_equal_machine=equal)
 
 
-def _spoilt(pair: Pair) -> Pair:
+def _errored(pair: Pair) -> Pair:
     replayed = replace(pair.replayed, failure="infrastructure", success=None)
     return Pair(pair.recorded, replayed, is_equal_machine=False)
 
@@ -168,8 +168,8 @@ class TestJudgement:
             ([FLIPPED] * 6 + [WON] * 4, 100, True, Verdict.DISAGREES),
             ([FLIPPED] + [WON] * 4, 100, True, Verdict.UNDECIDED),
             ([FLIPPED, _pair(False, True)] * 2 + [WON, LOST] * 98, 1000, True, Verdict.AGREES),
-            ([_spoilt(WON)], 10, True, Verdict.UNDECIDED),
-            ([_spoilt(WON), WON], 10, True, Verdict.AGREES),
+            ([_errored(WON)], 10, True, Verdict.UNDECIDED),
+            ([_errored(WON), WON], 10, True, Verdict.AGREES),
         ],
         ids=[
             "the same states",
@@ -179,8 +179,8 @@ class TestJudgement:
             "a rate that was made up",
             "few differences, which chance can explain",
             "rates that are surely close",
-            "nothing but spoilt episodes",
-            "a spoilt one among others",
+            "nothing but infrastructure errors",
+            "an infrastructure error among others",
         ],
     )
     def test_a_sample_is_judged_by_what_may_be_asked_of_machine_and_policy(
@@ -194,8 +194,8 @@ class TestJudgement:
         assert found.differing is not None
         assert 0.4 < found.differing.high < 0.6
         assert replay.judge([WON] * 3, 3, deterministic=True).differing == (0.0, 0.0)  # who plays all knows the share
-        found = replay.judge([_spoilt(WON), WON], 10, deterministic=True)
-        assert found.counts == {Match.SPOILT: 1, Match.OUTCOME: 1}
+        found = replay.judge([_errored(WON), WON], 10, deterministic=True)
+        assert found.counts == {Match.INFRASTRUCTURE_ERROR: 1, Match.OUTCOME: 1}
 
     def test_the_sample_is_drawn_from_what_counts(self, tmp_path: Path) -> None:
         """Spoilt episodes are left out; the same seed draws the same ones."""

@@ -23,10 +23,10 @@ from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.records.fingerprints import Checkpoint
+from xpl_cli.evaluation.records.fingerprints import LoadedCheckpoint
 from xpl_cli.evaluation.rollout.config import Runtime
 from xpl_cli.evaluation.runs import evaluate
-from xpl_cli.evaluation.runs.plan import Wishes
+from xpl_cli.evaluation.runs.plan import PlanRequest
 from xpl_cli.lifecycle.checkpoints import fetch, specification
 from xpl_cli.packages import package
 from xpl_cli.standard.validate import validate
@@ -53,9 +53,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Return a run of two episodes that the expert has solved."""
-    wishes = Wishes("lift_cube", "clean", 2, 0, horizon=5)
+    wishes = PlanRequest("lift_cube", "clean", 2, 0, horizon=5)
     out = tmp_path_factory.mktemp("runs") / "expert"
-    return evaluate.evaluate(evaluate.Request(package.load(EXPERT), "mujoco", out, wishes, films=0))
+    return evaluate.evaluate(evaluate.EvalRequest(package.load(EXPERT), "mujoco", out, wishes, films=0))
 
 
 @pytest.fixture(scope="module")
@@ -328,7 +328,7 @@ class TestReplay:
 
     def test_weights_that_are_not_here_are_named(self, run: Run) -> None:
         """Without the checkpoint of the run nothing is played, and what to do is said."""
-        policy = replace(run.plan.policy, checkpoint=Checkpoint("checkpoints/base", "0" * 64))
+        policy = replace(run.plan.policy, checkpoint=LoadedCheckpoint("checkpoints/base", "0" * 64))
         other = replace(run, plan=replace(run.plan, policy=policy))
         with pytest.raises(UserError, match="checkpoints/base") as raised:
             Player(EXPERT).play(other, [0])
@@ -369,7 +369,7 @@ class TestCheckpoints:
         self, adapter: Path, report: TargetReport, tmp_path: Path
     ) -> None:
         """It is linked into the unpacked adapter; where it is not here, nothing is played."""
-        request = evaluate.Request(package.load(adapter), "offline", tmp_path / "run", Wishes(), films=0)
+        request = evaluate.EvalRequest(package.load(adapter), "offline", tmp_path / "run", PlanRequest(), films=0)
         run = evaluate.evaluate(request)
         path = tmp_path / "demo.xpl.zip"
         prepare.pack(prepare.Request(request.package, (run.folder,), path), [run], report)
@@ -389,7 +389,7 @@ class TestCheckpoints:
         """What was loaded has to be specified by its digest."""
         text = (adapter / "policy.yml").read_text(encoding="utf-8")
         (adapter / "policy.yml").write_text(text.partition("checkpoints:")[0], encoding="utf-8")
-        request = evaluate.Request(package.load(adapter), "offline", tmp_path / "run", Wishes(), films=0)
+        request = evaluate.EvalRequest(package.load(adapter), "offline", tmp_path / "run", PlanRequest(), films=0)
         run = evaluate.evaluate(request)
         answer = prepare.submit(prepare.Request(request.package, (run.folder,), tmp_path / "demo.xpl.zip"))
         assert any("nobody else could get it" in problem for problem in answer.problems)

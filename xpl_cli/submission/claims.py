@@ -22,12 +22,12 @@ _WORD = re.compile(r"[A-Za-z0-9_-]+")
 
 @dataclass(frozen=True)
 class CellClaim:
-    """Numbers of episodes of one task in one setting: planned, played, with a success to speak of, successful."""
+    """Numbers of episodes of one task in one setting: planned, completed, with a success to speak of, successful."""
 
     task: str
     setting: str
     planned: int
-    played: int
+    completed: int
     judged: int
     successes: int
 

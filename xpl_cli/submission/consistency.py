@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.words import listed
-from xpl_cli.evaluation.records import containment, fingerprints, manner
+from xpl_cli.evaluation.records import containment, fingerprints, run_mode
 from xpl_cli.evaluation.records.cells import cells
-from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction
+from xpl_cli.evaluation.records.failures import MAX_INFRASTRUCTURE_SHARE, contradiction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.model import EpisodeRecord
     from xpl_cli.evaluation.records.records import Run
 
 _SHOWN = 8
@@ -38,20 +38,20 @@ def problems(run: Run) -> Iterator[str]:
         yield from _episode(line, run)
     if (said := containment.sentence(run)) is not None:
         yield said
-    if unusual := manner.of(run.plan).sentence:
+    if unusual := run_mode.run_mode_of(run.plan).description:
         yield f"it was played {unusual}: nobody could play its episodes again, one by one"
     yield from _attempts(run)
     yield from _copies(run)
     yield from _unjudged(run)
-    if run.is_spoilt:
-        told = f"{run.spoilt} of its {len(run.finals)} episodes were spoilt by the infrastructure"
-        yield f"{told}, more than {MOST_SPOILT:.0%}"
-    missing = sum(cell.unplayed for cell in cells(run))
+    if run.has_too_many_infrastructure_errors:
+        told = f"{run.infrastructure_errors} of its {len(run.finals)} episodes ended with an infrastructure error"
+        yield f"{told}, more than {MAX_INFRASTRUCTURE_SHARE:.0%}"
+    missing = sum(cell.remaining for cell in cells(run))
     if missing:
         yield f"{missing} of its episodes were not played; `xpl eval --resume` plays them"
 
 
-def _episode(line: Episode, run: Run) -> Iterator[str]:
+def _episode(line: EpisodeRecord, run: Run) -> Iterator[str]:
     """Yield what does not fit in one line of an episode."""
     name = f"episode {line.index}, attempt {line.attempt}"
     for key in ("embodiment", sdk.Deploy.ACTION_TYPE):
@@ -72,7 +72,7 @@ def _episode(line: Episode, run: Run) -> Iterator[str]:
 
 
 def _attempts(run: Run) -> Iterator[str]:
-    """Yield episodes that were not played again as often as the plan allows, although they were spoilt."""
+    """Yield episodes that ended with an infrastructure error before all attempts of the plan were made."""
     most = run.plan.control.attempts
     for index, line in run.finals.items():
         if line.failure == INFRASTRUCTURE and line.attempt < most:
@@ -81,8 +81,8 @@ def _attempts(run: Run) -> Iterator[str]:
 
 def _copies(run: Run) -> Iterator[str]:
     """Yield episodes that are copies of others: of their states, although they differ or began at once, or of files."""
-    states: dict[str, Episode] = {}
-    files: dict[str, Episode] = {}
+    states: dict[str, EpisodeRecord] = {}
+    files: dict[str, EpisodeRecord] = {}
     for line in run.finals.values():
         if line.digest is not None and line.steps:
             first = states.setdefault(line.digest, line)

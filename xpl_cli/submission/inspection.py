@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.basics.progress import Progress
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.runs.protocol import Part
+    from xpl_cli.evaluation.runs.protocol import SeedCoverage
     from xpl_cli.submission.bundle import Bundle
 
 _SHOWN = 4
@@ -157,14 +157,14 @@ def _audit(found: Bundle, _: Sequence[Run]) -> Iterator[str]:
         yield f"{bundle.MANIFEST} says otherwise what is proven than {bundle.AUDIT}"
 
 
-def parts(runs: Sequence[Run]) -> list[Part] | None:
+def parts(runs: Sequence[Run]) -> list[SeedCoverage] | None:
     """Return what runs play of their environments' evaluation seeds; None where one is not here in that version."""
-    found: list[Part] = []
+    found: list[SeedCoverage] = []
     for run in runs:
         folder = _environment(run)
         if folder is None:
             return None
-        found += protocol.parts(folder, run.plan.cells)
+        found += protocol.seed_coverage(folder, run.plan.cells)
     return found
 
 
@@ -190,7 +190,7 @@ def _unlike(folder: Path, run: Run) -> Iterator[str]:
     for cell in run.plan.cells:
         if cell.task not in tasks:
             yield f"{folder.name} has no task {cell.task}"
-        elif (fault := protocol.fault(folder, cell)) is not None:
+        elif (fault := protocol.seed_error(folder, cell)) is not None:
             yield fault
     for line in run.finals.values():
         most = tasks[line.task].max_steps if line.task in tasks else 0

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli.audit.rules.verdict import judged
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.progress import Progress
-from xpl_cli.evaluation.records import containment, fingerprints, manner, records, stand_ins
+from xpl_cli.evaluation.records import containment, fingerprints, records, run_mode, stand_ins
 from xpl_cli.lifecycle.checkpoints import specification
 from xpl_cli.packages import environments
 from xpl_cli.packages import package as packages
@@ -87,7 +87,7 @@ def submit(request: Request) -> Answer:
         stand_ins.refuse(run, "submitted")
         if (said := containment.sentence(run)) is not None:
             raise UserError(f"{run.folder} is not submitted: {said}", code=ExitCode.NOT_RUN)
-        if unusual := manner.of(run.plan).sentence:
+        if unusual := run_mode.run_mode_of(run.plan).description:
             raise UserError(f"{run.folder} was played {unusual}: nobody could play its episodes again, one by one")
     request.progress.step(f"{len(runs)} runs, {sum(len(run.finals) for run in runs)} episodes: looking them through")
     found = list(_problems(request.package, runs))
@@ -246,6 +246,6 @@ def _notes(runs: Sequence[Run]) -> Iterator[str]:
     elsewhere = sum(here not in run.machines for run in runs)
     if elsewhere:
         yield f"{elsewhere} of the runs were played on other machines: environment.json tells of this one"
-    spoilt = sum(run.spoilt for run in runs)
-    if spoilt:
-        yield f"{spoilt} episodes were spoilt by the infrastructure, and count as failed"
+    errors = sum(run.infrastructure_errors for run in runs)
+    if errors:
+        yield f"{errors} episodes ended with an infrastructure error and count as failed"

@@ -21,7 +21,7 @@ from xpl_cli.evaluation.statistics.intervals import CONFIDENCE, Interval, Pairs,
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.model import EpisodeRecord
     from xpl_cli.evaluation.records.records import Run
 
 MARGIN = 0.1
@@ -37,8 +37,8 @@ class Match(StrEnum):
     """Other states, or none recorded; it succeeds or fails as recorded."""
     DIFFERENT = "different"
     """It succeeds where it failed, or fails where it succeeded."""
-    SPOILT = "spoilt"
-    """The infrastructure spoilt it here: nothing can be compared."""
+    INFRASTRUCTURE_ERROR = "infrastructure_error"
+    """It ended with an infrastructure error here: nothing can be compared."""
 
 
 class Verdict(StrEnum):
@@ -58,8 +58,8 @@ class Pair:
         is_equal_machine: whether facts of both machines are the same.
     """
 
-    recorded: Episode
-    replayed: Episode
+    recorded: EpisodeRecord
+    replayed: EpisodeRecord
     is_equal_machine: bool
 
     @property
@@ -67,7 +67,7 @@ class Pair:
         """How the two compare."""
         old, new = self.recorded, self.replayed
         if new.failure == INFRASTRUCTURE:
-            return Match.SPOILT
+            return Match.INFRASTRUCTURE_ERROR
         if old.success != new.success:
             return Match.DIFFERENT
         is_same = old.digest is not None and old.digest == new.digest
@@ -130,7 +130,7 @@ def draw(runs: Sequence[Run], count: int, seed: int) -> list[tuple[Run, int]]:
 
 
 def eligible(run: Run) -> list[int]:
-    """Return the episodes of a run that count, spoilt ones left out."""
+    """Return the episodes of a run that count, without those that ended with an infrastructure error."""
     lines = (line for cell in cells(run) for line in cell.counted)
     return [line.index for line in lines if line.failure != INFRASTRUCTURE]
 
@@ -144,7 +144,7 @@ def judge(pairs: Sequence[Pair], total: int, *, deterministic: bool) -> Finding:
         deterministic: whether the policy says that it repeats itself.
     """
     counts = Counter(pair.match.value for pair in pairs)
-    compared = [pair for pair in pairs if pair.match is not Match.SPOILT]
+    compared = [pair for pair in pairs if pair.match is not Match.INFRASTRUCTURE_ERROR]
     if not compared:
         return Finding(Verdict.UNDECIDED, "no episode could be played to its end here", counts)
     broken = [pair for pair in compared if deterministic and _is_broken(pair)]
@@ -202,6 +202,6 @@ def disagreements(pairs: Iterable[Pair]) -> list[str]:
         if pair.match is Match.DIFFERENT:
             old, new = said[pair.recorded.success], said[pair.replayed.success]
             found.append(f"{_name(pair)} {old} in the record, and {new} here ({pair.replayed.end_reason})")
-        elif pair.match is Match.SPOILT:
-            found.append(f"{_name(pair)} was spoilt here: {pair.replayed.error}")
+        elif pair.match is Match.INFRASTRUCTURE_ERROR:
+            found.append(f"{_name(pair)} ended with an infrastructure error here: {pair.replayed.error}")
     return found

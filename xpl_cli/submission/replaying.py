@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl.contract import Config
-    from xpl_cli.evaluation.records.fingerprints import Checkpoint
-    from xpl_cli.evaluation.records.model import Episode, Slot
+    from xpl_cli.evaluation.records.fingerprints import LoadedCheckpoint
+    from xpl_cli.evaluation.records.model import EpisodeRecord, PlannedEpisode
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.rollout.config import RolloutConfig
     from xpl_cli.evaluation.rollout.servers import ServerConfig
@@ -81,14 +81,14 @@ class Player:
             for index in indices
         ]
 
-    def _lines(self, run: Run, indices: Sequence[int]) -> dict[int, Episode]:
-        """Return what came of each episode; one that the infrastructure spoils is played again, as in any run."""
+    def _lines(self, run: Run, indices: Sequence[int]) -> dict[int, EpisodeRecord]:
+        """Return the line of each episode; infrastructure errors are retried, as in any run."""
         slots = run.plan.slots()
-        found: dict[int, Episode] = {}
+        found: dict[int, EpisodeRecord] = {}
         with contextlib.closing(self._backend(run)) as backend:
             for attempt in range(1, run.plan.control.attempts + 1):
                 jobs = [_job(slots[index], attempt) for index in indices if _is_open(found.get(index))]
-                for line in runner.replay(run.plan, jobs, backend):
+                for line in runner.rerun_episodes(run.plan, jobs, backend):
                     self.progress.step(f"replay: episode {line.index}, {line.task}: {line.end_reason}")
                     found[line.index] = line
         return found
@@ -115,9 +115,9 @@ class Player:
         if fingerprints.package_digest(folder) != plan.environment.digest:
             raise UserError(f"{folder.name} here is another version than the run's", code=ExitCode.NOT_RUN)
         bounds = IsolationSettings.here(adapter.path.parent, isolate=self.runtime.isolate)
-        return evaluate.orders(adapter, folder, plan, self.runtime, bounds)
+        return evaluate.make_configs(adapter, folder, plan, self.runtime, bounds)
 
-    def _find_weights(self, config: Config, loaded: Checkpoint | None) -> None:
+    def _find_weights(self, config: Config, loaded: LoadedCheckpoint | None) -> None:
         """See to it that the adapter loads the checkpoint of the run.
 
         Raises:
@@ -141,9 +141,9 @@ class Player:
                 fetch.link(self._package.path, one.name, path)
 
 
-def _job(slot: Slot, attempt: int) -> RolloutJob:
+def _job(slot: PlannedEpisode, attempt: int) -> RolloutJob:
     return RolloutJob(slot.index, attempt, slot.task, slot.setting, slot.seed, trace=False)
 
 
-def _is_open(line: Episode | None) -> bool:
+def _is_open(line: EpisodeRecord | None) -> bool:
     return line is None or line.failure == INFRASTRUCTURE

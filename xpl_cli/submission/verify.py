@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.runs.protocol import Part
+    from xpl_cli.evaluation.runs.protocol import SeedCoverage
     from xpl_cli.submission.bundle import Bundle
     from xpl_cli.submission.claims import Claim
     from xpl_cli.submission.inspection import Check
@@ -69,7 +69,7 @@ class Report:
         seed: of the sample.
         pairs: run and episode, as recorded and as played here.
         finding: what the sample says; None if none was asked for.
-        unplayed: why nothing was played although it was asked for.
+        replay_skipped: why nothing was played although it was asked for.
         parts: what its runs play of the evaluation seeds; None where that cannot be told here.
     """
 
@@ -81,8 +81,8 @@ class Report:
     seed: int | None = None
     pairs: tuple[tuple[str, replay.Pair], ...] = ()
     finding: replay.Finding | None = None
-    unplayed: str | None = None
-    parts: Sequence[Part] | None = None
+    replay_skipped: str | None = None
+    parts: Sequence[SeedCoverage] | None = None
 
     @property
     def code(self) -> ExitCode:
@@ -91,7 +91,7 @@ class Report:
         if disagrees or any(check.problems for check in self.checks):
             return ExitCode.FINDINGS
         undecided = self.finding is not None and self.finding.verdict is replay.Verdict.UNDECIDED
-        return ExitCode.NOT_RUN if undecided or self.unplayed else ExitCode.CLEAN
+        return ExitCode.NOT_RUN if undecided or self.replay_skipped else ExitCode.CLEAN
 
     def as_json(self) -> dict[str, Any]:
         """Return the report as the map that `xpl verify --json` prints."""
@@ -108,7 +108,7 @@ class Report:
             "checks": [{"name": check.name, "problems": list(check.problems)} for check in self.checks],
             "replay": played,
             "coverage": None if self.parts is None else [asdict(part) for part in self.parts],
-            "unplayed": self.unplayed,
+            "replay_skipped": self.replay_skipped,
             "exit_code": int(self.code),
         }
 
@@ -132,7 +132,7 @@ def verify(request: Request) -> Report:
         if not request.sample:
             return report
         if not is_sound:
-            return replace(report, unplayed="what is wrong above comes first")
+            return replace(report, replay_skipped="what is wrong above comes first")
         return _replayed(request, found, report, runs)
 
 
@@ -165,7 +165,7 @@ def _replayed(request: Request, found: Bundle, report: Report, runs: Sequence[Ru
             pairs += [(run.plan.run, pair) for pair in player.play(run, indices)]
     except UserError as error:
         said = f"{error}" if error.hint is None else f"{error} ({error.hint})"
-        return replace(report, seed=seed, pairs=tuple(pairs), unplayed=said)
+        return replace(report, seed=seed, pairs=tuple(pairs), replay_skipped=said)
     total = sum(len(replay.eligible(run)) for run in runs)
     finding = replay.judge([pair for _, pair in pairs], total, deterministic=player.is_deterministic)
     return replace(report, seed=seed, pairs=tuple(pairs), finding=finding)

@@ -203,8 +203,8 @@ def test_policy_servers_with_a_gpu_are_apart_and_move_to_another_node(tmp_path: 
     assert all(line.success for line in run.finals.values())
     servers = {line.server for line in run.finals.values()}
     assert len(servers) >= 2, "each server, and each of its places, has an instance of its own"
-    spoilt = [line for line in run.attempts if line.failure == INFRASTRUCTURE]
-    assert 1 <= len(spoilt) <= 4, spoilt
+    errors = [line for line in run.attempts if line.failure == INFRASTRUCTURE]
+    assert 1 <= len(errors) <= 4, errors
 
 
 def test_a_run_waits_for_room_and_refuses_other_files_there(tmp_path: Path) -> None:

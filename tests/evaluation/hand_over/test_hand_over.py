@@ -83,7 +83,7 @@ def test_the_launcher_is_called_as_the_ecosystem_calls_it(workspace: Path) -> No
     }
     assert (answer["episodes"], answer["successes"], answer["success_rate"]) == (2, 1, 0.5)
     assert answer["mean_score"] == pytest.approx(0.575)
-    assert answer["stand_in"] is False
+    assert answer["rehearsal"] is False
 
 
 @pytest.mark.parametrize(("task", "setting"), [("stack_bowls", "clean"), ("stack_bowls_random", "randomized")])
@@ -156,7 +156,7 @@ def test_a_rehearsal_plays_the_stand_in_and_tells_no_number(name: str, task: str
     ended = xpl("env", "hand-over", name, POLICY, *words)
     assert ended.code == 0, ended.stderr
     answer = json.loads(ended.stdout)
-    assert answer["stand_in"] is True
+    assert answer["rehearsal"] is True
     assert answer["success_rate"] is answer["mean_score"] is answer["result"] is None
 
 

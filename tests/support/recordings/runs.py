@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from xpl_cli.evaluation.records.model import Episode, Plan, PlannedCell, name_of
+from xpl_cli.evaluation.records.model import EpisodeRecord, PlannedCell, RunPlan, name_of
 
 BEGAN = dt.datetime(2026, 11, 21, 9, 0, tzinfo=dt.UTC)
 DIMENSIONS = ("precision", "long-horizon", "memory")
@@ -121,18 +121,18 @@ def rewritten(folder: Path, change: Callable[[list[dict[str, Any]]], list[dict[s
     return folder
 
 
-def planned(config: Mapping[str, Any] | None = None, cells: Sequence[PlannedCell] = ()) -> Plan:
+def planned(config: Mapping[str, Any] | None = None, cells: Sequence[PlannedCell] = ()) -> RunPlan:
     """Return a plan of some cells, for a policy that is configured so."""
-    told = Plan.parse(_plan("Foo", "v1", []))
+    told = RunPlan.parse(_plan("Foo", "v1", []))
     return replace(told, policy=replace(told.policy, config=config or {}), cells=cells)
 
 
-def episode(**told: Any) -> Episode:
+def episode(**told: Any) -> EpisodeRecord:
     """Return a final line of an episode that succeeded, but for what is told."""
     place = {"index": 0, "attempt": 1, "final": True, "task": "lift_cube", "setting": "clean", "seed": 1}
     robot = {"embodiment": "arx_x5", "action_type": "joint", "machine": _digest(_FACTS), "containment": "apart"}
     ending = {"success": True, "score": 1.0, "end_reason": "success"}
-    return Episode(**{**place, **robot, **ending, "started": _time(BEGAN), "wall_seconds": 1.0, **told})
+    return EpisodeRecord(**{**place, **robot, **ending, "started": _time(BEGAN), "wall_seconds": 1.0, **told})
 
 
 def _plan(policy: str, spec: str, cells: list[dict[str, Any]]) -> dict[str, Any]:
@@ -163,10 +163,10 @@ def _attempts(
     index, cell, seed = place
     attempt = 1
     if draw.random() < faults.retried:
-        yield _spoilt(draw, _place(*place, attempt, final=False))
+        yield _errored(draw, _place(*place, attempt, final=False))
         attempt = 2
     if draw.random() < faults.infrastructure:
-        yield _spoilt(draw, _place(*place, attempt, final=True))
+        yield _errored(draw, _place(*place, attempt, final=True))
         return
     failed = draw.random() < faults.policy
     success = not failed and draw.random() < chance / max(1e-9, 1 - faults.policy)
@@ -195,7 +195,7 @@ def _attempts(
     }
 
 
-def _spoilt(draw: random.Random, place: dict[str, Any]) -> dict[str, Any]:
+def _errored(draw: random.Random, place: dict[str, Any]) -> dict[str, Any]:
     return {
         **place,
         "success": None,

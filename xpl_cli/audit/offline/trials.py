@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.evaluation.records.model import Ending
+from xpl_cli.evaluation.records.model import EpisodeOutcome
 from xpl_cli.evaluation.rollout import trial
 from xpl_cli.evaluation.rollout.config import EnvSettings
 
@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from xpl.contract import Config
     from xpl_cli.audit.served.probe import Probe
 
-RESULT: Final = trial.describe_outcome([Ending(success=False, score=0.25, steps=3, end_reason="max_steps")])
+RESULT: Final = trial.describe_outcome([EpisodeOutcome(success=False, score=0.25, steps=3, end_reason="max_steps")])
 """How a trial went."""
 
 
-def case_of(probe: Probe) -> Config:
+def trial_case(probe: Probe) -> Config:
     """Return what a policy is told of a case, for the robot that it is served for."""
     return trial.describe_case(EnvSettings("task", probe.embodiment.name, probe.action_type, setting="setting"))

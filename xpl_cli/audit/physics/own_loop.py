@@ -10,8 +10,8 @@ from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl_cli.audit.rules.model import NotApplicable
 from xpl_cli.basics.errors import NotFoundError
-from xpl_cli.evaluation.loop.desk import EndlessError, LoopError
-from xpl_cli.evaluation.loop.process import Loop, LoopRaisedError
+from xpl_cli.evaluation.loop.process import AdapterLoop, LoopRaisedError
+from xpl_cli.evaluation.loop.request_handler import EndlessLoopError, LoopError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -100,7 +100,7 @@ class LoopClient:
 
 
 @contextlib.contextmanager
-def loop_of(folder: Path, options: Options) -> Iterator[Loop]:
+def loop_of(folder: Path, options: Options) -> Iterator[AdapterLoop]:
     """Give the evaluation loops of an adapter's deploy.py, in a process that ends with the `with` block.
 
     Args:
@@ -113,14 +113,14 @@ def loop_of(folder: Path, options: Options) -> Iterator[Loop]:
     with contextlib.ExitStack() as stack:
         isolation = stack.enter_context(options.bounds.around(folder))
         try:
-            loop = Loop(folder, isolation=isolation, is_silent=True)
+            loop = AdapterLoop(folder, isolation=isolation, is_silent=True)
         except NotFoundError as error:
             raise NotApplicable(str(error)) from None
         stack.callback(loop.close)
         yield loop
 
 
-def problem_of(loop: Loop, stage: Stage, session: Session, *, batch: bool) -> str | None:
+def problem_of(loop: AdapterLoop, stage: Stage, session: Session, *, batch: bool) -> str | None:
     """Run a loop and return what is wrong with how it plays, or None.
 
     Raises:
@@ -139,10 +139,10 @@ def problem_of(loop: Loop, stage: Stage, session: Session, *, batch: bool) -> st
     return _broken_off(loop, stage, session, batch=batch) or _misplayed(stage)
 
 
-def _broken_off(loop: Loop, stage: Stage, session: Session, *, batch: bool) -> str | None:
+def _broken_off(loop: AdapterLoop, stage: Stage, session: Session, *, batch: bool) -> str | None:
     try:
         loop.play(stage, LoopClient(session), batch=batch)
-    except EndlessError:
+    except EndlessLoopError:
         return "does not notice that the episode has ended, and goes on for ever"
     except ClientError as error:
         return f"breaks off, because the policy cannot be asked: {error}"

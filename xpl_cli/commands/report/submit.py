@@ -169,17 +169,17 @@ def _report_text(report: Report) -> str:
         lines.append(f"  replay: {report.finding.verdict}: {report.finding.sentence}")
         lines += _listed(replay.disagreements(pair for _, pair in report.pairs))
         lines.append(f"  sample drawn with --seed {report.seed}")
-    elif report.unplayed is not None:
-        lines.append(f"  replay: not played: {report.unplayed}")
+    elif report.replay_skipped is not None:
+        lines.append(f"  replay: not played: {report.replay_skipped}")
     return as_lines(lines)
 
 
 def _run_text(run: Claim) -> str:
     """Return what a bundle claims of a run."""
-    planned, played, judged, won = map(run.total, ("planned", "played", "judged", "successes"))
-    spoilt = f", {played - judged} not judged" if played > judged else ""
+    planned, completed, judged, won = map(run.total, ("planned", "completed", "judged", "successes"))
+    unjudged = f", {completed - judged} not judged" if completed > judged else ""
     where = f"{run.environment}, {run.embodiment}, {run.action_type} control"
-    return f"  run {run.run[:12]}: {where}: {won} of {judged} succeeded, {played} of {planned} played{spoilt}"
+    return f"  run {run.run[:12]}: {where}: {won} of {judged} succeeded, {completed} of {planned} run{unjudged}"
 
 
 def _listed(sentences: tuple[str, ...] | list[str]) -> list[str]:

@@ -25,7 +25,7 @@ from xpl_cli.commands.run import hand_over
 
 if TYPE_CHECKING:
     from xpl_cli.evaluation.runs import evaluate as suite
-    from xpl_cli.evaluation.runs import look
+    from xpl_cli.evaluation.runs import quick_eval
 
 
 def evaluate(
@@ -140,7 +140,7 @@ def evaluate(
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
     from xpl_cli.evaluation.rollout import config, trajectory_recorder
-    from xpl_cli.evaluation.runs import look, remote
+    from xpl_cli.evaluation.runs import quick_eval, remote
     from xpl_cli.evaluation.runs.settings import environment_for, with_robot
     from xpl_cli.packages import package
     from xpl_cli.serving.secrets import read_token
@@ -149,7 +149,7 @@ def evaluate(
     if seed is not None:
         overrides[spec.Deploy.SEED] = seed
     token = None if token_file is None else read_token(token_file)
-    reached = None if connect is None else remote.Remote(connect, token, ca_file)
+    reached = None if connect is None else remote.RemoteServer(connect, token, ca_file)
     is_here = _is_here(policy)
     if is_here:
         from xpl_cli.evaluation.hand_over.request import Request
@@ -187,8 +187,8 @@ def evaluate(
         if is_done:
             return
     demos = trajectory_recorder.recording_config(record, keep, resume=resume, privileged=privileged)
-    told = None if reached is None or (out is None and is_here) else remote.announced(reached, overrides)
-    adapter = remote.package_of(policy, told, overrides)
+    told = None if reached is None or (out is None and is_here) else remote.fetch_announcement(reached, overrides)
+    adapter = remote.resolve_package(policy, told, overrides)
     _check_instruction(instruction, is_recorded=out is not None)
     if horizon is None and not is_here:
         console.note(f"{adapter.name} is not here, and so its evaluation loop is not: ours executes whole chunks")
@@ -208,13 +208,13 @@ def evaluate(
         said = {task, setting, episodes, until_width, None if horizon == remote.WHOLE else horizon}
         is_silent = not overrides and said == {None} and instruction is None
         is_batch = (num_envs or 1) > 1
-        wishes: plan.Wishes | None = plan.Wishes(
+        wishes: plan.PlanRequest | None = plan.PlanRequest(
             task, setting, episodes, int(adapter.config(overrides)[spec.Deploy.SEED]), horizon, until_width
         )
         if is_silent:
-            wishes = None if horizon is None or (out / records.FILE).exists() else plan.Wishes(horizon=horizon)
+            wishes = None if horizon is None or (out / records.FILE).exists() else plan.PlanRequest(horizon=horizon)
         _recorded(
-            suite.Request(
+            suite.EvalRequest(
                 package=adapter,
                 environment=env,
                 out=out,
@@ -227,7 +227,7 @@ def evaluate(
                 remote=reached,
                 announced=told,
                 num_envs=num_envs,
-                env_workers=look.places(num_envs, workers)[1] if is_batch else 1,
+                env_workers=quick_eval.num_envs_and_workers(num_envs, workers)[1] if is_batch else 1,
                 demos=demos,
                 instruction=instruction,
             ),
@@ -238,10 +238,10 @@ def evaluate(
         raise UserError(
             "--resume, --until-width and --backend are for a run that is recorded: name its folder with --out"
         )
-    environments, processes = look.places(num_envs, workers)
+    environments, processes = quick_eval.num_envs_and_workers(num_envs, workers)
     env = env or environment_for()
     _told(
-        look.Request(
+        quick_eval.QuickEvalRequest(
             package=adapter,
             environment=env,
             task=task,
@@ -266,7 +266,7 @@ def _check_instruction(instruction: str | None, *, is_recorded: bool) -> None:
         return
     from xpl_cli.basics.errors import UserError
     from xpl_cli.environments.play import chosen
-    from xpl_cli.evaluation.records.manner import INSTRUCTIONS
+    from xpl_cli.evaluation.records.run_mode import INSTRUCTIONS
 
     chosen("instruction", instruction, list(INSTRUCTIONS))
     if not is_recorded:
@@ -296,7 +296,7 @@ def desk(environment: str | None) -> contextlib.AbstractContextManager[object]:
     return desk()
 
 
-def _recorded(request: suite.Request, *, as_json: bool) -> None:
+def _recorded(request: suite.EvalRequest, *, as_json: bool) -> None:
     """Play what a recorded run lacks, and tell what all of it comes to."""
     import shlex
 
@@ -312,31 +312,31 @@ def _recorded(request: suite.Request, *, as_json: bool) -> None:
         console.data_json({**found.as_json(), "next": [shlex.join(["xpl", "report", str(request.out)])]})
     else:
         console.data(wording.text(found))
-    suite.check(run)
+    suite.check_complete(run)
     if not as_json:
         console.data(standard.data("package")["eval_finish_line"])
 
 
-def _told(request: look.Request, policy: str, *, as_json: bool) -> None:
+def _told(request: quick_eval.QuickEvalRequest, policy: str, *, as_json: bool) -> None:
     """Evaluate, and tell what came of it; `policy` is the adapter as it was named."""
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError
     from xpl_cli.basics.progress import progress
-    from xpl_cli.evaluation.runs import look
+    from xpl_cli.evaluation.runs import quick_eval
     from xpl_cli.standard import spec as standard
 
     with desk(request.environment), progress() as say:
-        found = look.evaluate(request, say)
+        found = quick_eval.evaluate(request, say)
     if as_json:
         console.data_json({**found.as_json(), "next": found.following(policy)})
-        if found.spoilt:
+        if found.infrastructure_errors:
             raise typer.Exit(ExitCode.NOT_RUN)
         return
     console.data(found.text())
-    if found.spoilt:
+    if found.infrastructure_errors:
         count = len(found.episodes)
         raise UserError(
-            f"{found.spoilt} of {count} trials were spoilt by the infrastructure, and say nothing",
+            f"{found.infrastructure_errors} of {count} episodes ended with an infrastructure error and have no result",
             code=ExitCode.NOT_RUN,
         )
     console.data(standard.data("package")["eval_finish_line"])

@@ -91,7 +91,7 @@ def record(
     demos = config.RecordingConfig(
         str(out.absolute()), kept, chosen("form of images", form, FORMS), quality, not no_depth, privileged
     )
-    request = collect.Request(
+    request = collect.RecordRequest(
         environment=env,
         demos=demos,
         tasks=task,

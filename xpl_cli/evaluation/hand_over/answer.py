@@ -19,7 +19,7 @@ class Answer:
     Attributes:
         environment, bench_name, policy, task, embodiment, action_type: what was played.
         run_id: name of the run.
-        stand_in: whether it was a rehearsal, of which nothing else is told.
+        rehearsal: whether it was a rehearsal, which gives no numbers.
         command: words that launched it.
         seconds: how long it took.
         result: the file that the benchmark left.
@@ -34,7 +34,7 @@ class Answer:
     embodiment: str
     action_type: str
     run_id: str
-    stand_in: bool
+    rehearsal: bool
     command: Sequence[str]
     seconds: float
     result: str | None = None
@@ -57,7 +57,7 @@ class Answer:
 
     def text(self) -> str:
         """Return the answer in a sentence."""
-        if self.stand_in:
+        if self.rehearsal:
             return f"{self.policy} ran to the end of a rehearsal of {self.bench_name}, which tells no numbers"
         where = f"{self.policy} on {self.bench_name}/{self.task}"
         if self.episodes is None:

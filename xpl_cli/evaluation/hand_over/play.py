@@ -27,7 +27,7 @@ from xpl_cli.evaluation.hand_over.answer import Answer
 from xpl_cli.evaluation.hand_over.launcher import RATE, Launcher, filled
 from xpl_cli.evaluation.hand_over.request import Plan, Request
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.records.model import Conduct, now
+from xpl_cli.evaluation.records.model import AttemptExecution, now
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def hand_over(request: Request) -> Answer:
         embodiment=get_embodiment(str(planned.config[sdk.Deploy.ENV_CFG_TYPE])).name,
         action_type=planned.config[sdk.Deploy.ACTION_TYPE],
         run_id=planned.values["run_id"],
-        stand_in=planned.workspace is None,
+        rehearsal=planned.workspace is None,
         command=words,
         seconds=round(seconds, 3),
     )
@@ -137,7 +137,7 @@ def hand_over(request: Request) -> Answer:
         return replace(answer, result=str(path), success_rate=results.rate(path))
     layouts = results.layouts(path)
     if request.out is not None:
-        record.write(request, planned, path, layouts, Conduct(started=started, wall_seconds=seconds))
+        record.write(request, planned, path, layouts, AttemptExecution(started=started, wall_seconds=seconds))
     return answer.with_layouts(path, layouts)
 
 

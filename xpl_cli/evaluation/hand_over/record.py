@@ -15,11 +15,11 @@ from xpl_cli.evaluation.records.failures import SUCCESS, TASK
 from xpl_cli.evaluation.records.fingerprints import checkpoint_of, machine_facts, package_digest
 from xpl_cli.evaluation.records.model import (
     Control,
-    Episode,
-    Plan,
+    EpisodeRecord,
     PlannedCell,
     PlannedEnvironment,
     PlannedPolicy,
+    RunPlan,
 )
 from xpl_cli.standard import spec
 
@@ -30,13 +30,15 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.hand_over.request import Plan as HandedOver
     from xpl_cli.evaluation.hand_over.request import Request
     from xpl_cli.evaluation.hand_over.results import Layout
-    from xpl_cli.evaluation.records.model import Conduct
+    from xpl_cli.evaluation.records.model import AttemptExecution
 
 NO_SUCCESS = "no_success"
 CLEAN, RANDOMIZED = "clean", "randomized"
 
 
-def write(request: Request, planned: HandedOver, result: Path, layouts: Sequence[Layout], conduct: Conduct) -> None:
+def write(
+    request: Request, planned: HandedOver, result: Path, layouts: Sequence[Layout], conduct: AttemptExecution
+) -> None:
     """Write the record of a run; what launched it counts as facts of the machine.
 
     Args:
@@ -57,7 +59,7 @@ def write(request: Request, planned: HandedOver, result: Path, layouts: Sequence
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
     entry = facts.tasks.get(config[sdk.Deploy.TASK_NAME])
     numbers = [layout.number for layout in layouts]
-    plan = Plan(
+    plan = RunPlan(
         policy=PlannedPolicy(
             package.name, spec.VERSION, package_digest(package.path), dict(config), checkpoint_of(package, config)
         ),
@@ -72,10 +74,10 @@ def write(request: Request, planned: HandedOver, result: Path, layouts: Sequence
         "launcher_result": hashlib.sha256(files.content(result)).hexdigest(),
         "launcher_run": planned.values["run_id"],
     }
-    with records.Writer(request.out, plan.named()) as writer:
+    with records.RecordWriter(request.out, plan.named()) as writer:
         machine = writer.machine({**machine_facts(), **launcher})
         for slot, layout in zip(plan.slots(), layouts, strict=True):
-            episode = Episode(
+            episode = EpisodeRecord(
                 index=slot.index,
                 attempt=1,
                 final=True,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.records import field
+from xpl_cli.evaluation.records import benchmark_files
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,7 +45,7 @@ def layouts(path: Path) -> list[Layout]:
         ResultError: it is none, contradicts itself, or tells a layout twice.
     """
     try:
-        told = field.told(path)
+        told = benchmark_files.read_json(path)
         found = _layouts(told)
     except ValueError as error:
         raise ResultError(f"{path} is no result of the form layouts: {error!s:.200}") from None
@@ -67,18 +67,18 @@ def rate(path: Path) -> float:
         ResultError: there is none from 0 to 1.
     """
     try:
-        return field.rate(path)
-    except field.FieldResultError as error:
+        return benchmark_files.read_rate(path)
+    except benchmark_files.BenchmarkFileError as error:
         raise ResultError(f"{path} does not end with a success rate from 0 to 1: {error}") from None
 
 
-def _layouts(told: field.Told) -> list[Layout]:
+def _layouts(told: benchmark_files.ResultFile) -> list[Layout]:
     if told.entries is None:
         raise ValueError("it has no details")
     return [_layout(entry) for entry in told.entries]
 
 
-def _layout(entry: field.Entry) -> Layout:
+def _layout(entry: benchmark_files.ResultEpisode) -> Layout:
     number = entry.layout
     if type(number) is not int or number < 0:
         raise ValueError(f"layout_id must be a number from 0, got {number!r:.40}")

@@ -85,13 +85,13 @@ def write(name: str, runs: Iterable[Run], folder: Path) -> int:
 
 
 def _details(cell: Cell) -> dict[str, Any]:
-    """Return RoboDojo's result of one task; an episode that the infrastructure spoilt has failed there."""
-    judged = [line for line in cell.counted if cell.certainly(line) is not None]
+    """Return RoboDojo's result of one task; an episode with an infrastructure error counts as failed."""
+    judged = [line for line in cell.counted if cell.counts_as_success(line) is not None]
     details = {
         str(number): {
             "layout_id": line.seed,
-            "success": bool(cell.certainly(line)),
-            "score": 1.0 if cell.certainly(line) else (cell.score(line) or 0.0),
+            "success": bool(cell.counts_as_success(line)),
+            "score": 1.0 if cell.counts_as_success(line) else (cell.score(line) or 0.0),
         }
         for number, line in enumerate(judged)
     }

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import containment, stand_ins
 from xpl_cli.evaluation.records.cells import cells
-from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction
+from xpl_cli.evaluation.records.failures import MAX_INFRASTRUCTURE_SHARE, contradiction
 from xpl_cli.evaluation.statistics.matching import Difference, differences
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.evaluation.records.model import Case, Place
+    from xpl_cli.evaluation.records.model import CellKey, EpisodeKey
     from xpl_cli.evaluation.records.records import Run
 
 _MACHINE = "machine: "
@@ -59,7 +59,7 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
     Raises:
         UnlikeError: they differ in tasks, seeds, standard, environment, robot, control or in how much was played.
         UserError: a run was named twice, contradicts itself, was played where something stood in for a part of the
-            benchmark, or they have no episode in common; or too many episodes of all of them were spoilt.
+            benchmark, or they have no episode in common; or all of them have too many infrastructure errors.
     """
     folders = [run.folder.resolve() for run in runs]
     if len(set(folders)) < len(folders):
@@ -67,7 +67,7 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
     for run in runs:
         stand_ins.refuse(run, "ranked")
         _refuse_contradictions(run)
-    reasons = [_spoilt(run) or _trusted(run) for run in runs]
+    reasons = [_too_many_errors(run) or _trusted(run) for run in runs]
     unranked = tuple(filter(None, reasons))
     runs = [run for run, reason in zip(runs, reasons, strict=True) if reason is None]
     if not runs:
@@ -95,13 +95,13 @@ def _refuse_contradictions(run: Run) -> None:
             raise UserError(f"{run.folder}: episode {line.index} {said}: the record was changed", code=ExitCode.NOT_RUN)
 
 
-def _spoilt(run: Run) -> str | None:
-    """Return why so much of a run was spoilt that it is not ranked, or None."""
-    if not run.is_spoilt:
+def _too_many_errors(run: Run) -> str | None:
+    """Return that a run has too many infrastructure errors to be ranked, or None."""
+    if not run.has_too_many_infrastructure_errors:
         return None
     return (
-        f"{run.folder} is not ranked: the infrastructure spoilt {run.spoilt} of its {len(run.finals)} episodes, more "
-        f"than {MOST_SPOILT:.0%}."
+        f"{run.folder} is not ranked: {run.infrastructure_errors} of its {len(run.finals)} episodes ended with an "
+        f"infrastructure error, more than {MAX_INFRASTRUCTURE_SHARE:.0%}."
     )
 
 
@@ -120,7 +120,7 @@ def _unlike(first: Run, run: Run) -> Iterator[Difference]:
     """Yield in what a run differs from the first one, and whether it still goes on."""
     if run is not first:
         yield from differences(first, run)
-    unplayed = sum(cell.unplayed for cell in cells(run))
+    unplayed = sum(cell.remaining for cell in cells(run))
     if unplayed:
         yield Difference("episodes still to come", "none", str(unplayed))
 
@@ -144,7 +144,7 @@ def _restricted(runs: Sequence[Run]) -> Iterator[Run]:
     order = [slot for slot in runs[0].plan.slots() if slot.case in shared]
     for run in runs:
         entries = {cell.place: cell for cell in run.plan.cells}
-        seeds: dict[Place, list[int]] = {}
+        seeds: dict[CellKey, list[int]] = {}
         for slot in order:
             seeds.setdefault((slot.task, slot.setting), []).append(slot.seed)
         kept = [replace(entries[place], seeds=found) for place, found in seeds.items()]
@@ -156,7 +156,7 @@ def _restricted(runs: Sequence[Run]) -> Iterator[Run]:
         yield replace(run, plan=plan, attempts=attempts, finals=finals)
 
 
-def _cases(run: Run) -> Iterator[Case]:
+def _cases(run: Run) -> Iterator[EpisodeKey]:
     """Yield what a run's success rates are made of."""
     for cell in cells(run):
-        yield from (line.case for line in cell.counted if cell.certainly(line) is not None)
+        yield from (line.case for line in cell.counted if cell.counts_as_success(line) is not None)

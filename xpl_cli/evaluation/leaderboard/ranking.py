@@ -68,7 +68,7 @@ class Row:
     mean_score: float | None
     score_interval: Interval | None
     failures: Mapping[str, int]
-    if_spoilt: tuple[float, float] | None
+    infrastructure_bounds: tuple[float, float] | None
     settings: Mapping[str, float | None]
     dimensions: Mapping[str, float | None]
     to_first: Gap | None
@@ -166,7 +166,7 @@ def _subsets(field: Field) -> Iterator[str]:
     """Yield a sentence on the first run's part of the protocol, where it is not all of it; alike runs have the same."""
     try:
         folder = environments.find(field.runs[0].plan.environment.name)
-        missing = [part for part in protocol.parts(folder, field.runs[0].plan.cells) if not part.is_whole]
+        missing = [part for part in protocol.seed_coverage(folder, field.runs[0].plan.cells) if not part.is_whole]
     except UserError:  # the environment is not here, or has no such task any more
         return
     if missing:
@@ -204,7 +204,7 @@ def _row(run: Run, summary: Summary, gap: Gap | None, rank: int) -> Row:
         mean_score=overall.mean_score,
         score_interval=overall.score_interval,
         failures=overall.failures,
-        if_spoilt=overall.if_spoilt,
+        infrastructure_bounds=overall.infrastructure_bounds,
         settings={row.setting: row.success_rate for row in summary.settings if row.setting is not None},
         dimensions={row.dimension: row.success_rate for row in summary.dimensions if row.dimension is not None},
         to_first=gap,
@@ -240,8 +240,10 @@ def _notes(result: Ranking) -> Iterator[str]:
         )
     if len(names) > 1:
         yield "The best of several is partly the best by luck: its rate is likely to be lower in new episodes."
-    spoilt = {name: row.failures[INFRASTRUCTURE] for name, row in zip(names, result.rows, strict=True)}
-    if any(spoilt.values()):
-        told = ", ".join(f"{name} {count}" for name, count in spoilt.items() if count)
-        yield f"Episodes that the infrastructure spoilt count as failed, for nobody can tell who was to blame: {told}."
+    errors = {name: row.failures[INFRASTRUCTURE] for name, row in zip(names, result.rows, strict=True)}
+    if any(errors.values()):
+        counts = ", ".join(f"{name} {count}" for name, count in errors.items() if count)
+        yield (
+            f"Episodes with an infrastructure error count as failed, because the cause cannot be attributed: {counts}."
+        )
     yield cautions.scope()

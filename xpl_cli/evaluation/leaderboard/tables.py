@@ -118,7 +118,7 @@ def ranking(told: Results) -> Table:
             _spread(row.tally.overall, SUCCESS),
             _spread(row.tally.overall, SCORE),
             *(_spread(group.get(name), SUCCESS) for name in names),
-            f"{row.tally.counted}/{row.tally.wanted}",
+            f"{row.tally.counted}/{row.tally.expected}",
         )
         for row, group in zip(told.rows, groups, strict=True)
     )
@@ -216,9 +216,9 @@ def _spelt(given: str, names: Sequence[str]) -> str:
 
 
 def _notes(found: Sequence[Tally]) -> Iterator[str]:
-    lacking = [one for one in found if one.counted < one.wanted]
+    lacking = [one for one in found if one.counted < one.expected]
     if lacking:
-        named = ", ".join(f"{one.policy} {one.counted} of {one.wanted}" for one in lacking)
+        named = ", ".join(f"{one.policy} {one.counted} of {one.expected}" for one in lacking)
         yield (
             f"Not all tasks and seeds count yet, because results or episodes are missing: {named}. Figures are of "
             "those that count; --anyway counts tasks that lack episodes, too."

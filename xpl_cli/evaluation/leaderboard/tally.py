@@ -53,7 +53,7 @@ class Tally:
         variants: by robot, or by setting.
         halves: of the tasks with a randomized form: `standard` and `random`.
         tasks: by task.
-        counted, wanted: tasks and seeds that count, and that there are.
+        counted, expected: tasks and seeds that count, and that there are.
     """
 
     policy: str
@@ -63,7 +63,7 @@ class Tally:
     halves: dict[str, Figure] = field(default_factory=dict)
     tasks: dict[str, Figure] = field(default_factory=dict)
     counted: int = 0
-    wanted: int = 0
+    expected: int = 0
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def _tallied(policy: str, results: Sequence[Result], *, partial: bool) -> Tally:
     is_known = any(dimension_of(_base(result)) != OTHER for result in results)
     asked = {(_base(result), result.variant, result.seed) for result in results}
     whole = sum(map(len, known.dimensions.values())) * len(known.seeds)
-    found = Tally(policy, counted=len(cells), wanted=whole if is_known else len(asked))
+    found = Tally(policy, counted=len(cells), expected=whole if is_known else len(asked))
     found.dimensions = _grouped(cells, lambda cell: cell.dimension)
     found.variants = _grouped(cells, lambda cell: cell.variant)
     found.tasks = _grouped(cells, lambda cell: cell.task)

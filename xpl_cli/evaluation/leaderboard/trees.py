@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.evaluation.records import field, records, stand_ins
+from xpl_cli.evaluation.records import benchmark_files, records, stand_ins
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -125,12 +125,16 @@ def parsed(path: Path) -> Result:
     if stand_ins.is_one(variant):
         raise ResultError(f"in {variant} something stands in for a part of the benchmark")
     if benchmark == ROBOTWIN:
-        return Result(ROBOTWIN, policy, task, variant, 0, made_by, when, None, _asked(field.rate, path), None)
+        return Result(
+            ROBOTWIN, policy, task, variant, 0, made_by, when, None, _asked(benchmark_files.read_rate, path), None
+        )
     seed = _SEED.match(made_by)
     if seed is None:
         raise ResultError(f"its folder {made_by!r:.80} does not begin with a seed")
     made_by = made_by[seed.end() :]
-    return Result(ROBODOJO, policy, task, variant, int(seed[1]), made_by, when, *_details(_asked(field.told, path)))
+    return Result(
+        ROBODOJO, policy, task, variant, int(seed[1]), made_by, when, *_details(_asked(benchmark_files.read_json, path))
+    )
 
 
 def _found(folder: Path) -> Iterator[Path]:
@@ -142,7 +146,7 @@ def _found(folder: Path) -> Iterator[Path]:
                 yield Path(place) / name
 
 
-def _details(told: field.Told) -> tuple[tuple[tuple[bool, float], ...] | None, float, float | None]:
+def _details(told: benchmark_files.ResultFile) -> tuple[tuple[tuple[bool, float], ...] | None, float, float | None]:
     """Return episodes, success rate and mean score of a result of RoboDojo."""
     if not told.entries:
         if told.success_rate is None:
@@ -156,5 +160,5 @@ def _details(told: field.Told) -> tuple[tuple[tuple[bool, float], ...] | None, f
 def _asked(reader: Callable[[Path], _Read], path: Path) -> _Read:
     try:
         return reader(path)
-    except field.FieldResultError as error:
+    except benchmark_files.BenchmarkFileError as error:
         raise ResultError(str(error)) from None

@@ -5,25 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
-from xpl.loop.stand_ins import CLIENT, CLIENT_OPERATIONS, ENV_OPERATIONS, TASK_ENV
+from xpl.loop.proxies import CLIENT, CLIENT_OPERATIONS, ENV_OPERATIONS, TASK_ENV
 from xpl.wire import packed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from xpl.loop.shown import Shown
+    from xpl.loop.shared_arrays import SharedArrays
     from xpl.wire.arrays import Data
 
 _LONGEST = 500
 """Characters of what an adapter raised that are passed on."""
 
 
-class OutOfStepError(Exception):
+class LoopProtocolError(Exception):
     """What arrived from the loop's process is none of its messages."""
 
 
 @dataclass(frozen=True)
-class Question:
+class LoopRequest:
     """What a loop asks.
 
     Attributes:
@@ -40,7 +40,7 @@ class Question:
     ahead: bool
 
     @classmethod
-    def parse(cls, head: Mapping[str, Any], buffers: Sequence[Data], shown: Shown) -> Self:
+    def parse(cls, head: Mapping[str, Any], buffers: Sequence[Data], shown: SharedArrays) -> Self:
         """Return the question in a message.
 
         Args:
@@ -52,18 +52,18 @@ class Question:
             OutOfStepError: it is none.
         """
         try:
-            whom, operation = head["ask"], head["operation"]
+            whom, operation = head["target"], head["operation"]
             arguments, options = packed.decode(buffers[0], shown.find)
         except (LookupError, TypeError, ValueError) as error:
-            raise OutOfStepError(f"the process of its evaluation loop sent no question: {error!s:.200}") from None
+            raise LoopProtocolError(f"the process of its evaluation loop sent no question: {error!s:.200}") from None
         known = {TASK_ENV: ENV_OPERATIONS, CLIENT: CLIENT_OPERATIONS}.get(whom, ()) if isinstance(whom, str) else ()
         if operation not in known or not isinstance(arguments, list) or not isinstance(options, dict):
-            raise OutOfStepError(f"the process of its evaluation loop asked for {operation!r:.80}")
-        return cls(whom, operation, arguments, options, bool(head.get("ahead")))
+            raise LoopProtocolError(f"the process of its evaluation loop asked for {operation!r:.80}")
+        return cls(whom, operation, arguments, options, bool(head.get("pipelined")))
 
 
 @dataclass(frozen=True)
-class Raised:
+class LoopException:
     """What a loop, or deploy.py when it was imported, raised; none of its words are more than text.
 
     Attributes:
@@ -81,26 +81,26 @@ class Raised:
         """Return what was raised, as far as a message tells it."""
         told = head.get("raised") if isinstance(head, dict) else None
         told = told if isinstance(told, dict) else {}
-        return cls(_text(told.get("type")) or "an exception", _text(told.get("message")), bool(told.get("told")))
+        return cls(_text(told.get("type")) or "an exception", _text(told.get("message")), bool(told.get("forwarded")))
 
 
-def parsed(head: object, buffers: Sequence[Data], shown: Shown) -> Question | Raised | None:
+def parse_message(head: object, buffers: Sequence[Data], shown: SharedArrays) -> LoopRequest | LoopException | None:
     """Return what a loop that plays asks or raised; None where it has returned.
 
     Raises:
         OutOfStepError: it is none of these.
     """
     if not isinstance(head, dict) or not isinstance(head.get("raised", {}), dict):
-        raise OutOfStepError("the process of its evaluation loop fell out of step")
-    if "ask" in head:
-        return Question.parse(head, buffers, shown)
-    return Raised.parse(head) if "raised" in head else None
+        raise LoopProtocolError("the process of its evaluation loop fell out of step")
+    if "target" in head:
+        return LoopRequest.parse(head, buffers, shown)
+    return LoopException.parse(head) if "raised" in head else None
 
 
-def functions(head: object) -> frozenset[str] | Raised:
+def parse_functions(head: object) -> frozenset[str] | LoopException:
     """Return the names of the functions in a deploy.py that was imported, or what it raised."""
     if not isinstance(head, dict) or not isinstance(head.get("functions"), list):
-        return Raised.parse(head)
+        return LoopException.parse(head)
     return frozenset(name for name in head["functions"] if isinstance(name, str))
 
 

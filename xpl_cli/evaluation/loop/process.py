@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl.loop.shown import Shown
+from xpl.loop.shared_arrays import SharedArrays
 from xpl.process import link
 from xpl.process.parent import Process, ProcessLostError
 from xpl.wire.packed import PackingError
 from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.evaluation.loop import messages
-from xpl_cli.evaluation.loop.desk import Desk, LoopError
-from xpl_cli.evaluation.loop.messages import OutOfStepError, Question, Raised
+from xpl_cli.evaluation.loop.messages import LoopException, LoopProtocolError, LoopRequest
+from xpl_cli.evaluation.loop.request_handler import LoopError, LoopRequestHandler
 from xpl_cli.isolation import processes
 from xpl_cli.standard import spec
 
@@ -37,7 +37,7 @@ _LARGEST = 1 << 30
 
 
 @dataclass(frozen=True)
-class Limits:
+class LoopTimeouts:
     """How long a loop may take before it counts as hung.
 
     Attributes:
@@ -61,7 +61,7 @@ class LoopRaisedError(LoopError):
         message: what that says.
     """
 
-    def __init__(self, raised: Raised) -> None:
+    def __init__(self, raised: LoopException) -> None:
         super().__init__(f"the adapter's evaluation loop raised {raised.kind}: {raised.message}")
         self.kind = raised.kind
         self.message = raised.message
@@ -80,7 +80,7 @@ class _Process(Process):
                     os.kill(member.pid, 9)
 
 
-class Loop:
+class AdapterLoop:
     """The evaluation loops of an adapter, in a process that is started when it is needed, and again when it was lost.
 
     Args:
@@ -97,18 +97,18 @@ class Loop:
         self,
         adapter: Path,
         *,
-        limits: Limits | None = None,
+        limits: LoopTimeouts | None = None,
         isolation: Isolation | None = None,
         is_silent: bool = False,
     ) -> None:
         self._file = adapter / sdk.File.DEPLOY_PY
         if not self._file.is_file():
             raise NotFoundError(f"{adapter} has no {sdk.File.DEPLOY_PY}")
-        self._limits = limits or Limits()
+        self._limits = limits or LoopTimeouts()
         self._isolation = isolation
         self._is_silent = is_silent
         self._process: _Process | None = None
-        self._shown = Shown()
+        self._shown = SharedArrays()
         self._functions: frozenset[str] = frozenset()
 
     def load(self, *, batch: bool) -> str:
@@ -145,7 +145,7 @@ class Loop:
             EnvLostError, EnvRaisedError, ClientError: environment or policy failed.
         """
         name = self.load(batch=batch)
-        desk = Desk(task_env, client, self._shown)
+        desk = LoopRequestHandler(task_env, client, self._shown)
         try:
             raised = self._played(desk, name)
         except BaseException:
@@ -162,18 +162,18 @@ class Loop:
         if process is not None:
             process.kill()
 
-    def _played(self, desk: Desk, name: str) -> Raised | None:
+    def _played(self, desk: LoopRequestHandler, name: str) -> LoopException | None:
         """Answer what a loop asks until it has ended, and return what it raised, or None."""
         assert self._process is not None  # noqa: S101 - for the type checker: it was loaded
-        pieces: list[Data] | None = link.encode({"play": name, "running": desk.running})
+        pieces: list[Data] | None = link.encode({"run": name, "running": desk.running})
         try:
             while True:
                 self._process.send(pieces or (), self._limits.think_s)
-                told = messages.parsed(*self._process.take(), self._shown)
-                if not isinstance(told, Question):
+                told = messages.parse_message(*self._process.take(), self._shown)
+                if not isinstance(told, LoopRequest):
                     return told
                 pieces = desk.answer(told)
-        except (ProcessLostError, OutOfStepError, PackingError) as error:
+        except (ProcessLostError, LoopProtocolError, PackingError) as error:
             raise LoopLostError(str(error)) from None
 
     def _start(self) -> None:
@@ -185,7 +185,7 @@ class Loop:
             is_silent=self._is_silent,
             largest=_LARGEST,
         )
-        self._shown = Shown()
+        self._shown = SharedArrays()
         try:
             self._process.send(link.encode({"load": str(self._file)}), self._limits.load_s)
             head, _ = self._process.take()
@@ -195,8 +195,8 @@ class Loop:
         except BaseException:
             self.close()
             raise
-        told = messages.functions(head)
-        if isinstance(told, Raised):
+        told = messages.parse_functions(head)
+        if isinstance(told, LoopException):
             self.close()
             raise LoopRaisedError(told)
         self._functions = told

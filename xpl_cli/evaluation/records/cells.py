@@ -14,11 +14,11 @@ from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs, b
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
-    from xpl_cli.evaluation.records.model import Ending, Episode, PlannedCell
+    from xpl_cli.evaluation.records.model import EpisodeOutcome, EpisodeRecord, PlannedCell
     from xpl_cli.evaluation.records.records import Run
 
 FAILURES: Final = ("task", "policy", INFRASTRUCTURE)
-METHODS: Final[dict[str, Callable[[int, int], Interval]]] = {
+INTERVAL_METHODS: Final[dict[str, Callable[[int, int], Interval]]] = {
     "wilson": lambda successes, count: wilson(successes / count, count),
     "exact": exact,
 }
@@ -46,14 +46,14 @@ class Cell:
     dimension: str | None
     frozen: bool
     planned: int
-    counted: tuple[Episode, ...]
+    counted: tuple[EpisodeRecord, ...]
     beyond: int
     ended: bool
     survived: frozenset[int] = frozenset()
     is_judged: bool = False
 
     @property
-    def unplayed(self) -> int:
+    def remaining(self) -> int:
         """Number of episodes that are still to come."""
         return 0 if self.ended else self.planned - len(self.counted)
 
@@ -64,12 +64,12 @@ class Cell:
 
     @property
     def certain(self) -> list[bool]:
-        """Whether each episode certainly succeeded (`certainly`); none where no episode has a success to speak of."""
-        return [told for told in map(self.certainly, self.counted) if told is not None] if self._tells else []
+        """Whether each episode counts as a success (`counts_as_success`); empty if no episode defines success."""
+        return [told for told in map(self.counts_as_success, self.counted) if told is not None] if self._tells else []
 
     @property
     def scores(self) -> list[float]:
-        """Scores of the episodes, 0 for those that were spoilt; none where no episode has one."""
+        """Scores of the episodes, 0 for infrastructure errors; empty if no episode has a score."""
         found = [self.score(line) for line in self.counted if line.failure != INFRASTRUCTURE]
         known = [told for told in found if told is not None]
         tells = bool(known) or (self.is_judged and not found)
@@ -78,20 +78,20 @@ class Cell:
     @property
     def by_seed(self) -> dict[int, bool]:
         """Seed to whether the episode certainly succeeded."""
-        told = ((line.seed, self.certainly(line)) for line in self.counted)
+        told = ((line.seed, self.counts_as_success(line)) for line in self.counted)
         return {seed: found for seed, found in told if found is not None} if self._tells else {}
 
     @property
     def _tells(self) -> bool:
-        """Whether there is a success to speak of; where all episodes were spoilt, other cells of the run tell."""
+        """Whether success is defined; other cells of the run decide if all episodes are infrastructure errors."""
         is_silent = any(outcome(line) is None and line.failure != INFRASTRUCTURE for line in self.counted)
         return bool(self.outcomes) or (self.is_judged and not is_silent)
 
-    def certainly(self, line: Episode) -> bool | None:
-        """Return whether an episode of this cell succeeded beyond doubt (`certainly`)."""
-        return certainly(line, self.survived)
+    def counts_as_success(self, line: EpisodeRecord) -> bool | None:
+        """Return whether an episode of this cell succeeded beyond doubt (`counts_as_success`)."""
+        return counts_as_success(line, self.survived)
 
-    def score(self, line: Episode) -> float | None:
+    def score(self, line: EpisodeRecord) -> float | None:
         """Return the score of an episode of this cell; 0 where it was played again because the policy had died."""
         found = score(line)
         return found if found is None or line.index not in self.survived else 0.0
@@ -105,7 +105,7 @@ class Cell:
         outcomes = self.certain
         if not outcomes:
             return None
-        return Estimate(sum(outcomes) / len(outcomes), METHODS[method](sum(outcomes), len(outcomes)))
+        return Estimate(sum(outcomes) / len(outcomes), INTERVAL_METHODS[method](sum(outcomes), len(outcomes)))
 
     def mean_score(self) -> Estimate | None:
         """Return the mean score; None if no episode has one."""
@@ -113,23 +113,23 @@ class Cell:
         return Estimate(sum(scores) / len(scores), bootstrap(scores)) if scores else None
 
 
-def outcome(line: Ending) -> bool | None:
+def outcome(line: EpisodeOutcome) -> bool | None:
     """Return whether an episode succeeded, or None if that cannot be said."""
     if line.failure == INFRASTRUCTURE:
         return None
     return False if line.failure is not None else line.success
 
 
-def certainly(line: Episode, survived: Collection[int]) -> bool | None:
-    """Return whether an episode succeeded beyond doubt, or None if there is nothing to succeed at.
+def counts_as_success(line: EpisodeRecord, survived: Collection[int]) -> bool | None:
+    """Return whether an episode counts as a success, or None if the environment defines none.
 
-    Nobody gains by an attempt that ends without a verdict: an episode counts as failed where the infrastructure spoilt
-    it for good, for nobody can tell who was to blame, and where it succeeded only after the policy's process had died
-    in it.
+    An attempt without a result must not help a policy: an episode counts as failed if each of its attempts ended with
+    an infrastructure error, because the cause cannot be attributed, and if it succeeded only after the policy's process
+    had crashed in an earlier attempt.
 
     Args:
         line: the final line.
-        survived: episodes in an earlier attempt of which the policy's process had died (`survivors`).
+        survived: episodes in which the policy's process had crashed before (`retried_after_crash`).
     """
     if line.failure == INFRASTRUCTURE:
         return False
@@ -137,19 +137,19 @@ def certainly(line: Episode, survived: Collection[int]) -> bool | None:
     return found and line.index not in survived if found is not None else None
 
 
-def survivors(attempts: Iterable[Episode]) -> frozenset[int]:
+def retried_after_crash(attempts: Iterable[EpisodeRecord]) -> frozenset[int]:
     """Return the episodes that were played again because the policy's process had died."""
     return frozenset(line.index for line in attempts if line.failure == "policy" and not line.final)
 
 
-def score(line: Ending) -> float | None:
+def score(line: EpisodeOutcome) -> float | None:
     """Return an episode's score, or None if it has none; a policy that failed before there was one has 0."""
     if line.failure == INFRASTRUCTURE:
         return None
     return 0.0 if line.score is None and line.failure == "policy" else line.score
 
 
-def matched(first: Mapping[_Case, bool], second: Mapping[_Case, bool]) -> Pairs:
+def paired_counts(first: Mapping[_Case, bool], second: Mapping[_Case, bool]) -> Pairs:
     """Return how often both, one or none succeeded, of the cases that two have in common."""
     counts = Counter((first[case], second[case]) for case in first.keys() & second.keys())
     return Pairs(counts[True, True], counts[True, False], counts[False, True], counts[False, False])
@@ -160,7 +160,7 @@ def cells(run: Run) -> list[Cell]:
     places: dict[int, list[int]] = defaultdict(list)
     for slot in run.plan.slots():
         places[slot.cell].append(slot.index)
-    width, survived = run.plan.until_width, survivors(run.attempts)
+    width, survived = run.plan.until_width, retried_after_crash(run.attempts)
     is_judged = any(outcome(line) is not None for line in run.finals.values())
     found = [
         _cell(planned, [run.finals.get(index) for index in places[number]], width, survived)
@@ -170,13 +170,13 @@ def cells(run: Run) -> list[Cell]:
 
 
 def _cell(
-    planned: PlannedCell, finals: Sequence[Episode | None], width: float | None, survived: frozenset[int]
+    planned: PlannedCell, finals: Sequence[EpisodeRecord | None], width: float | None, survived: frozenset[int]
 ) -> Cell:
     played = [line for line in finals if line is not None]
     point = None
     if width is not None:
         leading = takewhile(lambda line: line is not None, finals)
-        point = stopping_point((certainly(line, survived) for line in leading if line is not None), width)
+        point = stopping_point((counts_as_success(line, survived) for line in leading if line is not None), width)
     counted = tuple(played if point is None else played[:point])
     return Cell(
         task=planned.task,

@@ -8,7 +8,7 @@ from xpl.vector import INFRASTRUCTURE
 from xpl_cli.isolation.isolation_settings import APART, ISOLATED, TRUSTED
 
 if TYPE_CHECKING:
-    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.model import EpisodeRecord
     from xpl_cli.evaluation.records.records import Run
 
 LAUNCHER: Final = "launcher"
@@ -38,10 +38,10 @@ def remark(run: Run) -> str | None:
     return "a benchmark's own launcher played and judged it, from which nothing here kept the adapter."
 
 
-def _is_launched(line: Episode, run: Run) -> bool:
+def _is_launched(line: EpisodeRecord, run: Run) -> bool:
     return line.containment is None and LAUNCHER in run.machines.get(line.machine, {})
 
 
-def _is_silent(line: Episode) -> bool:
+def _is_silent(line: EpisodeRecord) -> bool:
     """Tell whether an episode that was played does not say so; what is lost with its player cannot."""
     return line.containment not in (ISOLATED, APART) and line.failure != INFRASTRUCTURE

@@ -7,28 +7,28 @@ from typing import TYPE_CHECKING, Any
 
 from xpl.safety import FAR_FIRST_ACTION, NON_FINITE
 from xpl.vector import INFRASTRUCTURE
-from xpl_cli.evaluation.records.model import Ending
+from xpl_cli.evaluation.records.model import EpisodeOutcome
 
 if TYPE_CHECKING:
     from xpl.contract import Result
-    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.model import EpisodeRecord
 
 TASK, POLICY = "task", "policy"
 POLICY_ERROR, POLICY_DIED = "policy_error", "policy_died"
 """`end_reason` where the policy's side raised or answered with nonsense, and where its process ended or hung."""
 SUCCESS, MAX_STEPS = "success", "max_steps"
-MOST_SPOILT = 0.1
-"""Share of a run's episodes that the infrastructure may spoil; with more of them it is neither ranked nor bundled."""
+MAX_INFRASTRUCTURE_SHARE = 0.1
+"""Most infrastructure errors of a run, as a share of its episodes; with more it is neither ranked nor bundled."""
 SUCCESS_OF = {None: (True, None), TASK: (False,), POLICY: (False, None), INFRASTRUCTURE: (None,)}
 """What `success` may be for each class of failure."""
 _GUARDED = (FAR_FIRST_ACTION, NON_FINITE)
 _NO_SUCCESS = (None, MAX_STEPS, POLICY_ERROR, POLICY_DIED, INFRASTRUCTURE, *_GUARDED)
-_TOLD = {item.name for item in fields(Ending)} - {"failure", "error"}
+_TOLD = {item.name for item in fields(EpisodeOutcome)} - {"failure", "error"}
 _SPOILT: dict[str, Any] = {"success": None, "score": None, "failure": INFRASTRUCTURE, "end_reason": INFRASTRUCTURE}
 _UNFINISHED = "the evaluation loop returned before the episode had ended"
 
 
-def played(result: Result) -> Ending:
+def outcome_of(result: Result) -> EpisodeOutcome:
     """Return what an environment's result says of an episode whose loop returned.
 
     Whoever has nothing to succeed at (success None) has no failure either.
@@ -39,31 +39,31 @@ def played(result: Result) -> Ending:
     if told.success or told.success is None:
         return told
     if told.end_reason is None:
-        return failed(result, _UNFINISHED)
+        return policy_error(result, _UNFINISHED)
     if told.end_reason in _GUARDED:
         return replace(told, failure=POLICY, error=f"a guard ended the episode: {told.end_reason}")
     return replace(told, failure=TASK)
 
 
-def failed(result: Result, reason: str) -> Ending:
+def policy_error(result: Result, reason: str) -> EpisodeOutcome:
     """Return what is recorded where the policy broke an episode off: no success, and the score that it had come to."""
     return replace(_told(result), success=False, failure=POLICY, end_reason=POLICY_ERROR, error=reason)
 
 
-def died(result: Result, reason: str) -> Ending:
+def policy_crash(result: Result, reason: str) -> EpisodeOutcome:
     """Return what is recorded where a process that runs the adapter's code ended or hung: a failure of the policy.
 
     It may be played again, because machines do kill processes; an episode of which no attempt survives has failed.
     """
-    return replace(failed(result, reason), end_reason=POLICY_DIED)
+    return replace(policy_error(result, reason), end_reason=POLICY_DIED)
 
 
-def is_open(ending: Ending) -> bool:
+def may_retry(ending: EpisodeOutcome) -> bool:
     """Tell whether an attempt that ended so may be followed by another one."""
     return ending.failure == INFRASTRUCTURE or (ending.failure == POLICY and ending.end_reason == POLICY_DIED)
 
 
-def contradiction(ending: Episode) -> str | None:
+def contradiction(ending: EpisodeRecord) -> str | None:
     """Return in what an episode contradicts itself about success, or None."""
     if ending.success is False:
         return "did not succeed, but ended with success" if ending.end_reason == SUCCESS else None
@@ -81,11 +81,11 @@ def contradiction(ending: Episode) -> str | None:
     return None if found is None else f"succeeded, {found}"
 
 
-def spoilt(reason: str) -> Ending:
+def infrastructure_error(reason: str) -> EpisodeOutcome:
     """Return what is recorded where an attempt says nothing about the policy."""
-    return Ending(**_SPOILT, error=reason)
+    return EpisodeOutcome(**_SPOILT, error=reason)
 
 
-def _told(result: Result) -> Ending:
+def _told(result: Result) -> EpisodeOutcome:
     """Return what an environment says of an episode; whose failure it was is not for it to say."""
-    return Ending(**{name: result[name] for name in _TOLD if name in result})
+    return EpisodeOutcome(**{name: result[name] for name in _TOLD if name in result})

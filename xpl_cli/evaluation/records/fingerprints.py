@@ -27,7 +27,7 @@ _LEFTOVERS = frozenset({sdk.CHECKPOINT_DIRECTORY, "data", "logs", "results", "ru
 
 
 @dataclass(frozen=True)
-class Checkpoint:
+class LoadedCheckpoint:
     """What was loaded: its path, relative to the adapter where it lies in it, and the digest of its files."""
 
     path: str
@@ -60,7 +60,7 @@ def package_digest(folder: Path) -> str:
     return digest_of(parts)
 
 
-def checkpoint_of(package: Package, config: Config) -> Checkpoint | None:
+def checkpoint_of(package: Package, config: Config) -> LoadedCheckpoint | None:
     """Return path and digest of the checkpoint that a configuration leads to; None where it leads to none.
 
     Raises:
@@ -73,7 +73,7 @@ def checkpoint_of(package: Package, config: Config) -> Checkpoint | None:
     except checkpoint.CheckpointError:
         return None
     shown = path.relative_to(package.path) if path.is_relative_to(package.path) else path
-    return Checkpoint(shown.as_posix(), hashed(path)[0])
+    return LoadedCheckpoint(shown.as_posix(), hashed(path)[0])
 
 
 def machine_facts() -> Facts:

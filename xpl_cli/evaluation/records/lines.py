@@ -32,11 +32,11 @@ class LineError(ValueError):
     """A line that is none of a record; says why in one sentence."""
 
 
-class NotJsonError(LineError):
+class LineNotJsonError(LineError):
     """Bytes that are no JSON at all: what may be left of a line that a crash cut short."""
 
 
-def parsed(raw: bytes) -> Line:
+def parse_line(raw: bytes) -> Line:
     """Return a line, as the schema has it.
 
     Args:
@@ -51,7 +51,7 @@ def parsed(raw: bytes) -> Line:
     try:
         line: Any = json_text.parse(raw, finite=True)
     except json_text.NotJsonError:
-        raise NotJsonError("it is not JSON") from None
+        raise LineNotJsonError("it is not JSON") from None
     except json_text.JsonError as error:
         raise LineError(str(error)) from None
     kind = line.get("kind") if isinstance(line, dict) else None

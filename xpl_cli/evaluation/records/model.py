@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from xpl import _spec as sdk
-from xpl_cli.evaluation.records.fingerprints import Checkpoint, digest_of
+from xpl_cli.evaluation.records.fingerprints import LoadedCheckpoint, digest_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.lines import Line
 
 SCHEMA: Final = "xpl.record/1"
-Place = tuple[str, str]
+CellKey = tuple[str, str]
 """Task and setting."""
-Case = tuple[str, str, int]
+EpisodeKey = tuple[str, str, int]
 """Task, setting and seed."""
 
 
@@ -42,7 +42,7 @@ class PlannedPolicy:
     spec: str
     digest: str
     config: Config
-    checkpoint: Checkpoint | None = None
+    checkpoint: LoadedCheckpoint | None = None
 
     @property
     def variant(self) -> str | None:
@@ -71,7 +71,7 @@ class Control:
 
     Attributes:
         horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
-        attempts: how often an episode is played at most, where the infrastructure spoils it.
+        attempts: attempts at an episode at most, if infrastructure errors end them.
     """
 
     horizon: int | None
@@ -96,13 +96,13 @@ class PlannedCell:
     frozen: bool
 
     @property
-    def place(self) -> Place:
+    def place(self) -> CellKey:
         """Task and setting."""
         return self.task, self.setting
 
 
 @dataclass(frozen=True)
-class Slot:
+class PlannedEpisode:
     """The place of one episode in a plan.
 
     Attributes:
@@ -118,13 +118,13 @@ class Slot:
     seed: int
 
     @property
-    def case(self) -> Case:
+    def case(self) -> EpisodeKey:
         """What is played."""
         return self.task, self.setting, self.seed
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunPlan:
     """What a run plays, fixed before its first episode.
 
     Attributes:
@@ -149,7 +149,7 @@ class Plan:
         """Return the plan that the first line of a record describes."""
         policy, checkpoint = line["policy"], line["policy"]["checkpoint"]
         told = {key: value for key, value in line.items() if key not in ("kind", "schema")}
-        told["policy"] = PlannedPolicy(**{**policy, "checkpoint": checkpoint and Checkpoint(**checkpoint)})
+        told["policy"] = PlannedPolicy(**{**policy, "checkpoint": checkpoint and LoadedCheckpoint(**checkpoint)})
         told["environment"] = PlannedEnvironment(**line["environment"])
         told["control"] = Control(**line["control"])
         told["cells"] = [PlannedCell(**cell) for cell in line["cells"]]
@@ -163,14 +163,17 @@ class Plan:
         """Return the plan of a new run: with its name, and the present time."""
         return replace(self, run=name_of(self.as_json()), created=now())
 
-    def plays_the_same(self, other: Plan) -> bool:
+    def plays_the_same(self, other: RunPlan) -> bool:
         """Tell whether two runs play the same, whenever they were made."""
         return replace(self, run="", created="") == replace(other, run="", created="")
 
-    def slots(self) -> list[Slot]:
+    def slots(self) -> list[PlannedEpisode]:
         """Return the episodes, each at its index."""
         seeds = ((number, cell, seed) for number, cell in enumerate(self.cells) for seed in cell.seeds)
-        return [Slot(index, number, cell.task, cell.setting, seed) for index, (number, cell, seed) in enumerate(seeds)]
+        return [
+            PlannedEpisode(index, number, cell.task, cell.setting, seed)
+            for index, (number, cell, seed) in enumerate(seeds)
+        ]
 
 
 def name_of(line: Line) -> str:
@@ -199,7 +202,7 @@ class Inference:
 
 
 @dataclass(frozen=True)
-class File:
+class RecordedFile:
     """A file beside the record: its path below the run's folder, and its digest."""
 
     path: str
@@ -207,7 +210,7 @@ class File:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Attempt:
+class AttemptKey:
     """Which attempt at which episode: the episode's key, its place in the plan, and whether another one follows."""
 
     index: int
@@ -221,11 +224,11 @@ class Attempt:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ending:
+class EpisodeOutcome:
     """How an attempt ended.
 
     Attributes:
-        success: None where there is nothing to succeed at, or the infrastructure spoilt it.
+        success: None if the environment defines none, or after an infrastructure error.
         score: 0 to 1.
         failure: `task`, `policy`, `infrastructure`, or None.
         end_reason: `success`, `max_steps`, what a guard ended it for, or the environment's own reason.
@@ -254,7 +257,7 @@ class Ending:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Conduct:
+class AttemptExecution:
     """When an attempt was played, for how long, and by whom.
 
     Attributes:
@@ -276,7 +279,7 @@ class Conduct:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Episode(Conduct, Ending, Attempt):
+class EpisodeRecord(AttemptExecution, EpisodeOutcome, AttemptKey):
     """One attempt at one episode, as it is recorded; the last attempt is final, and the only one that counts.
 
     Attributes:
@@ -286,8 +289,8 @@ class Episode(Conduct, Ending, Attempt):
     """
 
     machine: str
-    trace: File | None = None
-    film: File | None = None
+    trace: RecordedFile | None = None
+    film: RecordedFile | None = None
 
     @classmethod
     def parse(cls, line: Line) -> Self:
@@ -306,17 +309,17 @@ class Episode(Conduct, Ending, Attempt):
         return {"kind": "episode", **told}
 
     @property
-    def place(self) -> Place:
+    def place(self) -> CellKey:
         """Task and setting."""
         return self.task, self.setting
 
     @property
-    def case(self) -> Case:
+    def case(self) -> EpisodeKey:
         """What was played."""
         return self.task, self.setting, self.seed
 
 
-_PARTS: Final[dict[str, type]] = {"inference": Inference, "trace": File, "film": File}
+_PARTS: Final[dict[str, type]] = {"inference": Inference, "trace": RecordedFile, "film": RecordedFile}
 _NULL: Final = frozenset(
     ("success", "score", "failure", "end_reason", sdk.Obs.INSTRUCTION, "layout", "digest", "worker", "server")
 )

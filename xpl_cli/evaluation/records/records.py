@@ -19,15 +19,15 @@ from typing import TYPE_CHECKING, Self
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.evaluation.records.failures import MOST_SPOILT, SUCCESS_OF, is_open
+from xpl_cli.evaluation.records.failures import MAX_INFRASTRUCTURE_SHARE, SUCCESS_OF, may_retry
 from xpl_cli.evaluation.records.fingerprints import Facts, digest_of
-from xpl_cli.evaluation.records.lines import Line, LineError, NotJsonError, parsed
-from xpl_cli.evaluation.records.model import SCHEMA, Episode, Plan, name_of
+from xpl_cli.evaluation.records.lines import Line, LineError, LineNotJsonError, parse_line
+from xpl_cli.evaluation.records.model import SCHEMA, EpisodeRecord, RunPlan, name_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from xpl_cli.evaluation.records.model import Slot
+    from xpl_cli.evaluation.records.model import PlannedEpisode
 
 FILE = "records.jsonl"
 _NEWLINE = b"\n"
@@ -57,23 +57,23 @@ class Run:
     """
 
     folder: Path
-    plan: Plan
+    plan: RunPlan
     machines: dict[str, Facts] = field(default_factory=dict)
-    attempts: list[Episode] = field(default_factory=list)
-    finals: dict[int, Episode] = field(default_factory=dict)
+    attempts: list[EpisodeRecord] = field(default_factory=list)
+    finals: dict[int, EpisodeRecord] = field(default_factory=dict)
     torn: bool = False
     skipped: tuple[str, ...] = ()
-    latest: dict[int, Episode] = field(default_factory=dict)
+    latest: dict[int, EpisodeRecord] = field(default_factory=dict)
 
     @property
-    def spoilt(self) -> int:
-        """Number of episodes that the infrastructure spoilt for good."""
+    def infrastructure_errors(self) -> int:
+        """Number of episodes that ended with an infrastructure error in every attempt."""
         return sum(line.failure == INFRASTRUCTURE for line in self.finals.values())
 
     @property
-    def is_spoilt(self) -> bool:
-        """Whether these are more than a run may have (`MOST_SPOILT`)."""
-        return self.spoilt > MOST_SPOILT * len(self.finals)
+    def has_too_many_infrastructure_errors(self) -> bool:
+        """Whether these are more than `MAX_INFRASTRUCTURE_SHARE` of the episodes."""
+        return self.infrastructure_errors > MAX_INFRASTRUCTURE_SHARE * len(self.finals)
 
 
 def read(path: Path, *, skip: bool = False) -> Run:
@@ -86,8 +86,8 @@ def read(path: Path, *, skip: bool = False) -> Run:
 
     Raises:
         NotFoundError: there is none.
-        RecordError: a line is none of a record, contradicts the plan or itself, plays an episode again that nothing
-            spoilt, or makes one final again.
+        RecordError: a line is invalid, contradicts the plan or itself, repeats an episode that may not be retried, or
+            gives an episode a second final line.
     """
     file = path if path.name == FILE else path / FILE
     bad: list[_BadLineError] = []
@@ -100,7 +100,7 @@ def read(path: Path, *, skip: bool = False) -> Run:
     return replace(found, skipped=tuple(map(str, bad)))
 
 
-class Unwritten:
+class InMemoryRecord:
     """Keeps a run in memory and nowhere else.
 
     Args:
@@ -110,7 +110,7 @@ class Unwritten:
         run: what was kept.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: RunPlan) -> None:
         self.run = Run(Path(), plan)
 
     def machine(self, facts: Facts) -> str:
@@ -119,12 +119,12 @@ class Unwritten:
         self.run.machines[name] = dict(facts)
         return name
 
-    def add(self, episode: Episode) -> None:
+    def add(self, episode: EpisodeRecord) -> None:
         """Add one attempt at an episode."""
         _take(episode, self.run)
 
 
-class Writer:
+class RecordWriter:
     """Adds lines to a run's record; nobody else may write to it meanwhile.
 
     A record that is there is continued: what a crash cut short is cut off.
@@ -140,7 +140,7 @@ class Writer:
         RecordError: the record is of another plan, damaged, being written by another process, or cannot be written.
     """
 
-    def __init__(self, folder: Path, plan: Plan) -> None:
+    def __init__(self, folder: Path, plan: RunPlan) -> None:
         self._file = folder / FILE
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -164,7 +164,7 @@ class Writer:
             self.run.machines[name] = dict(facts)
         return name
 
-    def add(self, episode: Episode) -> None:
+    def add(self, episode: EpisodeRecord) -> None:
         """Add one attempt at an episode; it is on the disk when this returns.
 
         Raises:
@@ -184,7 +184,7 @@ class Writer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _begin(self, folder: Path, plan: Plan) -> Run:
+    def _begin(self, folder: Path, plan: RunPlan) -> Run:
         """Lock the file, cut off what is torn, and return what it holds; a new one gets its first line."""
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -252,14 +252,14 @@ def _parse(file: Path, content: bytes, met: Callable[[_BadLineError], None]) -> 
     *whole, rest = content.split(_NEWLINE)
     torn, length = bool(rest), len(content) - len(rest)
     run: Run | None = None
-    places: Sequence[Slot] = ()
+    places: Sequence[PlannedEpisode] = ()
     for number, raw in enumerate(whole, 1):
         where = f"{file}, line {number}"
         try:
-            line = parsed(raw)
+            line = parse_line(raw)
         except LineError as error:
             # A machine that loses its power may keep a file's new length without all of its content.
-            if isinstance(error, NotJsonError) and number == len(whole) and not rest:
+            if isinstance(error, LineNotJsonError) and number == len(whole) and not rest:
                 return (None if run is None else _sorted(run, torn=True)), length - len(raw) - 1
             problem = _BadLineError(f"{where} is no line of {SCHEMA}: {error}", hint=_hint(number))
             if run is None:
@@ -292,18 +292,18 @@ def _sorted(run: Run, *, torn: bool) -> Run:
     return replace(run, finals=dict(sorted(run.finals.items())), torn=torn)
 
 
-def _plan(line: Line, where: str) -> Plan:
+def _plan(line: Line, where: str) -> RunPlan:
     if line["kind"] != "run":
         raise RecordError(f"{where} must be the plan of a run, of schema {SCHEMA}")
     if line["run"] != name_of(line):
         raise RecordError(f"{where}: the plan is not the one that the run is named after; it was changed")
-    plan = Plan.parse(line)
+    plan = RunPlan.parse(line)
     if len({cell.place for cell in plan.cells}) < len(plan.cells):
         raise RecordError(f"{where}: cells: expected each task once in each setting")
     return plan
 
 
-def _add(line: Line, places: Sequence[Slot], run: Run, where: str) -> None:
+def _add(line: Line, places: Sequence[PlannedEpisode], run: Run, where: str) -> None:
     """Add what a line after the first tells.
 
     Raises:
@@ -314,12 +314,12 @@ def _add(line: Line, places: Sequence[Slot], run: Run, where: str) -> None:
         return
     if line["kind"] != "episode":
         raise _BadLineError(f"{where} is neither a machine nor an episode")
-    episode = Episode.parse(line)
+    episode = EpisodeRecord.parse(line)
     _check(episode, places, run, where)
     _take(episode, run)
 
 
-def _check(episode: Episode, places: Sequence[Slot], run: Run, where: str) -> None:
+def _check(episode: EpisodeRecord, places: Sequence[PlannedEpisode], run: Run, where: str) -> None:
     """Raise a _BadLineError unless an episode may still be played."""
     index = episode.index
     if index >= len(places):
@@ -337,8 +337,8 @@ def _check(episode: Episode, places: Sequence[Slot], run: Run, where: str) -> No
         raise _BadLineError(
             f"{where}: attempt: expected {attempt} for episode {index}, at most {most}, got {episode.attempt}"
         )
-    if not episode.final and not is_open(episode):
-        raise _BadLineError(f"{where}: final: expected true, since nothing spoilt this attempt at episode {index}")
+    if not episode.final and not may_retry(episode):
+        raise _BadLineError(f"{where}: final: expected true: this attempt at episode {index} may not be retried")
     if episode.success not in SUCCESS_OF[episode.failure]:
         told, allowed = json.dumps(episode.success), SUCCESS_OF[episode.failure]
         raise _BadLineError(
@@ -347,7 +347,7 @@ def _check(episode: Episode, places: Sequence[Slot], run: Run, where: str) -> No
         )
 
 
-def _take(episode: Episode, run: Run) -> None:
+def _take(episode: EpisodeRecord, run: Run) -> None:
     run.attempts.append(episode)
     run.latest[episode.index] = episode
     if episode.final:

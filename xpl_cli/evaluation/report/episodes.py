@@ -13,7 +13,7 @@ from xpl_cli.basics.untrusted import in_table
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.model import EpisodeRecord
     from xpl_cli.evaluation.records.records import Run
 
 SUCCESS, NOT_JUDGED = "success", "not judged"
@@ -39,14 +39,14 @@ _COLUMNS = (
 _DIGEST_SHOWN = 12
 
 
-def verdict(episode: Episode) -> str:
+def verdict(episode: EpisodeRecord) -> str:
     """Return how an episode ended: success, a class of failure, or not judged."""
     if episode.failure is not None:
         return episode.failure
     return SUCCESS if episode.success else NOT_JUDGED
 
 
-def inference_seconds(episode: Episode) -> float | None:
+def inference_seconds(episode: EpisodeRecord) -> float | None:
     """Return the mean round trip of get_action, None where there was none."""
     inference = episode.inference
     return inference.seconds / inference.count if inference and inference.count else None
@@ -103,12 +103,12 @@ class _Pool:
         return known
 
 
-def _milliseconds(episode: Episode) -> float | None:
+def _milliseconds(episode: EpisodeRecord) -> float | None:
     seconds = inference_seconds(episode)
     return None if seconds is None else round(1000 * seconds, 2)
 
 
-def _row(episode: Episode) -> list[object]:
+def _row(episode: EpisodeRecord) -> list[object]:
     """Return the values of a line of the table."""
     success, inference = episode.success, episode.inference
     known = {

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.evaluation.report import figures
 from xpl_cli.evaluation.report.phrases import many, milliseconds
-from xpl_cli.evaluation.statistics.course import bin_edge
+from xpl_cli.evaluation.statistics.execution import bin_edge
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from xpl_cli.evaluation.records.model import Episode, File
+    from xpl_cli.evaluation.records.model import EpisodeRecord, RecordedFile
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.report.curves import Curves
 
@@ -90,7 +90,7 @@ def shown(run: Run, budget: int, link: str) -> dict[str, Shown]:
     return found
 
 
-def locate(folder: Path, file: File, kind: str) -> Path:
+def locate(folder: Path, file: RecordedFile, kind: str) -> Path:
     """Return where a film or curves of an episode lie.
 
     Raises:
@@ -106,7 +106,7 @@ def locate(folder: Path, file: File, kind: str) -> Path:
     return path
 
 
-def _piece(kind: str, path: Path, file: File, budget: int) -> tuple[Shown | None, int]:
+def _piece(kind: str, path: Path, file: RecordedFile, budget: int) -> tuple[Shown | None, int]:
     """Return a film or curves to embed, None where the budget does not bear them; and their size, 0 without a look."""
     if path.stat().st_size > budget:
         return None, 0
@@ -136,9 +136,9 @@ def _media_type(path: Path) -> str:
     return known
 
 
-def _in_turn(run: Run) -> Iterator[Episode]:
+def _in_turn(run: Run) -> Iterator[EpisodeRecord]:
     """Yield the episodes with a film or trace: of each cell in turn, and in each a failure and a success in turn."""
-    cells: dict[tuple[str, str], tuple[list[Episode], list[Episode]]] = {}
+    cells: dict[tuple[str, str], tuple[list[EpisodeRecord], list[EpisodeRecord]]] = {}
     for episode in run.finals.values():
         if episode.trace is not None or episode.film is not None:
             cell = cells.setdefault(episode.place, ([], []))
@@ -147,6 +147,6 @@ def _in_turn(run: Run) -> Iterator[Episode]:
         yield from filter(None, row)
 
 
-def _alternately(first: list[Episode], second: list[Episode]) -> Iterator[Episode]:
+def _alternately(first: list[EpisodeRecord], second: list[EpisodeRecord]) -> Iterator[EpisodeRecord]:
     for pair in itertools.zip_longest(first, second):
         yield from filter(None, pair)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from xpl_cli.evaluation.records import manner
+from xpl_cli.evaluation.records import run_mode
 from xpl_cli.evaluation.report.phrases import many
 from xpl_cli.evaluation.statistics import wording
 
@@ -41,7 +41,7 @@ def view(run: Run, summary: Summary) -> list[Pair]:
         ("", policy.digest, True),
         ("Checkpoint", checkpoint.path if checkpoint else "none declared or found", False),
         *([("", checkpoint.digest, True)] if checkpoint else []),
-        *([("Played", unusual, False)] if (unusual := manner.of(plan).sentence) else []),
+        *([("Played", unusual, False)] if (unusual := run_mode.run_mode_of(plan).description) else []),
         ("Environment", f"{environment.name}, spec {environment.spec}", False),
         ("", environment.digest, True),
         ("Embodiment", f"{plan.embodiment}, {plan.action_type} control", False),

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from xpl_cli import __version__
-from xpl_cli.evaluation.records import manner, stand_ins
+from xpl_cli.evaluation.records import run_mode, stand_ins
 from xpl_cli.evaluation.report import figures, latency, provenance
 from xpl_cli.evaluation.report.parts import (
     Bar,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.statistics.summaries import Course, Row, Summary
+    from xpl_cli.evaluation.statistics.summaries import ExecutionStats, Row, Summary
 
 _COLOURS = 5  # of settings, in page.css
 _MOST_REASONS = 8
@@ -48,15 +48,15 @@ def view(run: Run, summary: Summary, media_said: str) -> View:
         media_said: a sentence on films and curves.
     """
     overall = summary.overall
-    complete = not overall.unplayed
+    complete = not overall.remaining
     kinds = _kinds(summary)
     return View(
         title=f"{summary.policy} in {summary.environment}",
         policy=summary.policy,
         environment=summary.environment,
         complete=complete,
-        state="complete" if complete else f"{overall.played} of {overall.planned} episodes",
-        about=_about(summary, manner.of(run.plan).sentence),
+        state="complete" if complete else f"{overall.completed} of {overall.planned} episodes",
+        about=_about(summary, run_mode.run_mode_of(run.plan).description),
         headline=_headline(summary),
         facts=_facts(summary),
         confidence=wording.percent(summary.confidence),
@@ -65,10 +65,10 @@ def view(run: Run, summary: Summary, media_said: str) -> View:
         groups=_groups(summary, kinds),
         contrasts=_contrasts(summary, kinds),
         table=_table(summary, kinds),
-        notes=[*summary.notes, *summary.course.notes],
+        notes=[*summary.notes, *summary.execution.notes],
         failures=_failures(run, overall),
         corrections=_corrections(run, overall),
-        latency=latency.view(summary.course.inference),
+        latency=latency.view(summary.execution.inference),
         media_said=media_said,
         versions=provenance.view(run, summary),
         footer=f"Made by xpl {__version__} from the record of this run.",
@@ -107,26 +107,26 @@ def _headline(summary: Summary) -> Headline:
 
 
 def _facts(summary: Summary) -> list[Fact]:
-    overall, course = summary.overall, summary.course
-    failures, score, inference = overall.failures, overall.mean_score, course.inference
+    overall, execution = summary.overall, summary.execution
+    failures, score, inference = overall.failures, overall.mean_score, execution.inference
     known_score = wording.NOTHING if score is None else f"{score:.2f}"
     return [
         Fact("Mean score", known_score, between(overall.score_interval, 2)),
-        Fact("Task not achieved", str(failures["task"]), "played to the end"),
+        Fact("Task not achieved", str(failures["task"]), "ran to the end"),
         Fact("Failed by the policy", str(failures["policy"]), "error or stopped; no success"),
-        Fact("Spoilt by infrastructure", str(failures["infrastructure"]), _spoilt(overall, course)),
+        Fact("Infrastructure errors", str(failures["infrastructure"]), _bounds(overall, execution)),
         Fact("Action request", milliseconds(inference.p50), f"median; 95 % within {milliseconds(inference.p95)}"),
         Fact(
-            "Played for",
-            duration(course.wall_seconds),
-            f"all episodes together, {many(course.attempts, 'attempt')}",
+            "Run time",
+            duration(execution.wall_seconds),
+            f"all episodes together, {many(execution.attempts, 'attempt')}",
         ),
     ]
 
 
-def _spoilt(overall: Row, course: Course) -> str:
-    bounds = overall.if_spoilt
-    retried = f"{course.retried} played again" if course.retried else ""
+def _bounds(overall: Row, execution: ExecutionStats) -> str:
+    bounds = overall.infrastructure_bounds
+    retried = f"{execution.retried} run again" if execution.retried else ""
     if bounds is None:
         return retried or "nothing left out"
     return f"left out; {100 * bounds[0]:.1f} to {100 * bounds[1]:.1f} % if counted"
@@ -196,7 +196,7 @@ def _table(summary: Summary, kinds: Mapping[str, str]) -> Table:
         Named("Score", "number"),
         Named("Interval", "number"),
         Named("Policy", "number"),
-        Named("Spoilt", "number"),
+        Named("Infrastructure", "number"),
         Named("Steps", "number"),
     ]
     rows = []
@@ -209,7 +209,7 @@ def _table(summary: Summary, kinds: Mapping[str, str]) -> Table:
 
 def _cells(row: Row, kind: str) -> Sequence[str]:
     rate, score, failures = row.success_rate, row.mean_score, row.failures
-    episodes = str(row.judged) if not row.unplayed else f"{row.judged} of {row.planned}"
+    episodes = str(row.judged) if not row.remaining else f"{row.judged} of {row.planned}"
     return (
         row.task or "all tasks",
         row.setting or "all",
@@ -232,16 +232,16 @@ def _failures(run: Run, overall: Row) -> Failures:
         "task": failures["task"],
         "policy": failures["policy"],
         "infrastructure": failures["infrastructure"],
-        "not-judged": overall.played - overall.judged - failures["infrastructure"],
-        "unplayed": overall.unplayed,
+        "not-judged": overall.completed - overall.judged - failures["infrastructure"],
+        "remaining": overall.remaining,
     }
     names = {
         "success": "succeeded",
         "task": "task not achieved",
         "policy": "failed by the policy",
-        "infrastructure": "spoilt by the infrastructure",
+        "infrastructure": "infrastructure error",
         "not-judged": "nothing to succeed at",
-        "unplayed": "not played yet",
+        "remaining": "not run yet",
     }
     reasons = Counter(
         episode.error or episode.end_reason or "no reason given"
@@ -250,8 +250,8 @@ def _failures(run: Run, overall: Row) -> Failures:
     )
     return Failures(
         said=(
-            "Of all episodes that were planned. A policy that fails or is stopped has not succeeded; what the "
-            "infrastructure spoilt is played again within a bound, and then counts as failed."
+            "Of all planned episodes. An episode that the policy breaks or a guard stops has failed; one with an "
+            "infrastructure error is retried a limited number of times and then counts as failed."
         ),
         figure=figures.shares(counts, ", ".join(f"{names[kind]} {count}" for kind, count in counts.items())),
         parts=[Part(kind, names[kind], count) for kind, count in counts.items() if count],

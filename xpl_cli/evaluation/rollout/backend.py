@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
-from xpl_cli.evaluation.records.failures import spoilt
-from xpl_cli.evaluation.records.model import Conduct, now
+from xpl_cli.evaluation.records.failures import infrastructure_error
+from xpl_cli.evaluation.records.model import AttemptExecution, now
 
 if TYPE_CHECKING:
     from xpl_cli.evaluation.records.fingerprints import Facts
-    from xpl_cli.evaluation.records.model import Ending
+    from xpl_cli.evaluation.records.model import EpisodeOutcome
 
 LOCAL, RAY = "local", "ray"
 NAMES = (LOCAL, RAY)
@@ -69,8 +69,8 @@ class RolloutResult:
     """
 
     job: RolloutJob
-    ending: Ending
-    conduct: Conduct
+    ending: EpisodeOutcome
+    conduct: AttemptExecution
     facts: Facts = field(default_factory=dict)
     trace: bytes | None = None
     film: bytes | None = None
@@ -78,7 +78,7 @@ class RolloutResult:
 
 
 class Backend(Protocol):
-    """Plays jobs. Whether a spoilt one is played again is not its business."""
+    """Runs rollout jobs. The caller decides whether a failed attempt is retried."""
 
     def free(self) -> int:
         """Return how many more jobs can be played at once now."""
@@ -99,5 +99,5 @@ class Backend(Protocol):
 
 def lost_rollout(job: RolloutJob, reason: str, worker: str | None = None, facts: Facts | None = None) -> RolloutResult:
     """Return the outcome of a job whose player is gone."""
-    conduct = Conduct(started=now(), wall_seconds=0.0, worker=worker)
-    return RolloutResult(job, spoilt(reason), conduct, facts or {}, is_server_suspect=True)
+    conduct = AttemptExecution(started=now(), wall_seconds=0.0, worker=worker)
+    return RolloutResult(job, infrastructure_error(reason), conduct, facts or {}, is_server_suspect=True)

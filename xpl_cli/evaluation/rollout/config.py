@@ -103,7 +103,7 @@ class RolloutConfig:
         env_workers: processes that share them; 0 plays them in the lane's own.
         bounds: what the adapter's loop is kept from.
         demos: where episodes are kept as trajectories, and how; None for not at all.
-        instruction: what the policy is told instead of the instruction, one of `manner.INSTRUCTIONS`.
+        instruction: what the policy is told instead of the instruction, one of `run_mode.INSTRUCTIONS`.
     """
 
     policy: str

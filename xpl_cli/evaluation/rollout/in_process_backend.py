@@ -21,7 +21,7 @@ class ServerHandle(Protocol):
         """Return where it answers."""
 
     def drop(self) -> None:
-        """End it after an attempt that it may have spoilt."""
+        """End it after an attempt in which it may have failed."""
 
     def close(self) -> None:
         """End it."""

@@ -12,7 +12,7 @@ from xpl import _spec as sdk
 from xpl.observation import get_instruction
 from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl_cli.basics.errors import UserError
-from xpl_cli.evaluation.records.manner import BLANK
+from xpl_cli.evaluation.records.run_mode import BLANK
 from xpl_cli.evaluation.rollout.env_wrapper import TaskEnvWrapper
 from xpl_cli.evaluation.rollout.scene import InfrastructureError, reset_envs
 

@@ -88,7 +88,7 @@ class LocalBackend:
         return [told] if lane.is_sound else []
 
     def _dismiss(self, lane: _WorkerThread, told: RolloutResult) -> None:
-        """Do without a lane that can play no more: it would spoil job after job, and faster than others play them."""
+        """Remove a worker without a server: it would fail one job after the other, faster than others run them."""
         self._lanes.remove(lane)
         lane.end()
         if not self._lanes:
@@ -237,4 +237,4 @@ class _WorkerProcess:
             code = process.wait()
         assert process.stdin is not None  # noqa: S101 - for the type checker: PIPE was asked for
         process.stdin.close()
-        return f"the process that played it {spawn.how_it_ended(code)}"
+        return f"the process that played it {spawn.describe_exit(code)}"

@@ -95,12 +95,12 @@ class PolicyServerActor:
             return ActorUnavailable(f"the policy server does not start any more: {error}")
 
     def url_after_failure(self) -> str | Refusal | ActorUnavailable:
-        """Return where it answers, after an attempt that it may have spoilt."""
+        """Return its address, after an attempt in which it may have failed."""
         self.suspect()
         return self.url()
 
     def suspect(self) -> None:
-        """End it after an attempt that it may have spoilt, unless others use it, and it is well."""
+        """End it after an attempt in which it may have failed, unless others use it and it responds."""
         self._server.drop()
 
     def _check(self) -> None:

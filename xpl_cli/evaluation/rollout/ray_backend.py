@@ -230,7 +230,7 @@ class RayBackend:
             return []
         outcome: RolloutResult = told
         self._has_played = True
-        # What spoilt the attempt may have been the server: it says where it is now, or is, on another machine.
+        # The server may have failed: ask for its address, which may be on another machine now.
         if outcome.is_server_suspect and place.server is not None and place.server.url is not None:
             self._locate(place.server, place.server.actor.url_after_failure)
         return [outcome]
@@ -267,10 +267,10 @@ class RayBackend:
         return answer
 
     def _give_up(self, places: list[_RayWorker], why: ActorUnavailable) -> None:
-        """Do without lanes that would spoil whatever they are given.
+        """Remove workers that can run no job.
 
         Raises:
-            UserError: there are no others.
+            UserError: no worker is left.
         """
         console.note(f"the run goes on without {len(places)} of {len(self._places)} workers: {why.reason}")
         for place in places:

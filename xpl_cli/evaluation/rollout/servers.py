@@ -117,7 +117,7 @@ class ManagedServer:
         raise ServerLostError(failed[-1].reason)
 
     def drop(self) -> None:
-        """End it after an attempt that it may have spoilt; one that others use is left to them while it answers."""
+        """End it after an attempt in which it may have failed; a shared server that still responds keeps running."""
         running = self._running
         if not self._is_shared or (running is not None and not _answers(running.url)):
             self.close()

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from xpl.contract import Action, ObservationDict
     from xpl.environment import TaskEnv
-    from xpl_cli.evaluation.records.model import Ending
+    from xpl_cli.evaluation.records.model import EpisodeOutcome
     from xpl_cli.evaluation.rollout.backend import RolloutJob
     from xpl_cli.evaluation.rollout.config import RolloutConfig
 
@@ -34,7 +34,7 @@ def file_name(index: int) -> str:
     return f"episode_{index:07d}.hdf5"
 
 
-def is_kept(ending: Ending, keep: str) -> bool:
+def is_kept(ending: EpisodeOutcome, keep: str) -> bool:
     """Tell whether an episode is one to be kept."""
     return ending.failure in (None, "task") and (keep == ALL or bool(ending.success))
 
@@ -75,7 +75,7 @@ class TrajectoryRecorder(TaskEnvWrapper):
         self._failed: Exception | None = None
         self._writers: dict[int, trajectory.Writer] = {}
 
-    def keep(self, endings: Sequence[Ending]) -> None:
+    def keep(self, endings: Sequence[EpisodeOutcome]) -> None:
         """Put the files of the episodes that are to be kept in place.
 
         Args:
@@ -141,7 +141,7 @@ class TrajectoryRecorder(TaskEnvWrapper):
             privileged=demos.privileged,
         )
 
-    def _facts(self, job: RolloutJob, ending: Ending) -> dict[str, Any]:
+    def _facts(self, job: RolloutJob, ending: EpisodeOutcome) -> dict[str, Any]:
         """Return what is told of an episode: what was played by whom, and how it went."""
         orders = self._orders
         return {

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from xpl import Client
     from xpl.contract import Payload
-    from xpl_cli.evaluation.records.model import Ending
+    from xpl_cli.evaluation.records.model import EpisodeOutcome
     from xpl_cli.evaluation.rollout.config import EnvSettings
 
 _TOLD = ("success", "score", "steps", "end_reason")
@@ -36,7 +36,7 @@ def describe_case(settings: EnvSettings) -> Payload:
     }
 
 
-def describe_outcome(endings: Sequence[Ending]) -> Payload:
+def describe_outcome(endings: Sequence[EpisodeOutcome]) -> Payload:
     """Return what is told of how a trial went: of one episode as it is, of several as a list."""
     told = [{name: getattr(ending, name) for name in _TOLD} for ending in endings]
     return told[0] if len(told) == 1 else {"results": told}
@@ -56,7 +56,7 @@ def begin(client: Client, told: Payload) -> None:
             raise
 
 
-def end(client: Client, endings: Sequence[Ending]) -> bool:
+def end(client: Client, endings: Sequence[EpisodeOutcome]) -> bool:
     """Tell the policy how a trial went; return whether the connection can be used for the next one.
 
     The verdict stands whatever the policy's hook does: what it raises is told to whoever watches.

@@ -21,11 +21,11 @@ from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.environments.film import Reel
-from xpl_cli.evaluation.loop.desk import LoopError
-from xpl_cli.evaluation.loop.process import Loop, LoopLostError
+from xpl_cli.evaluation.loop.process import AdapterLoop, LoopLostError
+from xpl_cli.evaluation.loop.request_handler import LoopError
 from xpl_cli.evaluation.records import failures
 from xpl_cli.evaluation.records.fingerprints import machine_facts
-from xpl_cli.evaluation.records.model import Conduct, now
+from xpl_cli.evaluation.records.model import AttemptExecution, now
 from xpl_cli.evaluation.rollout import failure_attribution, trial
 from xpl_cli.evaluation.rollout.action_check import ActionCheckWrapper
 from xpl_cli.evaluation.rollout.backend import RolloutJob, RolloutResult
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
     from xpl.contract import Payload
     from xpl.environment import TaskEnv
-    from xpl_cli.evaluation.records.model import Ending
+    from xpl_cli.evaluation.records.model import EpisodeOutcome
 
 
 class RolloutWorker:
@@ -110,7 +110,7 @@ class RolloutWorker:
         watch, endings = self._played(jobs, url)
         took = round(time.perf_counter() - clock, 3)
         kept = self._orders.bounds.name
-        conduct = Conduct(started=started, wall_seconds=took, worker=self._worker, containment=kept)
+        conduct = AttemptExecution(started=started, wall_seconds=took, worker=self._worker, containment=kept)
         server = self._server()  # None where its connection was let go of
         outcomes = []
         for job, ending in zip(jobs, endings, strict=True):
@@ -143,7 +143,7 @@ class RolloutWorker:
         except LoopError as error:
             raise UserError(str(error), code=ExitCode.NOT_RUN) from None
 
-    def _own_loop(self) -> Loop:
+    def _own_loop(self) -> AdapterLoop:
         """Return the evaluation loop of the adapter, which is imported when it is to play.
 
         Raises:
@@ -152,7 +152,7 @@ class RolloutWorker:
         """
         policy = Path(self._orders.policy)
         with contextlib.ExitStack() as opened:
-            loop = Loop(policy, isolation=opened.enter_context(self._orders.bounds.around(policy)))
+            loop = AdapterLoop(policy, isolation=opened.enter_context(self._orders.bounds.around(policy)))
             opened.callback(loop.close)
             self._open = opened.pop_all()
         return loop
@@ -164,7 +164,7 @@ class RolloutWorker:
             disconnect(scene)
             scene.env.close()
 
-    def _played(self, jobs: Sequence[RolloutJob], url: str) -> tuple[TelemetryWrapper | None, list[Ending]]:
+    def _played(self, jobs: Sequence[RolloutJob], url: str) -> tuple[TelemetryWrapper | None, list[EpisodeOutcome]]:
         """Return who looked on, if it came to that, and what is recorded of each outcome."""
         watch = None
         try:
@@ -186,9 +186,9 @@ class RolloutWorker:
                 return watch, endings
         except InfrastructureError as error:
             self._drop()
-            return watch, [failures.spoilt(str(error))] * len(jobs)
+            return watch, [failures.infrastructure_error(str(error))] * len(jobs)
 
-    def _tried(self, watch: TelemetryWrapper, client: Client, jobs: Sequence[RolloutJob]) -> list[Ending]:
+    def _tried(self, watch: TelemetryWrapper, client: Client, jobs: Sequence[RolloutJob]) -> list[EpisodeOutcome]:
         """Announce a trial, judge it, and tell the policy how it went.
 
         Raises:
@@ -201,7 +201,7 @@ class RolloutWorker:
             self._drop()
         return endings
 
-    def _judged(self, watch: TelemetryWrapper, client: Client, count: int, told: Payload) -> list[Ending]:
+    def _judged(self, watch: TelemetryWrapper, client: Client, count: int, told: Payload) -> list[EpisodeOutcome]:
         """Run the loop and return how each episode went.
 
         Raises:
@@ -216,7 +216,7 @@ class RolloutWorker:
                 rollout.run_batch(watch, client, horizon=orders.horizon)
             else:
                 rollout.run_episode(watch, client, horizon=orders.horizon)
-            return [failures.played(result) for result in watch.results()[:count]]
+            return [failures.outcome_of(result) for result in watch.results()[:count]]
         except (ClientError, ActionError, LoopError) as error:
             broken: Exception = error
         except (ValueError, TypeError, AttributeError) as error:
@@ -227,7 +227,7 @@ class RolloutWorker:
             raise InfrastructureError(str(error)) from None
         return self._failed(watch, broken, count)
 
-    def _failed(self, watch: TelemetryWrapper, error: Exception, count: int) -> list[Ending]:
+    def _failed(self, watch: TelemetryWrapper, error: Exception, count: int) -> list[EpisodeOutcome]:
         """Return how episodes went that the policy's side broke off.
 
         Raises:
@@ -238,10 +238,10 @@ class RolloutWorker:
         if failure_attribution.is_policy_crash(error, url, self._tls):
             if not isinstance(error, LoopLostError):
                 self._drop()
-            return [failures.died(result, str(error)) for result in results]
+            return [failures.policy_crash(result, str(error)) for result in results]
         if isinstance(error, ClientError) and failure_attribution.is_infrastructure_error(error):
             raise InfrastructureError(str(error))
-        return [failures.failed(result, str(error)) for result in results]
+        return [failures.policy_error(result, str(error)) for result in results]
 
     def _ready(self, job: RolloutJob) -> RolloutScene:
         """Return the scene of a job.

@@ -24,7 +24,7 @@ from xpl_cli.evaluation.rollout import backends, trajectory_recorder
 from xpl_cli.evaluation.rollout.backend import LOCAL, BackendConfig
 from xpl_cli.evaluation.rollout.config import Runtime
 from xpl_cli.evaluation.runs import evaluate, plan, runner
-from xpl_cli.evaluation.runs.plan import Wishes
+from xpl_cli.evaluation.runs.plan import PlanRequest
 from xpl_cli.evaluation.runs.schedule import Schedule
 from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import environments, package
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from xpl.contract import Config
     from xpl_cli.basics.progress import Progress
-    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.model import EpisodeRecord
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.rollout.config import RecordingConfig
     from xpl_cli.packages.package import Package
@@ -47,7 +47,7 @@ _TRIES, _HOPELESS = 4, 20
 
 
 @dataclass(frozen=True)
-class Request:
+class RecordRequest:
     """What to record, and where it goes.
 
     Attributes:
@@ -87,29 +87,29 @@ class Request:
 
 
 @dataclass(frozen=True)
-class TaskSet:
+class TaskDemonstrations:
     """What a set holds of one task in one setting.
 
     Attributes:
         task, setting: of the environment.
-        episodes, wanted: how many are kept, and were to be.
-        tried: how many were played for them.
-        discarded, spoilt: of these, how many were not to be kept, and how many the infrastructure spoilt.
+        episodes, requested: numbers of saved and of requested episodes.
+        tried: episodes that were run for them.
+        discarded, infrastructure_errors: of these, not to be saved, and ended with an infrastructure error.
         steps: of the kept ones.
     """
 
     task: str
     setting: str
     episodes: int
-    wanted: int
+    requested: int
     tried: int
     discarded: int
-    spoilt: int
+    infrastructure_errors: int
     steps: int
 
 
 @dataclass(frozen=True)
-class Demonstrations:
+class DemonstrationSet:
     """What a set holds (`xpl.demonstrations/1`).
 
     Attributes:
@@ -128,7 +128,7 @@ class Demonstrations:
     action_type: str
     policy: str
     keep: str
-    tasks: Sequence[TaskSet]
+    tasks: Sequence[TaskDemonstrations]
     episodes: int
     steps: int
     bytes: int
@@ -136,21 +136,21 @@ class Demonstrations:
 
     @property
     def is_complete(self) -> bool:
-        """Whether there are as many episodes as were wanted."""
-        return all(task.episodes >= task.wanted for task in self.tasks)
+        """Whether there are as many episodes as were requested."""
+        return all(task.episodes >= task.requested for task in self.tasks)
 
     def text(self) -> str:
         """Return what the set holds, for people."""
         lines = []
         for task in self.tasks:
             rest = [f"{task.discarded} of {task.tried} tries discarded"] if task.discarded else []
-            rest += [f"{task.spoilt} spoilt by the infrastructure"] if task.spoilt else []
-            short = f" of {task.wanted} wanted" if task.episodes < task.wanted else ""
+            rest += [f"{task.infrastructure_errors} infrastructure errors"] if task.infrastructure_errors else []
+            short = f" of {task.requested} requested" if task.episodes < task.requested else ""
             lines.append(", ".join([f"{task.task}: {task.episodes} episodes{short}", f"{task.steps} steps", *rest]))
         return "\n".join([*lines, f"{self.folder}: {self.episodes} episodes, {self.bytes / 1e6:.1f} MB"])
 
 
-def collect(request: Request, progress: Progress) -> Demonstrations:
+def collect(request: RecordRequest, progress: Progress) -> DemonstrationSet:
     """Record until the set is complete, and return what it holds.
 
     Raises:
@@ -167,14 +167,16 @@ def collect(request: Request, progress: Progress) -> Demonstrations:
         )
     overrides, wishes = _asked(request)
     place = environments.find(request.environment)
-    planned = plan.make(adapter, place, adapter.config(overrides), wishes).plan
+    planned = plan.make_plan(adapter, place, adapter.config(overrides), wishes).plan
     bounds = IsolationSettings.here(adapter.path.parent, isolate=request.runtime.isolate)
-    lane_orders, server_orders = evaluate.orders(adapter, place, planned, request.runtime, bounds, demos=request.demos)
+    lane_orders, server_orders = evaluate.make_configs(
+        adapter, place, planned, request.runtime, bounds, demos=request.demos
+    )
     wanted = request.size if request.size is not None else lane_orders.settings.cameras or True
     lane_orders = replace(lane_orders, settings=replace(lane_orders.settings, cameras=wanted))
     _return_surplus(folder)
     began = time.monotonic()
-    with records.Writer(run, planned) as writer:
+    with records.RecordWriter(run, planned) as writer:
         keep = request.demos.keep
         schedule = Schedule(
             writer.run,
@@ -187,12 +189,12 @@ def collect(request: Request, progress: Progress) -> Demonstrations:
         if not schedule.is_done:
             room = BackendConfig(LOCAL, request.workers)
             with contextlib.closing(backends.make_backend(room, lane_orders, server_orders, schedule.left)) as backend:
-                shown = _View(writer.run, request, before, progress)
-                runner.play(writer, backend, schedule, shown, ahead=False)
+                shown = _RecordProgress(writer.run, request, before, progress)
+                runner.run_schedule(writer, backend, schedule, shown, ahead=False)
     return _summary(records.read(run), request, adapter.name, time.monotonic() - began)
 
 
-def _player(request: Request) -> Package:
+def _player(request: RecordRequest) -> Package:
     """Return who plays.
 
     Raises:
@@ -208,7 +210,7 @@ def _player(request: Request) -> Package:
     )
 
 
-def _asked(request: Request) -> tuple[Config, Wishes]:
+def _asked(request: RecordRequest) -> tuple[Config, PlanRequest]:
     """Return the keys of deploy.yml that the policy is given, and what is to be played."""
     first = None if request.tasks in (None, plan.ALL) else request.tasks.partition(",")[0]
     facts = environments.manifest(environments.find(request.environment))
@@ -225,7 +227,7 @@ def _asked(request: Request) -> tuple[Config, Wishes]:
         sdk.Deploy.ACTION_TYPE: what.action_type,
         **(request.overrides or {}),
     }
-    wishes = Wishes(
+    wishes = PlanRequest(
         request.tasks or what.task,
         what.setting,
         max(_SEEDS, _TRIES * request.episodes),
@@ -247,12 +249,12 @@ def _enough(wanted: int) -> Callable[[Sequence[bool | None]], bool]:
     return enough
 
 
-def _kept(run: Run, request: Request) -> list[list[Episode]]:
+def _kept(run: Run, request: RecordRequest) -> list[list[EpisodeRecord]]:
     """Return the episodes of each task that belong to the set: the first ones of the plan that are to be kept.
 
     Which these are does not depend on how many were played at once.
     """
-    cells: list[list[Episode]] = []
+    cells: list[list[EpisodeRecord]] = []
     for cell in run.plan.cells:
         mine = [line for line in run.finals.values() if line.place == cell.place]
         cells.append([line for line in mine if trajectory_recorder.is_kept(line, request.demos.keep)])
@@ -265,7 +267,7 @@ def _return_surplus(folder: Path) -> None:
         path.replace(folder / path.name)
 
 
-def _summary(run: Run, request: Request, player: str, seconds: float) -> Demonstrations:
+def _summary(run: Run, request: RecordRequest, player: str, seconds: float) -> DemonstrationSet:
     """Put aside what is too much, and return what the set holds."""
     folder = Path(request.demos.folder)
     tasks, files = [], []
@@ -280,17 +282,17 @@ def _summary(run: Run, request: Request, player: str, seconds: float) -> Demonst
         tried = [
             line for line in run.finals.values() if line.place == cell.place and (last is None or line.index <= last)
         ]
-        spoilt = sum(line.failure == INFRASTRUCTURE for line in tried)
+        errors = sum(line.failure == INFRASTRUCTURE for line in tried)
         files += [folder / trajectory_recorder.file_name(line.index) for line in mine]
         tasks.append(
-            TaskSet(
+            TaskDemonstrations(
                 task=cell.task,
                 setting=cell.setting,
                 episodes=len(mine),
-                wanted=request.episodes,
+                requested=request.episodes,
                 tried=len(tried),
-                discarded=len(tried) - len(mine) - spoilt,
-                spoilt=spoilt,
+                discarded=len(tried) - len(mine) - errors,
+                infrastructure_errors=errors,
                 steps=sum(line.steps or 0 for line in mine),
             )
         )
@@ -298,7 +300,7 @@ def _summary(run: Run, request: Request, player: str, seconds: float) -> Demonst
     if len(there) < len(files):
         lost = next(path for path in files if path not in there)
         raise UserError(f"{lost} was recorded and is not there any more", code=ExitCode.NOT_RUN)
-    return Demonstrations(
+    return DemonstrationSet(
         folder=str(folder),
         environment=run.plan.environment.name,
         embodiment=run.plan.embodiment,
@@ -313,14 +315,14 @@ def _summary(run: Run, request: Request, player: str, seconds: float) -> Demonst
     )
 
 
-class _View:
+class _RecordProgress:
     """One line that says how far it is."""
 
-    def __init__(self, run: Run, request: Request, before: int, progress: Progress) -> None:
+    def __init__(self, run: Run, request: RecordRequest, before: int, progress: Progress) -> None:
         self._run, self._request, self._before, self._progress = run, request, before, progress
         self._began: float | None = None
 
-    def add(self, line: Episode, left: int) -> None:  # noqa: ARG002 - as every view
+    def add(self, line: EpisodeRecord, left: int) -> None:  # noqa: ARG002 - as every view
         """Say how far it is."""
         if self._began is None:  # models are loaded by now
             self._began = time.monotonic() - line.wall_seconds

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.records import manner, records
-from xpl_cli.evaluation.records.manner import Manner
+from xpl_cli.evaluation.records import records, run_mode
+from xpl_cli.evaluation.records.run_mode import RunMode
 from xpl_cli.evaluation.rollout import backends
 from xpl_cli.evaluation.rollout.backend import LOCAL, BackendConfig
 from xpl_cli.evaluation.rollout.config import RolloutConfig, Runtime, ServerAccess
@@ -17,10 +17,10 @@ from xpl_cli.evaluation.rollout.in_process_backend import ExternalServer, InProc
 from xpl_cli.evaluation.rollout.local_backend import LocalBackend
 from xpl_cli.evaluation.rollout.servers import ManagedServer, ServerConfig
 from xpl_cli.evaluation.runs import plan, runner, stopping
-from xpl_cli.evaluation.runs.plan import Wishes
+from xpl_cli.evaluation.runs.plan import PlanRequest
+from xpl_cli.evaluation.runs.progress import show_progress
 from xpl_cli.evaluation.runs.schedule import Schedule
 from xpl_cli.evaluation.runs.settings import environment_for, environment_settings
-from xpl_cli.evaluation.runs.view import view
 from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages import environments
 
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl.contract import Announcement, Config
-    from xpl_cli.evaluation.records.model import Plan
+    from xpl_cli.evaluation.records.model import RunPlan
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.rollout.backend import Backend
     from xpl_cli.evaluation.rollout.config import RecordingConfig
     from xpl_cli.evaluation.rollout.in_process_backend import ServerHandle
-    from xpl_cli.evaluation.runs.remote import Remote
+    from xpl_cli.evaluation.runs.remote import RemoteServer
     from xpl_cli.packages.package import Package
 
 
 @dataclass(frozen=True)
-class Request:
+class EvalRequest:
     """What to evaluate, and where the record goes.
 
     Attributes:
@@ -57,19 +57,19 @@ class Request:
         num_envs: episodes at once, in one batch; None on resuming: the record's, or 1.
         env_workers: processes that share a batch.
         demos: where episodes are kept as trajectories, too, and how.
-        instruction: what the policy is told instead of the instruction, one of `manner.INSTRUCTIONS`.
+        instruction: what the policy is told instead of the instruction, one of `run_mode.INSTRUCTIONS`.
     """
 
     package: Package
     environment: str | None
     out: Path
-    wishes: Wishes | None
+    wishes: PlanRequest | None
     resume: bool = False
     room: BackendConfig = field(default_factory=BackendConfig)
     films: int = 1
     overrides: Config = field(default_factory=dict)
     runtime: Runtime = field(default_factory=Runtime)
-    remote: Remote | None = None
+    remote: RemoteServer | None = None
     announced: Announcement | None = None
     num_envs: int | None = None
     env_workers: int = 1
@@ -77,7 +77,7 @@ class Request:
     instruction: str | None = None
 
 
-def evaluate(request: Request) -> Run:
+def evaluate(request: EvalRequest) -> Run:
     """Play what the record still lacks, and return the run.
 
     Raises:
@@ -93,7 +93,7 @@ def evaluate(request: Request) -> Run:
             f"{request.out} holds a recorded run already", hint="continue it with --resume, or choose another --out"
         )
     folder, planned = _planned(request)
-    lane_orders, server_orders = orders(
+    lane_orders, server_orders = make_configs(
         request.package,
         folder,
         planned,
@@ -102,7 +102,7 @@ def evaluate(request: Request) -> Run:
         env_workers=request.env_workers,
         demos=request.demos,
     )
-    with records.Writer(request.out, planned) as writer:
+    with records.RecordWriter(request.out, planned) as writer:
         run, is_batch = writer.run, lane_orders.num_envs > 1
         # What is seen of a batch is not told apart by its episodes: it has neither films nor curves.
         schedule = Schedule(run, 0 if is_batch else request.films, _enough(run.plan.until_width), traced=not is_batch)
@@ -110,27 +110,27 @@ def evaluate(request: Request) -> Run:
             return records.read(request.out)
         with (
             contextlib.closing(_backend(request, lane_orders, server_orders, schedule.left)) as backend,
-            view(run, schedule.left) as shown,
+            show_progress(run, schedule.left) as shown,
         ):
-            runner.play(writer, backend, schedule, shown)
+            runner.run_schedule(writer, backend, schedule, shown)
     return records.read(request.out)
 
 
-def _planned(request: Request) -> tuple[Path, Plan]:
+def _planned(request: EvalRequest) -> tuple[Path, RunPlan]:
     """Return the folder of the environment, and the plan: the record's where the request leaves it to that."""
     if request.wishes is None and (request.out / records.FILE).exists():
         recorded = records.read(request.out).plan
         folder = environments.find(request.environment or recorded.environment.name)
-        before = manner.of(recorded)
+        before = run_mode.run_mode_of(recorded)
         if before.announced is not None and request.remote is None:
             raise UserError("a policy server that somebody else runs began this run: name it with --connect")
         count = before.num_envs if request.num_envs is None else request.num_envs
         how = replace(before, num_envs=count, announced=request.announced)
-        return folder, plan.renewed(recorded, request.package, folder, how)
+        return folder, plan.refreshed_plan(recorded, request.package, folder, how)
     folder = environments.find(request.environment or environment_for())
     config = request.package.config(request.overrides)
-    how = Manner(request.num_envs or 1, request.announced, request.instruction)
-    planned = plan.make(request.package, folder, config, request.wishes or Wishes(), how)
+    how = RunMode(request.num_envs or 1, request.announced, request.instruction)
+    planned = plan.make_plan(request.package, folder, config, request.wishes or PlanRequest(), how)
     for task, reason in planned.left_out.items():
         console.note(f"{task} is left out: {planned.plan.embodiment} cannot play it ({reason})")
     return folder, planned.plan
@@ -147,7 +147,7 @@ def _enough(width: float | None) -> Callable[[Sequence[bool | None]], bool]:
     return enough
 
 
-def _backend(request: Request, lane_orders: RolloutConfig, server_orders: ServerConfig, episodes: int) -> Backend:
+def _backend(request: EvalRequest, lane_orders: RolloutConfig, server_orders: ServerConfig, episodes: int) -> Backend:
     """Return what plays a run.
 
     Raises:
@@ -158,14 +158,14 @@ def _backend(request: Request, lane_orders: RolloutConfig, server_orders: Server
         return backends.make_backend(request.room, lane_orders, server_orders, episodes)
     if request.room.backend != LOCAL:
         raise UserError(f"--backend {request.room.backend} starts its own servers, and plays each episode alone")
-    server, access = reached(remote, server_orders)
+    server, access = policy_server(remote, server_orders)
     if lane_orders.num_envs > 1:
         return InProcessBackend(lane_orders, server, access)
     lanes = min(request.room.lanes or 1, max(1, episodes))
     return LocalBackend(lane_orders, [(server, access)] * lanes)
 
 
-def reached(remote: Remote | None, server_orders: ServerConfig) -> tuple[ServerHandle, ServerAccess]:
+def policy_server(remote: RemoteServer | None, server_orders: ServerConfig) -> tuple[ServerHandle, ServerAccess]:
     """Return who answers for the policy, and how it is reached.
 
     Args:
@@ -178,10 +178,10 @@ def reached(remote: Remote | None, server_orders: ServerConfig) -> tuple[ServerH
     return ExternalServer(remote.url), ServerAccess(remote.token, is_patient=True, ca_file=remote.ca_file)
 
 
-def orders(  # noqa: PLR0913 - all that travels with a run
+def make_configs(  # noqa: PLR0913 - all that travels with a run
     package: Package,
     folder: Path,
-    planned: Plan,
+    planned: RunPlan,
     runtime: Runtime,
     bounds: IsolationSettings,
     *,
@@ -202,7 +202,7 @@ def orders(  # noqa: PLR0913 - all that travels with a run
     Raises:
         UserError: the environment does not have what the plan asks for.
     """
-    config, how = manner.without(planned.policy.config), manner.of(planned)
+    config, how = run_mode.without_run_mode(planned.policy.config), run_mode.run_mode_of(planned)
     cell = planned.cells[0]
     settings = environment_settings(package, str(folder), config, task=cell.task, setting=cell.setting)
     lane_orders = RolloutConfig(
@@ -233,21 +233,22 @@ def orders(  # noqa: PLR0913 - all that travels with a run
     return lane_orders, server_orders
 
 
-def _bounds(request: Request) -> IsolationSettings:
+def _bounds(request: EvalRequest) -> IsolationSettings:
     """Return what the adapter is kept from; on a cluster only what was asked for, for each machine has its own."""
     if request.room.backend != LOCAL:
         return IsolationSettings(isolate=request.runtime.isolate)
     return IsolationSettings.here(request.package.path.parent, isolate=request.runtime.isolate)
 
 
-def check(run: Run) -> None:
-    """Raise where a run does not say all that it was made for.
+def check_complete(run: Run) -> None:
+    """Raise where episodes of a run ended with an infrastructure error.
 
     Raises:
-        UserError: episodes were spoilt by the infrastructure for good.
+        UserError: some did, after all of their attempts.
     """
-    if run.spoilt:
+    if run.infrastructure_errors:
         raise UserError(
-            f"{run.spoilt} of {len(run.finals)} episodes were spoilt by the infrastructure, and count as failed",
+            f"{run.infrastructure_errors} of {len(run.finals)} episodes ended with an infrastructure error and count "
+            "as failed",
             code=ExitCode.NOT_RUN,
         )

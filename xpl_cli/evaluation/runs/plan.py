@@ -11,8 +11,8 @@ from xpl import get_embodiment
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.environments import check, play
 from xpl_cli.evaluation.records.fingerprints import checkpoint_of, digest_of, package_digest
-from xpl_cli.evaluation.records.manner import Manner, without
-from xpl_cli.evaluation.records.model import Control, Plan, PlannedCell, PlannedEnvironment, PlannedPolicy
+from xpl_cli.evaluation.records.model import Control, PlannedCell, PlannedEnvironment, PlannedPolicy, RunPlan
+from xpl_cli.evaluation.records.run_mode import RunMode, without_run_mode
 from xpl_cli.evaluation.runs.stopping import episodes_needed
 from xpl_cli.packages import environments, robots
 from xpl_cli.standard import spec
@@ -30,7 +30,7 @@ ATTEMPTS = 3
 
 
 @dataclass(frozen=True)
-class Wishes:
+class PlanRequest:
     """What of an environment is to be played.
 
     Attributes:
@@ -53,7 +53,7 @@ class Wishes:
 
 
 @dataclass(frozen=True)
-class Planned:
+class NewPlan:
     """A plan, and what it leaves out.
 
     Attributes:
@@ -61,11 +61,13 @@ class Planned:
         left_out: tasks that the robot cannot play, with the reason.
     """
 
-    plan: Plan
+    plan: RunPlan
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def make(package: Package, folder: Path, config: Config, wishes: Wishes, manner: Manner | None = None) -> Planned:
+def make_plan(
+    package: Package, folder: Path, config: Config, wishes: PlanRequest, manner: RunMode | None = None
+) -> NewPlan:
     """Return the plan of a run.
 
     Args:
@@ -84,8 +86,8 @@ def make(package: Package, folder: Path, config: Config, wishes: Wishes, manner:
     tasks, left_out = tasks_of(facts, wishes.tasks or config.get(sdk.Deploy.TASK_NAME), robot)
     settings = _names("setting", wishes.settings, facts.settings)
     cells = [_cell(folder, facts, task, setting, wishes) for task in tasks for setting in settings]
-    plan = Plan(
-        policy=_served_from(package, spec.VERSION, {**config, **robots.described(robot)}, manner or Manner()),
+    plan = RunPlan(
+        policy=_served_from(package, spec.VERSION, {**config, **robots.described(robot)}, manner or RunMode()),
         environment=PlannedEnvironment(facts.name, spec.VERSION, package_digest(folder)),
         embodiment=robot,
         action_type=config[sdk.Deploy.ACTION_TYPE],
@@ -93,23 +95,23 @@ def make(package: Package, folder: Path, config: Config, wishes: Wishes, manner:
         cells=cells,
         until_width=wishes.until_width,
     )
-    return Planned(plan.named(), left_out)
+    return NewPlan(plan.named(), left_out)
 
 
-def renewed(recorded: Plan, package: Package, folder: Path, manner: Manner) -> Plan:
+def refreshed_plan(recorded: RunPlan, package: Package, folder: Path, manner: RunMode) -> RunPlan:
     """Return the plan of a record as it would be made today: with the digests of what is there now."""
-    policy = _served_from(package, recorded.policy.spec, without(recorded.policy.config), manner)
+    policy = _served_from(package, recorded.policy.spec, without_run_mode(recorded.policy.config), manner)
     environment = replace(recorded.environment, digest=package_digest(folder))
     return replace(recorded, policy=policy, environment=environment).named()
 
 
-def _served_from(package: Package, version: str, config: Config, manner: Manner) -> PlannedPolicy:
+def _served_from(package: Package, version: str, config: Config, manner: RunMode) -> PlannedPolicy:
     """Return what a plan says of what answers for the policy: files, or what a foreign server announced."""
     if manner.announced is not None:
         digest = digest_of(dict(manner.announced))
-        return PlannedPolicy(package.name, version, digest, manner.written_in(config))
+        return PlannedPolicy(package.name, version, digest, manner.add_to(config))
     digest, checkpoint = package_digest(package.path), checkpoint_of(package, config)
-    return PlannedPolicy(package.name, version, digest, manner.written_in(config), checkpoint)
+    return PlannedPolicy(package.name, version, digest, manner.add_to(config), checkpoint)
 
 
 def tasks_of(facts: EnvManifest, wanted: str | None, robot: str) -> tuple[list[str], dict[str, str]]:
@@ -162,12 +164,12 @@ def _require_once(what: str, wanted: str, names: Sequence[str]) -> None:
         raise UserError(f"--{what} {wanted} names one of them twice")
 
 
-def _cell(folder: Path, facts: EnvManifest, task: str, setting: str, wishes: Wishes) -> PlannedCell:
+def _cell(folder: Path, facts: EnvManifest, task: str, setting: str, wishes: PlanRequest) -> PlannedCell:
     seeds, frozen = _seeds(folder, task, setting, wishes)
     return PlannedCell(task, setting, facts.tasks[task].dimension, seeds, frozen)
 
 
-def _seeds(folder: Path, task: str, setting: str, wishes: Wishes) -> tuple[list[int], bool]:
+def _seeds(folder: Path, task: str, setting: str, wishes: PlanRequest) -> tuple[list[int], bool]:
     """Return the seeds of a cell, and whether they are the environment's evaluation seeds."""
     count = wishes.episodes
     most = episodes_needed(wishes.until_width) if count is None and wishes.until_width is not None else count or 1

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Part:
+class SeedCoverage:
     """What a plan plays of the evaluation seeds of one task in one setting.
 
     Attributes:
@@ -40,7 +40,7 @@ class Part:
         return f"{self.seeds} of {self.of} evaluation seeds of {self.task} ({self.setting})"
 
 
-def parts(folder: Path, cells: Sequence[PlannedCell]) -> list[Part]:
+def seed_coverage(folder: Path, cells: Sequence[PlannedCell]) -> list[SeedCoverage]:
     """Return what a plan plays of the protocol, task by task; nothing of environments that have no evaluation seeds.
 
     Args:
@@ -51,12 +51,12 @@ def parts(folder: Path, cells: Sequence[PlannedCell]) -> list[Part]:
         return []
     facts = environments.manifest(folder)
     return [
-        Part(cell.task, cell.setting, len(cell.seeds), len(check.seeds(folder, cell.task, cell.setting, facts)))
+        SeedCoverage(cell.task, cell.setting, len(cell.seeds), len(check.seeds(folder, cell.task, cell.setting, facts)))
         for cell in cells
     ]
 
 
-def fault(folder: Path, cell: PlannedCell) -> str | None:
+def seed_error(folder: Path, cell: PlannedCell) -> str | None:
     """Return why the seeds of a cell are not what an evaluation plays; None where they are.
 
     An evaluation plays evaluation seeds one after the other, from a place that `--seed` names: a choice among them

@@ -25,7 +25,7 @@ _POLICY = "policy"
 
 
 @dataclass(frozen=True)
-class Remote:
+class RemoteServer:
     """How to reach a policy server that runs already.
 
     Attributes:
@@ -39,7 +39,7 @@ class Remote:
     ca_file: Path | None = None
 
 
-def announced(remote: Remote, config: Config) -> Announcement:
+def fetch_announcement(remote: RemoteServer, config: Config) -> Announcement:
     """Connect to a server, and return what it says of itself and of its policy.
 
     A server that announces nothing, as those of other makes, still tells its generation.
@@ -62,7 +62,7 @@ def announced(remote: Remote, config: Config) -> Announcement:
         raise UserError(f"{remote.url}: {error}", code=ExitCode.NOT_RUN) from None
 
 
-def package_of(name: str, told: Announcement | None, overrides: Config) -> Package:
+def resolve_package(name: str, told: Announcement | None, overrides: Config) -> Package:
     """Return an adapter, or what stands for it where it is served elsewhere and its package is not here.
 
     Args:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Protocol
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.records.failures import is_open
-from xpl_cli.evaluation.records.model import Episode, File
+from xpl_cli.evaluation.records.failures import may_retry
+from xpl_cli.evaluation.records.model import EpisodeRecord, RecordedFile
 from xpl_cli.evaluation.records.records import RecordError
 
 if TYPE_CHECKING:
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl_cli.evaluation.records.fingerprints import Facts
-    from xpl_cli.evaluation.records.model import Plan
+    from xpl_cli.evaluation.records.model import RunPlan
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.rollout.backend import Backend, RolloutJob, RolloutResult
     from xpl_cli.evaluation.runs.schedule import Schedule
 
 TRACES, FILMS = "traces", "films"
 _PATIENCE = 4
-"""A run stops after so many times the attempts of one episode, spoilt in a row."""
+"""A run stops after this many times the attempts of one episode, all infrastructure errors in a row."""
 
 
 class Sink(Protocol):
@@ -44,18 +44,18 @@ class Sink(Protocol):
     def machine(self, facts: Facts) -> str:
         """Return the digest of a machine's facts."""
 
-    def add(self, line: Episode) -> None:
+    def add(self, line: EpisodeRecord) -> None:
         """Add one attempt at an episode."""
 
 
-class View(Protocol):
+class ProgressView(Protocol):
     """Shows how far a run has come."""
 
-    def add(self, line: Episode, left: int) -> None:
+    def add(self, line: EpisodeRecord, left: int) -> None:
         """Show a line that was recorded, and how many episodes are not final yet; may raise to end the run."""
 
 
-def play(writer: Sink, backend: Backend, schedule: Schedule, view: View, *, ahead: bool = True) -> None:
+def run_schedule(writer: Sink, backend: Backend, schedule: Schedule, view: ProgressView, *, ahead: bool = True) -> None:
     """Play until nothing is left.
 
     Args:
@@ -84,13 +84,13 @@ def play(writer: Sink, backend: Backend, schedule: Schedule, view: View, *, ahea
                 outage.ended(outcome.job, line)
         if outage.is_lasting and not schedule.is_done:
             raise UserError(
-                f"{outage.spoilt} attempts in a row were spoilt by the infrastructure, the last one so: {outage.error}",
-                hint="put that right, and go on with --resume",
+                f"{outage.errors} attempts in a row ended with an infrastructure error, the last one: {outage.error}",
+                hint="fix the cause and continue with --resume",
                 code=ExitCode.NOT_RUN,
             )
 
 
-def replay(plan: Plan, jobs: Sequence[RolloutJob], backend: Backend) -> Iterator[Episode]:
+def rerun_episodes(plan: RunPlan, jobs: Sequence[RolloutJob], backend: Backend) -> Iterator[EpisodeRecord]:
     """Play episodes and yield their lines, as they would be recorded but for machine and files; nothing is written."""
     waiting = list(reversed(jobs))
     playing: set[RolloutJob] = set()
@@ -112,7 +112,7 @@ def _submit(backend: Backend, schedule: Schedule, outage: _Outage) -> None:
 
 
 class _Outage:
-    """Attempts that were spoilt one after the other; those that had begun before one that went well do not count.
+    """Infrastructure errors in a row; attempts that began before a later successful one do not count.
 
     Args:
         most: so many are an outage.
@@ -122,32 +122,32 @@ class _Outage:
         self._most = most
         self._open: dict[RolloutJob, int] = {}
         self._begun = self._sound = 0
-        self.spoilt, self.error = 0, ""
+        self.errors, self.error = 0, ""
 
     @property
     def is_lasting(self) -> bool:
         """Whether there is no sense in going on."""
-        return self.spoilt >= self._most
+        return self.errors >= self._most
 
     def began(self, job: RolloutJob) -> None:
         """Note that an attempt begins."""
         self._begun += 1
         self._open[job] = self._begun
 
-    def ended(self, job: RolloutJob, line: Episode) -> None:
+    def ended(self, job: RolloutJob, line: EpisodeRecord) -> None:
         """Note how an attempt ended."""
         begun = self._open.pop(job)
         if line.failure != INFRASTRUCTURE:
-            self._sound, self.spoilt = self._begun, 0
+            self._sound, self.errors = self._begun, 0
         elif begun > self._sound:
-            self.spoilt, self.error = self.spoilt + 1, str(line.error)
+            self.errors, self.error = self.errors + 1, str(line.error)
 
 
-def _record(writer: Sink, outcome: RolloutResult, attempts: int) -> Episode:
+def _record(writer: Sink, outcome: RolloutResult, attempts: int) -> EpisodeRecord:
     """Write an attempt down, its files first, and return its line."""
     job, plan, folder = outcome.job, writer.run.plan, writer.run.folder
     found = replace(
-        _episode(plan, outcome, final=not is_open(outcome.ending) or job.attempt >= attempts),
+        _episode(plan, outcome, final=not may_retry(outcome.ending) or job.attempt >= attempts),
         machine=writer.machine(outcome.facts),
         trace=_beside(folder, f"{TRACES}/{job.index}.npz", outcome.trace),
         film=_beside(folder, f"{FILMS}/{job.index}.webp", outcome.film),
@@ -156,10 +156,10 @@ def _record(writer: Sink, outcome: RolloutResult, attempts: int) -> Episode:
     return found
 
 
-def _episode(plan: Plan, outcome: RolloutResult, *, final: bool) -> Episode:
+def _episode(plan: RunPlan, outcome: RolloutResult, *, final: bool) -> EpisodeRecord:
     """Return an attempt as it is recorded, but for machine and files."""
     job = outcome.job
-    return Episode(
+    return EpisodeRecord(
         index=job.index,
         attempt=job.attempt,
         final=final,
@@ -174,7 +174,7 @@ def _episode(plan: Plan, outcome: RolloutResult, *, final: bool) -> Episode:
     )
 
 
-def _beside(folder: Path, name: str, content: bytes | None) -> File | None:
+def _beside(folder: Path, name: str, content: bytes | None) -> RecordedFile | None:
     """Write a file of a run, where there is something to write, and return what its line says of it."""
     if content is None:
         return None
@@ -186,4 +186,4 @@ def _beside(folder: Path, name: str, content: bytes | None) -> File | None:
         atomic.write_file(path, content)
     except OSError as error:
         raise RecordError(f"{path} cannot be written: {error.strerror or error}") from None
-    return File(name, hashlib.sha256(content).hexdigest())
+    return RecordedFile(name, hashlib.sha256(content).hexdigest())

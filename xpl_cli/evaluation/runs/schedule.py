@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections import Counter, deque
 from typing import TYPE_CHECKING
 
-from xpl_cli.evaluation.records.cells import certainly, survivors
+from xpl_cli.evaluation.records.cells import counts_as_success, retried_after_crash
 from xpl_cli.evaluation.rollout.backend import RolloutJob
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from xpl_cli.evaluation.records.model import Episode, Slot
+    from xpl_cli.evaluation.records.model import EpisodeRecord, PlannedEpisode
     from xpl_cli.evaluation.records.records import Run
 
 
 class Schedule:
     """The episodes of a plan that are still to be played.
 
-    An attempt that the infrastructure spoilt, or in which the policy's process died, is played again after the other
-    episodes of its cell: what is out of order may be in order again by then.
+    An attempt with an infrastructure error, or in which the policy's process crashed, is retried after the other
+    episodes of its cell: the cause may be gone by then.
 
     Args:
         run: what is recorded so far.
@@ -37,15 +37,15 @@ class Schedule:
         is_enough: Callable[[Sequence[bool | None]], bool],
         *,
         traced: bool = True,
-        judge: Callable[[Episode], bool | None] | None = None,
+        judge: Callable[[EpisodeRecord], bool | None] | None = None,
     ) -> None:
         self._run = run
         self._traced = traced
-        self._judge = judge or (lambda line: certainly(line, self._survived))
+        self._judge = judge or (lambda line: counts_as_success(line, self._survived))
         self._is_enough = is_enough
         self._attempts = Counter(line.index for line in run.attempts)
-        self._survived = survivors(run.attempts)
-        self._cells: list[list[Slot]] = [[] for _ in run.plan.cells]
+        self._survived = retried_after_crash(run.attempts)
+        self._cells: list[list[PlannedEpisode]] = [[] for _ in run.plan.cells]
         for slot in run.plan.slots():
             self._cells[slot.cell].append(slot)
         self._filmed = {slot.index for cell in self._cells for slot in cell[:films]}
@@ -80,12 +80,12 @@ class Schedule:
         """Tell whether this attempt is being played, as far as this side knows."""
         return job.index in self._playing and job.attempt == self._attempts[job.index] + 1
 
-    def add(self, line: Episode) -> None:
+    def add(self, line: EpisodeRecord) -> None:
         """Take note of an attempt that was recorded in the run."""
         slot = self._cell_of[line.index]
         self._playing.discard(slot.index)
         self._attempts[slot.index] += 1
-        self._survived |= survivors([line])
+        self._survived |= retried_after_crash([line])
         if not line.final:
             self._waiting[slot.cell].append(slot)
         self._look(slot.cell)

@@ -8,8 +8,8 @@ from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.words import amount
 from xpl_cli.evaluation.records import stand_ins
 from xpl_cli.evaluation.records.cells import outcome
-from xpl_cli.evaluation.records.failures import MOST_SPOILT
-from xpl_cli.evaluation.records.manner import INSTRUCTIONS
+from xpl_cli.evaluation.records.failures import MAX_INFRASTRUCTURE_SHARE
+from xpl_cli.evaluation.records.run_mode import INSTRUCTIONS
 from xpl_cli.evaluation.runs.stopping import episodes_needed
 from xpl_cli.evaluation.statistics.wording import interval, percent, were
 
@@ -45,19 +45,19 @@ def of_summary(summary: Summary, found: Sequence[Cell]) -> list[str]:
     ]
 
 
-def of_course(beyond: int, machines: int, revived: int) -> list[str]:
-    """Return what should be known of how a run went, which may differ from one playing to the next.
+def of_execution(beyond: int, machines: int, recovered: int) -> list[str]:
+    """Return caveats about the execution of a run, which may differ if the same run is repeated.
 
     Args:
-        beyond: number of episodes that were played although their cell had ended.
+        beyond: number of episodes that ran although their cell had ended.
         machines: number of machines, or sets of library versions.
-        revived: number of episodes that succeeded after the infrastructure had spoilt an attempt at them.
+        recovered: number of episodes that succeeded after an attempt with an infrastructure error.
     """
     notes = []
-    if revived:
+    if recovered:
         notes.append(
-            f"{amount(revived, 'episode')} succeeded in an attempt that followed one that the infrastructure had spoilt"
-            ": more than a few of these may mean that a policy spoils attempts that it is about to lose."
+            f"{amount(recovered, 'episode')} succeeded after an attempt that ended with an infrastructure error: many "
+            "of these may mean that a policy breaks attempts that it is about to fail."
         )
     if beyond:
         notes.append(
@@ -99,45 +99,48 @@ def of_stopping() -> str:
 
 
 def _of_what_is_missing(overall: Row, found: Sequence[Cell]) -> Iterator[str]:
-    if overall.unplayed:
+    if overall.remaining:
         yield (
-            f"{amount(overall.unplayed, 'episode')} of {overall.planned} still to be played: the rows tell of "
+            f"{amount(overall.remaining, 'episode')} of {overall.planned} still to be played: the rows tell of "
             "those that were."
         )
-    yield from _of_what_was_spoilt(overall, found)
-    blank = [f"{cell.task} ({cell.setting})" for cell in found if cell.counted and not cell.outcomes]
-    if blank:
-        yield f"No episode with a success to speak of: {', '.join(blank)}; rows over several tasks leave these out."
+    yield from _of_infrastructure_errors(overall, found)
+    undefined = [f"{cell.task} ({cell.setting})" for cell in found if cell.counted and not cell.outcomes]
+    if undefined:
+        yield f"No episode defines success in {', '.join(undefined)}; rows over several tasks leave these out."
 
 
-def _of_what_was_spoilt(overall: Row, found: Sequence[Cell]) -> Iterator[str]:
-    spoilt = overall.failures[INFRASTRUCTURE]
-    revived = sum(cell.certainly(line) is False for cell in found for line in cell.counted if outcome(line))
-    if spoilt and overall.judged:
+def _of_infrastructure_errors(overall: Row, found: Sequence[Cell]) -> Iterator[str]:
+    errors = overall.failures[INFRASTRUCTURE]
+    after_crash = sum(cell.counts_as_success(line) is False for cell in found for line in cell.counted if outcome(line))
+    if errors and overall.judged:
         rate = percent(overall.successes / overall.judged)
         yield (
-            f"{were(spoilt, 'episode')} spoilt by the infrastructure, and counted as failed, because nobody can tell "
-            f"who was to blame: without them {overall.successes} of {overall.judged} succeeded ({rate})."
+            f"{amount(errors, 'episode')} ended with an infrastructure error and count as failed, because the cause "
+            f"cannot be attributed: without them {overall.successes} of {overall.judged} succeeded ({rate})."
         )
-    elif spoilt:
-        yield f"{were(spoilt, 'episode')} spoilt by the infrastructure: nothing can be said of them."
-    if revived:
+    elif errors:
+        yield f"{amount(errors, 'episode')} ended with an infrastructure error: they have no result."
+    if after_crash:
         yield (
-            f"{amount(revived, 'episode')} succeeded only after the policy's process had died in an earlier attempt, "
-            "and counted as failed."
+            f"{amount(after_crash, 'episode')} succeeded only after the policy's process had crashed in an earlier "
+            "attempt, and count as failed."
         )
-    if overall.if_spoilt:
-        worst, best = map(percent, overall.if_spoilt)
+    if overall.infrastructure_bounds:
+        worst, best = map(percent, overall.infrastructure_bounds)
         yield f"The overall rate is {worst} with these as failures; it would be {best} had all of them succeeded."
-    if (share := spoilt / max(1, overall.played)) > MOST_SPOILT:
-        yield f"{percent(share)} of the episodes were spoilt, more than {percent(MOST_SPOILT)}: the run is not ranked."
+    if (share := errors / max(1, overall.completed)) > MAX_INFRASTRUCTURE_SHARE:
+        yield (
+            f"{percent(share)} of the episodes ended with an infrastructure error, more than "
+            f"{percent(MAX_INFRASTRUCTURE_SHARE)}: the run is not ranked."
+        )
 
 
 def _of_stopping(width: float | None, found: Sequence[Cell]) -> Iterator[str]:
     if width is None:
         return
     yield of_stopping()
-    short = [f"{cell.task} ({cell.setting})" for cell in found if not cell.ended and not cell.unplayed]
+    short = [f"{cell.task} ({cell.setting})" for cell in found if not cell.ended and not cell.remaining]
     if short:
         yield f"No seeds are left, and the interval is still wider than asked for: {', '.join(short)}."
 

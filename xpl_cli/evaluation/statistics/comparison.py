@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import stand_ins
-from xpl_cli.evaluation.records.cells import cells, matched
+from xpl_cli.evaluation.records.cells import cells, paired_counts
 from xpl_cli.evaluation.statistics import cautions, intervals, verdicts
 from xpl_cli.evaluation.statistics.comparisons import Comparison, LeftOut, Methods, Row, Side
 from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs
@@ -21,7 +21,7 @@ from xpl_cli.evaluation.statistics.matching import differences
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.model import EpisodeRecord
     from xpl_cli.evaluation.records.records import Run
 
 
@@ -35,7 +35,7 @@ class IncomparableError(UserError):
 
 @dataclass(frozen=True)
 class _Matches:
-    """Episodes of one task and setting that both runs played to an end, a spoilt one too: it counts as failed.
+    """Episodes of one task and setting that both runs finished; those with an infrastructure error count as failed.
 
     Attributes:
         task, setting: what was played.
@@ -46,7 +46,7 @@ class _Matches:
 
     task: str
     setting: str
-    lines: Sequence[tuple[Episode, Episode]]
+    lines: Sequence[tuple[EpisodeRecord, EpisodeRecord]]
     successes: Sequence[tuple[bool, bool]]
     scores: Sequence[tuple[float | None, float | None]]
 
@@ -54,7 +54,7 @@ class _Matches:
     def pairs(self) -> Pairs:
         """How often both, one or none succeeded."""
         first, second = (dict(enumerate(pair[side] for pair in self.successes)) for side in (0, 1))
-        return matched(first, second)
+        return paired_counts(first, second)
 
     def score_difference(self) -> Estimate | None:
         """Return by how much the second run's mean score exceeds the first's; None where scores are missing."""
@@ -124,7 +124,7 @@ def _matches(first: Run, second: Run) -> list[_Matches]:
     return found
 
 
-def _by_seed(lines: Iterable[Episode]) -> dict[int, Episode]:
+def _by_seed(lines: Iterable[EpisodeRecord]) -> dict[int, EpisodeRecord]:
     return {line.seed: line for line in lines}
 
 
@@ -183,11 +183,11 @@ def _counted(run: Run) -> int:
     return sum(len(cell.counted) for cell in cells(run))
 
 
-def _is_same(first: Episode, second: Episode) -> bool:
+def _is_same(first: EpisodeRecord, second: EpisodeRecord) -> bool:
     return first.digest is not None and first.digest == second.digest
 
 
-def _has_layouts(first: Episode, second: Episode) -> bool:
+def _has_layouts(first: EpisodeRecord, second: EpisodeRecord) -> bool:
     return first.layout is not None and second.layout is not None
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from xpl_cli.evaluation.records import manner
+from xpl_cli.evaluation.records import run_mode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from xpl_cli.evaluation.records.model import Plan, PlannedCell
+    from xpl_cli.evaluation.records.model import PlannedCell, RunPlan
     from xpl_cli.evaluation.records.records import Run
 
 
@@ -51,13 +51,13 @@ def _facts(run: Run) -> Iterator[tuple[str, object]]:
     yield "robot", plan.embodiment
     yield "control", plan.action_type
     yield "executed actions of a chunk", plan.control.horizon or "the adapter's own loop"
-    yield "episodes at once", manner.of(plan).num_envs
-    yield "instruction", manner.of(plan).instruction or "the task's"
+    yield "episodes at once", run_mode.run_mode_of(plan).num_envs
+    yield "instruction", run_mode.run_mode_of(plan).instruction or "the task's"
     yield "attempts at an episode", plan.control.attempts
     yield "width at which a task ends", plan.until_width or "none"
 
 
-def _cells(first: Plan, second: Plan) -> Iterator[Difference]:
+def _cells(first: RunPlan, second: RunPlan) -> Iterator[Difference]:
     """Yield what only one of two plans plays."""
     one, other = ({cell.place: cell for cell in plan.cells} for plan in (first, second))
     if one.keys() != other.keys():

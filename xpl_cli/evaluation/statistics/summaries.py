@@ -39,7 +39,7 @@ class Error:
 
 
 @dataclass(frozen=True)
-class Course:
+class ExecutionStats:
     """What all attempts at a run's episodes took.
 
     Attributes:
@@ -69,10 +69,11 @@ class Row:
 
     Attributes:
         task, setting, dimension: what all of its cells share; None where they differ.
-        planned, played, unplayed: numbers of episodes.
+        planned, completed, remaining: numbers of episodes.
         judged, successes: of those that have a success to speak of.
-        success_rate, success_interval: what was spoilt counts as failed; None where no episode has a success.
-        if_spoilt: the rate if all spoilt episodes had failed, and if all had succeeded; None where none was spoilt.
+        success_rate, success_interval: infrastructure errors count as failed; None where no episode has a success.
+        infrastructure_bounds: the rate if all episodes with an infrastructure error had failed, and if all had
+            succeeded; None where there is none.
         mean_score, score_interval: None where no episode has a score.
         failures: number of episodes by whose failure it was.
         mean_steps: control steps of an episode.
@@ -83,13 +84,13 @@ class Row:
     setting: str | None
     dimension: str | None
     planned: int
-    played: int
-    unplayed: int
+    completed: int
+    remaining: int
     judged: int
     successes: int
     success_rate: float | None
     success_interval: Interval | None
-    if_spoilt: tuple[float, float] | None
+    infrastructure_bounds: tuple[float, float] | None
     mean_score: float | None
     score_interval: Interval | None
     failures: Mapping[str, int]
@@ -133,7 +134,7 @@ class Summary(Document):
         cells: one row for each task and setting, in the order of the plan.
         tasks, settings, dimensions, overall: rows over several cells.
         contrasts: settings against the first one.
-        course: how it went.
+        execution: what all attempts took.
         notes: what the data do not show, in sentences.
     """
 
@@ -153,5 +154,5 @@ class Summary(Document):
     dimensions: Sequence[Row]
     overall: Row
     contrasts: Sequence[Contrast]
-    course: Course
+    execution: ExecutionStats
     notes: Sequence[str] = ()

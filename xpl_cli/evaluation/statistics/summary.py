@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from xpl.vector import INFRASTRUCTURE
-from xpl_cli.evaluation.records import manner
-from xpl_cli.evaluation.records.cells import FAILURES, Cell, cells, matched
+from xpl_cli.evaluation.records import run_mode
+from xpl_cli.evaluation.records.cells import FAILURES, Cell, cells, paired_counts
 from xpl_cli.evaluation.statistics import cautions, intervals
-from xpl_cli.evaluation.statistics.course import course
+from xpl_cli.evaluation.statistics.execution import execution_stats
 from xpl_cli.evaluation.statistics.summaries import Contrast, Methods, Row, Summary
 
 if TYPE_CHECKING:
@@ -61,9 +61,9 @@ def summarise(run: Run, method: str = "wilson") -> Summary:
         dimensions=_rows(measured, lambda cell: cell.dimension),
         overall=_row(measured),
         contrasts=_contrasts(found),
-        course=course(run, sum(cell.beyond for cell in found)),
+        execution=execution_stats(run, sum(cell.beyond for cell in found)),
     )
-    told = cautions.of_instruction(manner.of(plan).instruction)
+    told = cautions.of_instruction(run_mode.run_mode_of(plan).instruction)
     return replace(summary, notes=[*told, *cautions.of_skipped(run.skipped), *cautions.of_summary(summary, found)])
 
 
@@ -80,7 +80,7 @@ def _row(measured: Sequence[_Measured]) -> Row:
     """Return the row of one cell or of several."""
     members = [one.cell for one in measured]
     success, score = _mean(one.success for one in measured), _mean(one.score for one in measured)
-    # How the episodes were driven that the infrastructure did not spoil.
+    # Steps and corrections of the episodes without an infrastructure error.
     lines = [line for cell in members for line in cell.counted if line.failure != INFRASTRUCTURE]
     steps = [line.steps for line in lines if line.steps is not None]
     corrections: Counter[str] = Counter()
@@ -91,13 +91,13 @@ def _row(measured: Sequence[_Measured]) -> Row:
         setting=_common(cell.setting for cell in members),
         dimension=_common(cell.dimension for cell in members),
         planned=sum(cell.planned for cell in members),
-        played=sum(len(cell.counted) for cell in members),
-        unplayed=sum(cell.unplayed for cell in members),
+        completed=sum(len(cell.counted) for cell in members),
+        remaining=sum(cell.remaining for cell in members),
         judged=sum(len(cell.outcomes) for cell in members),
         successes=sum(sum(cell.outcomes) for cell in members),
         success_rate=success and success.value,
         success_interval=success and success.interval,
-        if_spoilt=_if_spoilt(members),
+        infrastructure_bounds=_infrastructure_bounds(members),
         mean_score=score and score.value,
         score_interval=score and score.interval,
         failures={kind: sum(cell.failed(kind) for cell in members) for kind in FAILURES},
@@ -106,16 +106,16 @@ def _row(measured: Sequence[_Measured]) -> Row:
     )
 
 
-def _if_spoilt(members: Sequence[Cell]) -> tuple[float, float] | None:
-    """Return what the success rate would be if all spoilt episodes had failed, and if all had succeeded.
+def _infrastructure_bounds(members: Sequence[Cell]) -> tuple[float, float] | None:
+    """Return the success rate if all doubtful episodes had failed, and if all had succeeded.
 
-    Spoilt is what the infrastructure broke off, and what succeeded only after the policy's process had died. None where
-    nothing was, or no episode has a success to speak of.
+    Doubtful are episodes that ended with an infrastructure error, and those that succeeded only after the policy's
+    process had crashed. None if there are no doubtful episodes, or no episode defines success.
     """
     rates, doubtful = [], 0
     for cell in members:
-        least, spoilt = sum(cell.certain), cell.failed(INFRASTRUCTURE)
-        most, count = sum(cell.outcomes) + spoilt, len(cell.certain)
+        least, errors = sum(cell.certain), cell.failed(INFRASTRUCTURE)
+        most, count = sum(cell.outcomes) + errors, len(cell.certain)
         doubtful += most - least
         if count:
             rates.append((least / count, most / count))
@@ -143,7 +143,7 @@ def _contrasts(found: Sequence[Cell]) -> list[Contrast]:
 
 def _contrast(first: Cell, second: Cell) -> tuple[Estimate | None, int]:
     """Return second minus first, and by how many common seeds; without any, the two are taken as independent."""
-    pairs = matched(first.by_seed, second.by_seed)
+    pairs = paired_counts(first.by_seed, second.by_seed)
     if pairs.total:
         return intervals.paired(pairs), pairs.total
     one, other = first.success_rate("wilson"), second.success_rate("wilson")

@@ -80,7 +80,7 @@ def text(summary: Summary) -> str:
     if any(failures.values()):
         told = ", ".join(f"{kind} {count}" for kind, count in failures.items() if count)
         lines += ["", f"Failures: {told}"]
-    return as_lines([*lines, "", *(f"- {note}" for note in (*summary.notes, *summary.course.notes))])
+    return as_lines([*lines, "", *(f"- {note}" for note in (*summary.notes, *summary.execution.notes))])
 
 
 def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:

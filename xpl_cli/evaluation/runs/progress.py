@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.live import Live
 
-    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.model import EpisodeRecord
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.runs.runner import View
+    from xpl_cli.evaluation.runs.runner import ProgressView
 
 _HOUR_S = 3600.0
 _CELLS = 16
@@ -29,14 +29,14 @@ _CELLS = 16
 
 
 @contextlib.contextmanager
-def view(run: Run, left: int) -> Iterator[View]:
+def show_progress(run: Run, left: int) -> Iterator[ProgressView]:
     """Yield what shows a run while it is played.
 
     Args:
         run: what is recorded so far; it grows.
         left: episodes that are not final yet.
     """
-    tally = Tally(run, left)
+    tally = ProgressTally(run, left)
     if not sys.stderr.isatty():
         yield _Lines(tally)
         return
@@ -49,7 +49,7 @@ def view(run: Run, left: int) -> Iterator[View]:
         yield shown
 
 
-class Tally:
+class ProgressTally:
     """What both views tell of a run.
 
     Args:
@@ -73,7 +73,7 @@ class Tally:
         for line in run.finals.values():
             self._count(line)
 
-    def add(self, line: Episode, left: int) -> None:
+    def add(self, line: EpisodeRecord, left: int) -> None:
         """Take note of a line."""
         self.left = left
         if self._began is None:  # models are loaded by now
@@ -101,7 +101,7 @@ class Tally:
             told += [f"{pace * _HOUR_S:.0f} episodes/h", f"{_clock(self.left / pace)} left"]
         return ", ".join(told)
 
-    def _count(self, line: Episode) -> None:
+    def _count(self, line: EpisodeRecord) -> None:
         key = line.place
         self._final[key] += 1
         if line.success is not None:
@@ -112,10 +112,10 @@ class Tally:
 class _Lines:
     """A line for each attempt."""
 
-    def __init__(self, tally: Tally) -> None:
+    def __init__(self, tally: ProgressTally) -> None:
         self._tally = tally
 
-    def add(self, line: Episode, left: int) -> None:
+    def add(self, line: EpisodeRecord, left: int) -> None:
         """Write what happened, and how far the run is."""
         self._tally.add(line, left)
         again = "" if line.final else ", is played again"
@@ -126,11 +126,11 @@ class _Lines:
 class _Terminal:
     """A table that changes."""
 
-    def __init__(self, tally: Tally, live: Live) -> None:
+    def __init__(self, tally: ProgressTally, live: Live) -> None:
         self._tally = tally
         self._live = live
 
-    def add(self, line: Episode, left: int) -> None:
+    def add(self, line: EpisodeRecord, left: int) -> None:
         """Show the present state."""
         self._tally.add(line, left)
         self.show()
@@ -160,7 +160,7 @@ class _Terminal:
         return Group(*parts)
 
 
-def _place(line: Episode) -> str:
+def _place(line: EpisodeRecord) -> str:
     return f"{line.task}, {line.setting}, seed {line.seed}"
 
 

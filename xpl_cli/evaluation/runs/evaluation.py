@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.evaluation.records import stand_ins
-from xpl_cli.evaluation.records.model import Ending, Episode
+from xpl_cli.evaluation.records.model import EpisodeOutcome, EpisodeRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
 SCHEMA: Final = "xpl.eval/1"
-_SHOWN: Final = ("task", "setting", sdk.Deploy.SEED, *(item.name for item in fields(Ending)))
+_SHOWN: Final = ("task", "setting", sdk.Deploy.SEED, *(item.name for item in fields(EpisodeOutcome)))
 _NULL: Final = ("success", "score", "failure", "end_reason")
 
 
 @dataclass(frozen=True)
-class Played:
+class EvalSetup:
     """What was played, and how.
 
     Attributes:
@@ -53,8 +53,8 @@ class Evaluation:
         seconds: how long all of it took.
     """
 
-    played: Played
-    episodes: Sequence[Episode]
+    played: EvalSetup
+    episodes: Sequence[EpisodeRecord]
     attempts: Mapping[int, int] = field(default_factory=dict)
     seconds: float = 0.0
 
@@ -64,18 +64,18 @@ class Evaluation:
         return _won(self.episodes) if self._judged else None
 
     @property
-    def spoilt(self) -> int:
-        """Number of episodes that the infrastructure spoilt for good: nobody can tell who was to blame."""
+    def infrastructure_errors(self) -> int:
+        """Number of episodes that ended with an infrastructure error in every attempt."""
         return sum(episode.end_reason == INFRASTRUCTURE for episode in self.episodes)
 
     @property
     def success_rate(self) -> float | None:
-        """Share of successes; what was spoilt has none. None where no episode has a success to speak of."""
+        """Success rate, with infrastructure errors as failures; None if no episode defines success."""
         return _won(self.episodes) / self._counted if self._judged else None
 
     @property
     def mean_score(self) -> float | None:
-        """Mean score; what was spoilt has 0. None where no episode has a success to speak of."""
+        """Mean score, 0 for infrastructure errors; None if no episode defines success."""
         judged = self._judged
         return sum(episode.score or 0.0 for episode in judged) / self._counted if judged else None
 
@@ -90,7 +90,7 @@ class Evaluation:
             "episodes": [self._shown(episode) for episode in self.episodes],
             "successes": self.successes,
             "success_rate": self.success_rate,
-            "infrastructure_failures": self.spoilt,
+            "infrastructure_failures": self.infrastructure_errors,
             "mean_score": self.mean_score,
             "corrections": dict(corrections),
             "seconds": round(self.seconds, 3),
@@ -106,7 +106,7 @@ class Evaluation:
         if self.success_rate is None:
             return "\n".join([f"{where}: {count} episodes ran to their end in {self.seconds:.1f} s", *said])
         score = f"mean score {self.mean_score:.2f}"
-        tasks: dict[str, list[Episode]] = {}
+        tasks: dict[str, list[EpisodeRecord]] = {}
         for episode in self.episodes:
             tasks.setdefault(episode.task, []).append(episode)
         lines = [f"{where}: {self.successes} of {count} succeeded, {score}, {self.seconds:.1f} s"]
@@ -120,22 +120,22 @@ class Evaluation:
         Args:
             policy: the adapter, as it was named.
         """
-        if self.spoilt:
+        if self.infrastructure_errors:
             return ["xpl doctor"]
         if self.successes == 0:
             return [shlex.join(["xpl", "audit", policy, "--gate", "mujoco"])]
         return []
 
     @property
-    def _judged(self) -> list[Episode]:
+    def _judged(self) -> list[EpisodeRecord]:
         """The episodes that have a success to speak of."""
         return [episode for episode in self.episodes if episode.success is not None]
 
     @property
     def _counted(self) -> int:
-        return len(self._judged) + self.spoilt
+        return len(self._judged) + self.infrastructure_errors
 
-    def _shown(self, episode: Episode) -> dict[str, Any]:
+    def _shown(self, episode: EpisodeRecord) -> dict[str, Any]:
         told = {name: getattr(episode, name) for name in _SHOWN}
         return {
             sdk.Obs.ENV_IDX: episode.index % self.played.num_envs,
@@ -144,12 +144,12 @@ class Evaluation:
         }
 
 
-def line(episodes: Sequence[Episode], total: int) -> str:
+def progress_line(episodes: Sequence[EpisodeRecord], total: int) -> str:
     """Return how far an evaluation has come."""
     judged = sum(episode.success is not None for episode in episodes)
     said = f", {_won(episodes)} of {judged} succeeded" if judged else ""
     return f"episode {len(episodes)} of {total}{said}"
 
 
-def _won(episodes: Iterable[Episode]) -> int:
+def _won(episodes: Iterable[EpisodeRecord]) -> int:
     return sum(bool(episode.success) for episode in episodes)

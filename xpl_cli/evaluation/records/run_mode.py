@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from xpl.contract import Announcement, Config
-    from xpl_cli.evaluation.records.model import Plan
+    from xpl_cli.evaluation.records.model import RunPlan
 
 _KEY, _NUM_ENVS, _ANNOUNCED, _INSTRUCTION = "xpl.run", "num_envs", "announced", "instruction"
 
@@ -22,7 +22,7 @@ INSTRUCTIONS: Final = {BLANK: "told nothing to do", SWAP: "told what another epi
 
 
 @dataclass(frozen=True)
-class Manner:
+class RunMode:
     """How a run is played.
 
     Attributes:
@@ -36,24 +36,24 @@ class Manner:
     instruction: str | None = None
 
     @property
-    def sentence(self) -> str:
+    def description(self) -> str:
         """What is unusual about it, in words; "" for nothing."""
         told = [] if self.announced is None else ["by a policy server that somebody else runs, from files unknown here"]
         told += [f"in batches of {self.num_envs}"] if self.num_envs > 1 else []
         told += [] if self.instruction is None else [INSTRUCTIONS[self.instruction]]
         return ", ".join(told)
 
-    def written_in(self, config: Config) -> Config:
+    def add_to(self, config: Config) -> Config:
         """Return the configuration of a policy with this manner in it."""
         told: dict[str, Any] = {_NUM_ENVS: self.num_envs} if self.num_envs > 1 else {}
         if self.announced is not None:
             told[_ANNOUNCED] = dict(self.announced)
         if self.instruction is not None:
             told[_INSTRUCTION] = self.instruction
-        return {**without(config), **({_KEY: told} if told else {})}
+        return {**without_run_mode(config), **({_KEY: told} if told else {})}
 
 
-def of(plan: Plan) -> Manner:
+def run_mode_of(plan: RunPlan) -> RunMode:
     """Return the manner of a plan; whatever is no such thing in it is taken for the usual one."""
     told = plan.policy.config.get(_KEY)
     told = told if isinstance(told, Mapping) else {}
@@ -62,9 +62,9 @@ def of(plan: Plan) -> Manner:
         count = 1
     said = told.get(_INSTRUCTION)
     known = said if isinstance(said, str) and said in INSTRUCTIONS else None
-    return Manner(count, announced if isinstance(announced, Mapping) else None, known)
+    return RunMode(count, announced if isinstance(announced, Mapping) else None, known)
 
 
-def without(config: Config) -> Config:
+def without_run_mode(config: Config) -> Config:
     """Return the configuration that an adapter is given."""
     return {key: value for key, value in config.items() if key != _KEY}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl.action import ActionError
 from xpl.client.errors import ClientError, PolicyServerError
-from xpl.loop.stand_ins import CLIENT, TASK_ENV
+from xpl.loop.proxies import CLIENT, TASK_ENV
 from xpl.process import link
 from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.wire import packed
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
     from xpl.contract import Payload, Result
     from xpl.environment import TaskEnv
-    from xpl.loop.shown import Shown
+    from xpl.loop.shared_arrays import SharedArrays
     from xpl.wire.arrays import Data
-    from xpl_cli.evaluation.loop.messages import Question
+    from xpl_cli.evaluation.loop.messages import LoopRequest
 
 _AFTER_THE_END = 100
 """Operations after the end, none of which notices it, after which a loop is taken to go on for ever."""
@@ -36,11 +36,11 @@ class LoopError(Exception):
     """The adapter's evaluation loop failed in its episode, which says something about the policy."""
 
 
-class EndlessError(LoopError):
+class EndlessLoopError(LoopError):
     """A loop goes on for ever."""
 
 
-class Desk:
+class LoopRequestHandler:
     """Answers what a loop asks in one trial.
 
     Args:
@@ -53,7 +53,7 @@ class Desk:
         is_untold: whether the loop does not know of it yet.
     """
 
-    def __init__(self, task_env: TaskEnv, client: Any, shown: Shown) -> None:
+    def __init__(self, task_env: TaskEnv, client: Any, shown: SharedArrays) -> None:
         self._env = task_env
         self._client = client
         self._shown = shown
@@ -66,7 +66,7 @@ class Desk:
         """Indices of the environments whose episode goes on."""
         return [int(index) for index in self._env.get_running_env_idx_list()]
 
-    def answer(self, question: Question) -> list[Data] | None:
+    def answer(self, question: LoopRequest) -> list[Data] | None:
         """Return the pieces of the answer to a question; None where it goes ahead, and is not waited for.
 
         Raises:
@@ -84,7 +84,7 @@ class Desk:
             self._shown.add(value)
         return self._pieces(value, ok=True)
 
-    def _done(self, question: Question) -> Any:
+    def _done(self, question: LoopRequest) -> Any:
         """Run an operation and return what it returns; what refuses it is kept for the loop."""
         operation = question.operation
         try:
@@ -111,7 +111,7 @@ class Desk:
         running = self.running
         self._idle = 0 if running and operation in _STEPS else self._idle + 1
         if self._idle > (_WITHOUT_A_STEP if running else _AFTER_THE_END):
-            raise EndlessError(
+            raise EndlessLoopError(
                 "its evaluation loop asked for one thing after the other without a control step"
                 if running
                 else "its evaluation loop does not notice that the episode has ended, and goes on for ever"

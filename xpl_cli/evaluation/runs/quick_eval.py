@@ -19,14 +19,14 @@ from xpl import get_embodiment
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records.failures import POLICY_DIED, POLICY_ERROR
 from xpl_cli.evaluation.records.fingerprints import package_digest
-from xpl_cli.evaluation.records.manner import Manner
-from xpl_cli.evaluation.records.model import Control, Plan, PlannedCell, PlannedEnvironment, PlannedPolicy
-from xpl_cli.evaluation.records.records import Unwritten
+from xpl_cli.evaluation.records.model import Control, PlannedCell, PlannedEnvironment, PlannedPolicy, RunPlan
+from xpl_cli.evaluation.records.records import InMemoryRecord
+from xpl_cli.evaluation.records.run_mode import RunMode
 from xpl_cli.evaluation.rollout.config import Runtime
 from xpl_cli.evaluation.rollout.in_process_backend import InProcessBackend
 from xpl_cli.evaluation.runs import evaluate as suite
-from xpl_cli.evaluation.runs import outcome, runner
-from xpl_cli.evaluation.runs.outcome import Evaluation, Played
+from xpl_cli.evaluation.runs import evaluation, runner
+from xpl_cli.evaluation.runs.evaluation import EvalSetup, Evaluation
 from xpl_cli.evaluation.runs.plan import ALL, ATTEMPTS, tasks_of
 from xpl_cli.evaluation.runs.schedule import Schedule
 from xpl_cli.evaluation.runs.settings import environment_settings
@@ -44,15 +44,15 @@ if TYPE_CHECKING:
     from xpl.contract import Config
     from xpl.manifest import EnvManifest
     from xpl_cli.basics.progress import Progress
-    from xpl_cli.evaluation.records.model import Episode, Place
+    from xpl_cli.evaluation.records.model import CellKey, EpisodeRecord
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.rollout.config import EnvSettings, RecordingConfig
-    from xpl_cli.evaluation.runs.remote import Remote
+    from xpl_cli.evaluation.runs.remote import RemoteServer
     from xpl_cli.packages.package import Package
 
 
 @dataclass(frozen=True)
-class Request:
+class QuickEvalRequest:
     """What to evaluate.
 
     Attributes:
@@ -79,12 +79,12 @@ class Request:
     workers: int = 1
     horizon: int | None = None
     overrides: Config = field(default_factory=dict)
-    remote: Remote | None = None
+    remote: RemoteServer | None = None
     runtime: Runtime = field(default_factory=Runtime)
     demos: RecordingConfig | None = None
 
 
-def places(num_envs: int | None, workers: str) -> tuple[int, int]:
+def num_envs_and_workers(num_envs: int | None, workers: str) -> tuple[int, int]:
     """Return how many environments are played at once, and by how many processes.
 
     Args:
@@ -105,7 +105,7 @@ def places(num_envs: int | None, workers: str) -> tuple[int, int]:
     return (max(1, count) if num_envs is None else num_envs), count
 
 
-def evaluate(request: Request, progress: Progress) -> Evaluation:
+def evaluate(request: QuickEvalRequest, progress: Progress) -> Evaluation:
     """Play the episodes and return what came of it.
 
     Raises:
@@ -121,12 +121,12 @@ def evaluate(request: Request, progress: Progress) -> Evaluation:
     settings = environment_settings(request.package, request.environment, config, task=task, setting=request.setting)
     setting = request.setting or facts.settings[0]
     tasks = tasks or [cast("str", settings.task)]  # None in the offline environment, and in its report
-    sink = Unwritten(_plan(request, folder, config, settings, [(task, setting) for task in tasks]))
+    sink = InMemoryRecord(_plan(request, folder, config, settings, [(task, setting) for task in tasks]))
     schedule = Schedule(sink.run, 0, lambda _outcomes: False, traced=False)
     with contextlib.closing(_backend(request, folder, sink.run.plan, progress)) as backend:
         backend.prepare(tasks[0], setting)
-        runner.play(sink, backend, schedule, _View(sink.run, request.episodes * len(tasks), progress))
-    played = Played(
+        runner.run_schedule(sink, backend, schedule, _View(sink.run, request.episodes * len(tasks), progress))
+    played = EvalSetup(
         policy=request.package.name,
         environment=request.environment,
         task=settings.task if len(tasks) == 1 else request.task,
@@ -154,7 +154,7 @@ class _View:
     def __init__(self, run: Run, total: int, progress: Progress) -> None:
         self._run, self._total, self._progress = run, total, progress
 
-    def add(self, line: Episode, left: int) -> None:  # noqa: ARG002 - as every view
+    def add(self, line: EpisodeRecord, left: int) -> None:  # noqa: ARG002 - as every view
         """Show a line.
 
         Raises:
@@ -166,7 +166,7 @@ class _View:
             return
         if line.end_reason in (POLICY_ERROR, POLICY_DIED):
             raise UserError(f"{where}: {line.error}", code=ExitCode.FINDINGS)
-        self._progress.step(outcome.line(list(self._run.finals.values()), self._total))
+        self._progress.step(evaluation.progress_line(list(self._run.finals.values()), self._total))
 
 
 def _several(wanted: str | None, facts: EnvManifest, embodiment: str) -> list[str]:
@@ -177,15 +177,17 @@ def _several(wanted: str | None, facts: EnvManifest, embodiment: str) -> list[st
     return tasks_of(facts, wanted, get_embodiment(embodiment).name)[0] if is_list else []
 
 
-def _plan(request: Request, folder: Path, config: Config, settings: EnvSettings, places: Sequence[Place]) -> Plan:
+def _plan(
+    request: QuickEvalRequest, folder: Path, config: Config, settings: EnvSettings, places: Sequence[CellKey]
+) -> RunPlan:
     """Return the plan of what nobody writes down; it has digests where trajectories say who played."""
     policy = environment = ""
     if request.demos is not None:
         policy, environment = package_digest(request.package.path), package_digest(folder)
     first = int(config[sdk.Deploy.SEED])
     seeds = range(first, first + request.episodes)
-    told = Manner(request.num_envs).written_in(config)
-    return Plan(
+    told = RunMode(request.num_envs).add_to(config)
+    return RunPlan(
         policy=PlannedPolicy(request.package.name, spec.VERSION, policy, told),
         environment=PlannedEnvironment(environments.manifest(folder).name, spec.VERSION, environment),
         embodiment=settings.embodiment,
@@ -195,8 +197,8 @@ def _plan(request: Request, folder: Path, config: Config, settings: EnvSettings,
     )
 
 
-def _backend(request: Request, folder: Path, planned: Plan, progress: Progress) -> InProcessBackend:
-    orders, ours = suite.orders(
+def _backend(request: QuickEvalRequest, folder: Path, planned: RunPlan, progress: Progress) -> InProcessBackend:
+    orders, ours = suite.make_configs(
         request.package,
         folder,
         planned,
@@ -205,7 +207,7 @@ def _backend(request: Request, folder: Path, planned: Plan, progress: Progress) 
         env_workers=request.workers,
         demos=request.demos,
     )
-    server, access = suite.reached(request.remote, ours)
+    server, access = suite.policy_server(request.remote, ours)
 
     def on_loading(told: Mapping[str, Any]) -> None:
         progress.step(f"the model is loading: {told.get('seconds', 0):.0f} s")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.evaluation.statistics import cautions
-from xpl_cli.evaluation.statistics.summaries import Course, Error, Latency
+from xpl_cli.evaluation.statistics.summaries import Error, ExecutionStats, Latency
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.records import Run
 
 
-def course(run: Run, beyond: int) -> Course:
+def execution_stats(run: Run, beyond: int) -> ExecutionStats:
     """Return what all attempts at a run's episodes took.
 
     Args:
@@ -25,10 +25,10 @@ def course(run: Run, beyond: int) -> Course:
     """
     machines = len({line.machine for line in run.attempts})
     retried = [line for line in run.attempts if not line.final]
-    spoilt = {line.index for line in retried if line.failure == INFRASTRUCTURE}
-    revived = sum(bool(line.success) and line.index in spoilt for line in run.finals.values())
+    with_errors = {line.index for line in retried if line.failure == INFRASTRUCTURE}
+    recovered = sum(bool(line.success) and line.index in with_errors for line in run.finals.values())
     errors = Counter((line.failure, line.error) for line in run.attempts if line.error)
-    return Course(
+    return ExecutionStats(
         attempts=len(run.attempts),
         retried=len(retried),
         beyond=beyond,
@@ -36,7 +36,7 @@ def course(run: Run, beyond: int) -> Course:
         machines=machines,
         inference=_inference(run),
         errors=[Error(failure, error, count) for (failure, error), count in errors.most_common()],
-        notes=cautions.of_course(beyond, machines, revived),
+        notes=cautions.of_execution(beyond, machines, recovered),
     )
 
 

@@ -23,12 +23,12 @@ _MOST_BYTES: Final = 16 << 20
 _MOST_EPISODES: Final = 100_000
 
 
-class FieldResultError(ValueError):
+class BenchmarkFileError(ValueError):
     """A file says no such thing; why, in a sentence without its name."""
 
 
 @dataclass(frozen=True)
-class Entry:
+class ResultEpisode:
     """One episode.
 
     Attributes:
@@ -43,7 +43,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Told:
+class ResultFile:
     """What a `_result.json` says.
 
     Attributes:
@@ -52,12 +52,12 @@ class Told:
         score: mean, 0 to 1; None where the file has none.
     """
 
-    entries: tuple[Entry, ...] | None
+    entries: tuple[ResultEpisode, ...] | None
     success_rate: float | None
     score: float | None
 
 
-def told(path: Path) -> Told:
+def read_json(path: Path) -> ResultFile:
     """Return what a `_result.json` says.
 
     Raises:
@@ -67,24 +67,24 @@ def told(path: Path) -> Told:
     try:
         found = json_text.parse(content, finite=True)
     except json_text.JsonError as error:
-        raise FieldResultError(str(error)) from None
+        raise BenchmarkFileError(str(error)) from None
     if not isinstance(found, dict):
-        raise FieldResultError("it is no map")
+        raise BenchmarkFileError("it is no map")
     details = found.get("details")
     entries = None
     if isinstance(details, dict):
         if len(details) > _MOST_EPISODES:
-            raise FieldResultError(f"it has {len(details)} episodes")
+            raise BenchmarkFileError(f"it has {len(details)} episodes")
         entries = tuple(_entry(entry) for _, entry in sorted(details.items(), key=_place))
     rate, score = found.get("success_rate"), found.get("score")
-    return Told(
+    return ResultFile(
         entries,
         None if rate is None else _share(rate, "success_rate"),
         None if score is None else _share(_number(score, "score") / 100, "score / 100"),
     )
 
 
-def rate(path: Path) -> float:
+def read_rate(path: Path) -> float:
     """Return the success rate in the last line of a `_result.txt`.
 
     Raises:
@@ -94,7 +94,7 @@ def rate(path: Path) -> float:
     try:
         value = float(last)
     except ValueError:
-        raise FieldResultError(f"its last line is no number: {last!r:.40}") from None
+        raise BenchmarkFileError(f"its last line is no number: {last!r:.40}") from None
     return _share(value, "success rate")
 
 
@@ -102,14 +102,14 @@ def _content(path: Path) -> str:
     try:
         return files.content(path, _MOST_BYTES).decode()
     except (OSError, UnicodeDecodeError) as error:
-        raise FieldResultError(f"it cannot be read ({getattr(error, 'strerror', None) or 'not text'})") from None
+        raise BenchmarkFileError(f"it cannot be read ({getattr(error, 'strerror', None) or 'not text'})") from None
 
 
-def _entry(entry: object) -> Entry:
+def _entry(entry: object) -> ResultEpisode:
     if not isinstance(entry, Mapping) or not isinstance(entry.get("success"), bool):
-        raise FieldResultError("one of its details has no success, true or false")
+        raise BenchmarkFileError("one of its details has no success, true or false")
     score = entry.get("score")
-    return Entry(
+    return ResultEpisode(
         entry.get("layout_id"), entry["success"], None if score is None else _share(score, "score of an episode")
     )
 
@@ -120,12 +120,12 @@ def _place(item: tuple[str, object]) -> tuple[int, str]:
 
 def _number(value: object, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise FieldResultError(f"its {name} is no number")
+        raise BenchmarkFileError(f"its {name} is no number")
     return float(value)
 
 
 def _share(value: object, name: str) -> float:
     share = _number(value, name)
     if not 0.0 <= share <= 1.0:
-        raise FieldResultError(f"its {name} is {share:g}, expected 0 to 1")
+        raise BenchmarkFileError(f"its {name} is {share:g}, expected 0 to 1")
     return share
