@@ -17,7 +17,7 @@ ATTACKS = [name for entry in LIST for name in entry["attacks"]]
 
 def _sentences() -> list[str]:
     """Return what the table of the page promises."""
-    page = (ROOT / "docs/security.md").read_text("utf-8").split("## Who may send what")[1].split("## ")[0]
+    page = (ROOT / "docs/security.md").read_text("utf-8").split("## Promises by input")[1].split("## ")[0]
     rows = [line.split(" | ") for line in page.splitlines() if line.startswith("| ")][2:]
     return [sentence for row in rows for sentence in re.split(r"(?<=[.]) (?=[A-Z])", row[2])]
 
