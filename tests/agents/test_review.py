@@ -182,7 +182,7 @@ def test_the_whole_audit_is_in_every_format_of_it(repository: Path) -> None:
     assert "::error file=policy/Foo/model.py" in (repository / "a.txt").read_text(encoding="utf-8")
     told = (repository / "review.md").read_text(encoding="utf-8")
     assert told.startswith(f"{page.MARK}\n## xpl review: changes are needed\n")
-    assert "1. **XPL116 reset-swallows** `policy/Foo/model.py:" in told
+    assert "1. **XPL116 reset-error-ignored** `policy/Foo/model.py:" in told
     assert reviewed(repository)["audit"]["schema"] == spec.schema("audit")["title"]
 
 

@@ -465,7 +465,7 @@ def test_with_move_the_audit_asks_nobody(project: Path, tmp_path: Path, monkeypa
     log = tmp_path / "log"
     monkeypatch.setenv("XPL_ARM_SIMULATED", "1")
     monkeypatch.setenv("XPL_ARM_LOG", str(log))
-    done = xpl("audit", "envs/Cell", "--move", "--select", "env-plays", "--no-cache", cwd=project)
+    done = xpl("audit", "envs/Cell", "--move", "--select", "env-runs", "--no-cache", cwd=project)
     assert done.returncode == ExitCode.CLEAN, done.stdout
     assert "command" in log.read_text()
     assert log.read_text().splitlines()[-1] == "disconnect holding=True"

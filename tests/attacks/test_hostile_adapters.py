@@ -101,7 +101,7 @@ def test_a_model_that_hangs_before_it_is_ready_is_a_finding_with_its_place(
     audit: Callable[..., Any], deeds: dict[str, str], told: str, place: str
 ) -> None:
     """It has the time that it was given, and the next rules do not wait again."""
-    report = audit("serves", "worker-lives", "ask-twice", **deeds)
+    report = audit("serves", "worker-crash", "repeated-inference", **deeds)
     (finding,) = [finding for result in report.results for finding in result.findings]
     assert told in finding.message
     assert place in finding.message
@@ -141,7 +141,7 @@ def test_a_model_that_kills_whatever_it_may_does_not_end_the_audit(audit: Callab
     except UserError as error:
         pytest.skip(str(error))
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as bystander:
-        report = audit("serves", "ask-twice", "worker-lives", at_load=deed)
+        report = audit("serves", "repeated-inference", "worker-crash", at_load=deed)
         assert bystander.poll() is None
         bystander.kill()
     assert exit_code([report]) in {ExitCode.CLEAN, ExitCode.FINDINGS, ExitCode.NOT_RUN}
@@ -160,7 +160,7 @@ def test_a_model_that_kills_whatever_it_may_does_not_end_the_audit(audit: Callab
 )
 def test_what_an_adapter_leaves_behind_holds_up_no_audit(audit: Callable[..., Any], deed: str) -> None:
     """Threads, children in sessions of their own, and what is registered for the end."""
-    report = audit("serves", "remote-equals-local", "observation-intact", "ends-with-server", at_load=deed)
+    report = audit("serves", "remote-equals-local", "observation-intact", "leftover-processes", at_load=deed)
     assert Outcome.ERROR not in {result.outcome for result in report.results}
     assert not any("hung" in str(result.reason) for result in report.results)
 

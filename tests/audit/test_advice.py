@@ -49,7 +49,7 @@ def test_advice_is_given_only_where_it_is_selected() -> None:
     assert not codes[()].intersection(CODES)
     assert codes["advice",] == set(CODES)
     assert codes["XPL",] == codes[()].union(CODES)
-    assert {entry.code for entry in registry.select(("XPL6",), ("mypy-finds",), gates)} == {"XPL601"}
+    assert {entry.code for entry in registry.select(("XPL6",), ("mypy-errors",), gates)} == {"XPL601"}
     assert not {entry.code for entry in registry.select(("XPL",), ("advice",), gates)}.intersection(CODES)
 
 

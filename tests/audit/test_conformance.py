@@ -41,7 +41,7 @@ HUNDREDS = {
     "advice": "6",
 }
 RULES = registry.rules()
-LONG = {"batch-moves-alike", "mypy-finds", "golden-parity", "shared-clients", "text-as-flag"}
+LONG = {"batch-motion", "mypy-errors", "golden-parity", "shared-clients", "text-as-flag"}
 """Rules of whose subjects each takes three to six seconds of processor time."""
 OPEN = {"placeholders"}
 """Rules that a fresh scaffold does not satisfy, on purpose: its author has not filled it in yet."""

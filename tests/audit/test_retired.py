@@ -12,7 +12,7 @@ from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
-from xpl_cli.audit.rules.retired import retired
+from xpl_cli.audit.rules.retired import renamed, retired
 from xpl_cli.basics.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -55,3 +55,18 @@ def test_a_waiver_of_a_retired_rule_is_a_note(tmp_path: Path) -> None:
     after = xpl("audit", str(adapter), "--gate", "static", cwd=tmp_path)
     assert after.returncode == ExitCode.CLEAN
     assert f"waivers[0] may be deleted: {GONE.text}" in after.stderr
+
+
+def test_a_former_slug_still_names_its_rule(tmp_path: Path) -> None:
+    """`xpl explain`, a selection and a waiver accept it; it is not the slug of another rule."""
+    slugs = {entry.slug for entry in (*registry.entries(), *retired())}
+    assert not slugs & set(renamed())
+    for slug, code in renamed().items():
+        assert registry.find(slug).code == code
+    adapter = made_adapter(tmp_path / "policy/Foo")
+    (adapter / "train.sh").write_text("set -euo pipefail\nexport HTTPS_PROXY=http://10.0.0.7:3128\n")
+    options = Options(gates=(Gate.STATIC,), names=("private-places",))
+    assert engine.audit(adapter, "policy", options).gates[0].outcome is Outcome.FAIL
+    with (adapter / "policy.yml").open("a") as manifest:
+        manifest.write(f"\nwaivers: {json.dumps([{'rule': 'private-places', 'reason': 'a test'}])}\n")
+    assert engine.audit(adapter, "policy", options).gates[0].outcome is Outcome.PASS

@@ -284,7 +284,7 @@ def test_an_isolated_audit_finds_what_writes_into_its_checkout(write_adapter: Wr
     folder = write_adapter(
         SUBJECT.replace("self.obs = obs\n", "self.obs = obs\n            open('left.txt', 'w').close()\n")
     )
-    options = Options(gates=(Gate.OFFLINE,), names=("serves", "ask-twice"), isolate=True)
+    options = Options(gates=(Gate.OFFLINE,), names=("serves", "repeated-inference"), isolate=True)
     report = engine.audit(folder, "policy", options)
     reasons = [str(result.reason) for result in report.results]
     assert any("Read-only" in reason for reason in reasons), reasons

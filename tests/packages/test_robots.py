@@ -74,7 +74,7 @@ def test_it_is_scaffolded_audited_and_evaluated(project: Path) -> None:
         ("audit", "policy/Desk", "--gate", "static", "--no-cache"),
         ("eval", "policy/Desk", "--env", "offline", "--episodes", "1", "--horizon", "8"),
         ("new-env", "Room", "--embodiment", "desk_arm"),
-        ("audit", "envs/Room", "--select", "env-plays", "--no-cache"),
+        ("audit", "envs/Room", "--select", "env-runs", "--no-cache"),
     ):
         done = xpl(*command, cwd=project)
         assert done.returncode == ExitCode.CLEAN, (command, done.stdout, done.stderr)

@@ -113,7 +113,7 @@ def test_a_machine_without_the_libraries_says_so(tmp_path: Path) -> None:
 def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(
     package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gates, names = (Gate.OFFLINE,), ("env-plays",)
+    gates, names = (Gate.OFFLINE,), ("env-runs",)
     for options, said in (
         (Options(gates, names, env="venv:nowhere"), "there is no interpreter at"),
         (Options(gates, names, python=str(package / "env.yml")), "is no interpreter"),
@@ -132,7 +132,7 @@ def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(
 
 
 def test_an_audit_can_be_narrowed(package: Path) -> None:
-    gates, names = (Gate.OFFLINE,), ("env-plays",)
+    gates, names = (Gate.OFFLINE,), ("env-runs",)
     one = engine.audit(package, "env", Options(gates, names, overrides={"action_type": "ee"}))
     assert one.gates[0].outcome is Outcome.PASS
     none = engine.audit(package, "env", Options(gates, names, overrides={"task": "fly"}))
@@ -155,7 +155,7 @@ def test_an_environment_that_hangs_or_dies_is_a_finding(
     adapter.write(environment.render_env(_answers()), target)
     source = (target / "episode.py").read_text()
     (target / "episode.py").write_text(source.replace("        rng = np", f"        {line}\n        rng = np"))
-    report = engine.audit(target, "env", Options((Gate.OFFLINE,), ("env-plays",), overrides={"action_type": "ee"}))
+    report = engine.audit(target, "env", Options((Gate.OFFLINE,), ("env-runs",), overrides={"action_type": "ee"}))
     (result,) = report.gates[0].results
     assert result.outcome is Outcome.FAIL
     assert said in result.findings[0].message

@@ -11,7 +11,7 @@ from xpl_cli.audit.environments.stage import Offer, Stage
 LIMIT, SEED = 5, 3
 
 
-@rule(code="XPL406", gate="offline", requirement="XPL-ENV-13", after=("env-plays",))
+@rule(code="XPL406", gate="offline", requirement="XPL-ENV-13", after=("env-runs",))
 def env_ends(stage: Stage) -> Iterator[Finding]:
     """An episode continues beyond its step limit, or has no valid result.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.environments.stage import Offer, Stage, motion
 from xpl_cli.audit.environments.trial import Trial, difference
 
 
-@rule(code="XPL414", gate="offline", requirement="XPL-ENV-14", after=("env-plays",))
+@rule(code="XPL414", gate="offline", requirement="XPL-ENV-14", after=("env-runs",))
 def env_last_frame(stage: Stage) -> Iterator[Finding]:
     """`get_obs_batch(last_frame=True)` does not return the previous observation.
 

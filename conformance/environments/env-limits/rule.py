@@ -15,7 +15,7 @@ from xpl_cli.audit.environments.stage import Offer, Play, Stage, motion
 GIVE = 0.05  # rad, and part of the gripper's range: what a simulated joint may give at its stop
 
 
-@rule(code="XPL413", gate="offline", requirement="XPL-ENV-12", after=("env-plays",))
+@rule(code="XPL413", gate="offline", requirement="XPL-ENV-12", after=("env-runs",))
 def env_limits(stage: Stage) -> Iterator[Finding]:
     """A guarded environment executes an action beyond its robot's limits, or silently another action.
 

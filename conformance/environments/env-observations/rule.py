@@ -9,7 +9,7 @@ from xpl_cli.audit.environments.observations import problems
 from xpl_cli.audit.environments.stage import Offer, Stage, motion
 
 
-@rule(code="XPL405", gate="offline", requirement="XPL-ENV-3", after=("env-plays",))
+@rule(code="XPL405", gate="offline", requirement="XPL-ENV-3", after=("env-runs",))
 def env_observations(stage: Stage) -> Iterator[Finding]:
     """An observation does not conform to the standard: a value is missing, or has another shape, type, unit or range.
 

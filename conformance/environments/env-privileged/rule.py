@@ -9,7 +9,7 @@ from xpl_cli.audit import Finding, rule
 from xpl_cli.audit.environments.stage import Offer, Stage
 
 
-@rule(code="XPL415", gate="offline", requirement="XPL-ENV-15", after=("env-plays",))
+@rule(code="XPL415", gate="offline", requirement="XPL-ENV-15", after=("env-runs",))
 def env_privileged(stage: Stage) -> Iterator[Finding]:
     """Observations contain simulator ground truth that was not requested, or lack what env.yml declares.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.environments.trial import difference
 SEED = 3
 
 
-@rule(code="XPL410", gate="offline", requirement="XPL-ENV-9", after=("env-plays",))
+@rule(code="XPL410", gate="offline", requirement="XPL-ENV-9", after=("env-runs",))
 def env_reset(stage: Stage) -> Iterator[Finding]:
     """An episode depends on the previous one.
 

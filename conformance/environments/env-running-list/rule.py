@@ -13,7 +13,7 @@ from xpl_cli.audit.environments.trial import Trial, difference
 LIMIT = 4
 
 
-@rule(code="XPL407", gate="offline", requirement="XPL-ENV-7", after=("env-plays",))
+@rule(code="XPL407", gate="offline", requirement="XPL-ENV-7", after=("env-runs",))
 def env_running_list(stage: Stage) -> Iterator[Finding]:
     """An environment whose episode has ended stays in the running list, or still moves.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.environments.trial import difference
 SEED = 3
 
 
-@rule(code="XPL408", gate="offline", requirement="XPL-ENV-4", after=("env-plays",))
+@rule(code="XPL408", gate="offline", requirement="XPL-ENV-4", after=("env-runs",))
 def env_same_seed(stage: Stage) -> Iterator[Finding]:
     """The same seed and the same actions do not give the same episode.
 

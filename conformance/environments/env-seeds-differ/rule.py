@@ -11,7 +11,7 @@ from xpl_cli.audit.environments.trial import difference
 SEEDS = (0, 1, 2, 3)
 
 
-@rule(code="XPL409", gate="offline", requirement="XPL-ENV-8", after=("env-plays",))
+@rule(code="XPL409", gate="offline", requirement="XPL-ENV-8", after=("env-runs",))
 def env_seeds_differ(stage: Stage) -> Iterator[Finding]:
     """All seeds give the same episode.
 

@@ -35,7 +35,7 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
     """
     probe.ready()
     envs = [0, 1, 2]
-    # All with one instruction: whether each follows its own, `own-instruction` asks.
+    # All with one instruction: whether each follows its own, `instruction-per-environment` asks.
     instruction = probe.observation()[spec.Obs.INSTRUCTION]
     together = probe.batch_episode(envs, instruction=instruction)
     for env in envs:

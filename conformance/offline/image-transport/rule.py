@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.rehearsal import InProcessRun
+from xpl_cli.audit.offline.in_process_run import InProcessRun
 from xpl_cli.audit.served.compare import answers, difference, first_step
 from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.transports import FORMS, LEGACY, decoded, encoded, error_of, sees_pictures

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl.worker.watch import CHANGED
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.offline.rehearsal import InProcessRun
+from xpl_cli.audit.offline.in_process_run import InProcessRun
 from xpl_cli.audit.served.probe import blame
 
 _SHOWN = 4

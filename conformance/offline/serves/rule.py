@@ -39,7 +39,7 @@ def serves(probe: Probe) -> Iterator[Finding]:
             return
         problem = probe.start_problem
         if problem is None:
-            return  # it started, and ended later: `worker-lives` says why
+            return  # it started, and ended later: `worker-crash` says why
         if problem.lacks is not None:
             raise
         yield blame(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from xpl import _spec as sdk
 from xpl.client import ClientError
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.offline.trials import RESULT, case_of
+from xpl_cli.audit.offline.trials import RESULT, trial_case
 from xpl_cli.audit.served.compare import answers, brief, difference, error_code, first_step
 from xpl_cli.audit.served.probe import Probe, blame
 
@@ -43,7 +43,7 @@ def trial_hooks(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     probe.ready()
-    case = case_of(probe)
+    case = trial_case(probe)
     played: list[list[Answer]] = []
     try:
         with probe.fresh_session() as policy:

@@ -16,7 +16,7 @@ def placeholders(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Counts the template's marker in the files of the adapter. As long as one is left, it also lists process_data.sh and
-    train.sh if they run nothing yet; afterwards `hollow-scripts` reports them.
+    train.sh if they run nothing yet; afterwards `empty-scripts` reports them.
 
     ## Why it matters
     An adapter that is not filled in runs: it holds the pose. The marker distinguishes such a run from a policy that

@@ -45,7 +45,7 @@ RULES = {
         ("XPL110", "empty-list-means-all", "static", "XPL-BAT-2"),
         ("XPL120", "unread-settings", "static", "XPL-CFG-4"),
         ("XPL121", "channel-swap", "static", "XPL-IMG-1"),
-        ("XPL130", "private-places", "static", "XPL-PKG-1"),
+        ("XPL130", "private-data", "static", "XPL-PKG-1"),
         ("XPL203", "batch-order", "offline", "XPL-BAT-1"),
         ("XPL204", "batch-unknown", "offline", "XPL-BAT-3"),
         ("XPL260", "golden-parity", "offline", "XPL-NAT-3"),
@@ -119,7 +119,7 @@ def _static() -> GateReport:
             result("XPL121", Outcome.ERROR, reason="ZeroDivisionError: on purpose (rule.py:7)"),
             Result(
                 "XPL130",
-                "private-places",
+                "private-data",
                 "XPL-PKG-1",
                 "must",
                 Outcome.FAIL,

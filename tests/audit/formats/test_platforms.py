@@ -136,7 +136,7 @@ def test_github_commands_are_read_back(context: Context) -> None:
         "file": "policy/Grün 1/scripts\\a,b:c.sh",
         "line": "1",
         "endLine": "3",
-        "title": "XPL130 private-places",
+        "title": "XPL130 private-data",
     }
     assert "::error file=x::not a command" in hostile["message"]
 

@@ -13,7 +13,7 @@ from xpl.action import pack, unpack
 from xpl.embodiment import get_embodiment
 from xpl.observation import ObservationError, get_image, get_instruction, pack_state
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.offline import faulty, limits, rotations
+from xpl_cli.audit.offline import faulty_inputs, limits, rotations
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
@@ -71,7 +71,7 @@ def read(obs: dict[str, Any], name: str) -> None:
 )
 def test_the_readers_of_the_sdk_refuse_every_fault_by_name(obs: dict[str, Any], name: str) -> None:
     """An adapter that reads with them has a clear error for each case that the audit tries."""
-    cases = [*faulty.missing(obs, name), *faulty.damaged(obs, name)]
+    cases = [*faulty_inputs.missing(obs, name), *faulty_inputs.damaged(obs, name)]
     assert len({case.fault for case in cases}) == len(cases) > 1
     for case in cases:
         with pytest.raises(ObservationError) as raised:
@@ -132,7 +132,7 @@ DRAWS = """
         rows = np.stack([row * (1 + 1e-3 * {draw}) for row, env in zip(inputs, envs)])
         return np.repeat(rows[:, None], self.chunk, axis=1)
 """
-RULES = ("inputs-matter", "undeclared-input", "lists-and-extras")
+RULES = ("inputs-matter", "undeclared-input", "observation-forms")
 
 
 @pytest.mark.slow

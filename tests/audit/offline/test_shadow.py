@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 NAME = "Subject"
 CONFIG = {"env_cfg_type": "arx_x5", "action_type": "joint"}
 MISSING = "a_library_that_nobody_has"
-RULES = ("serves", "action-structure", "batch-order", "inputs-matter", "reset-then-ask")
+RULES = ("serves", "action-structure", "batch-order", "inputs-matter", "action-after-reset")
 SPLIT = f"""
 import numpy as np
 from xpl import Policy

@@ -160,7 +160,13 @@ def test_a_claim_is_measured_as_it_says(package: Callable[..., Path]) -> None:
 def test_a_shadow_is_held_to_what_any_model_has_to_do(package: Callable[..., Path]) -> None:
     report = gate(package(), profile=Profile.SHADOW, tasks=("push_block",))
     asked = {result.slug for result in report.results if result.outcome is not Outcome.NOT_APPLICABLE}
-    assert asked == {"closed-loop", "same-seed-same-motion", "batch-moves-alike", "newest-observation", "own-loop"}
+    assert asked == {
+        "closed-loop",
+        "same-seed-same-motion",
+        "batch-motion",
+        "newest-observation",
+        "evaluation-loop-runs",
+    }
     assert report.outcome is Outcome.PASS
     assert report.figures == ()
 
@@ -183,7 +189,7 @@ def test_an_adapter_that_dies_in_the_loop_is_a_finding(package: Callable[..., Pa
 def test_two_runs_print_the_same_finish_line(package: Callable[..., Path]) -> None:
     """The digest holds every answer and every trajectory, and no time."""
     folder = package()
-    finishes = {gate(folder, "closed-loop", "loop-keeps-up", tasks=("push_block",)).finish for _ in range(2)}
+    finishes = {gate(folder, "closed-loop", "control-rate", tasks=("push_block",)).finish for _ in range(2)}
     assert len(finishes) == 1
 
 
@@ -210,7 +216,7 @@ def test_every_episode_is_filmed(package: Callable[..., Path], tmp_path: Path) -
 @pytest.mark.parametrize("name", ["demo_policy", "scripted_expert"])
 def test_our_own_policies_are_green(name: str) -> None:
     """With every robot and action type that they declare; a busy machine keeps up with no loop."""
-    results = gate(content.room("policy") / name, ignore=("loop-keeps-up",)).results
+    results = gate(content.room("policy") / name, ignore=("control-rate",)).results
     assert {result.outcome for result in results} == {Outcome.PASS, Outcome.NOT_APPLICABLE}, results
 
 
@@ -228,7 +234,7 @@ def test_a_fresh_scaffold_is_green_in_physics(arms: int, package: Callable[..., 
     assert {(course.embodiment, course.action_type) for course in courses(folder)} == {
         (robot, kind) for robot in robots for kind in sdk.ACTION_TYPES
     }
-    report = gate(folder, ignore=("loop-keeps-up",))  # a busy machine keeps up with no loop
+    report = gate(folder, ignore=("control-rate",))  # a busy machine keeps up with no loop
     assert report.outcome is Outcome.PASS, report.results
     assert not [result for result in report.results if result.findings]
 

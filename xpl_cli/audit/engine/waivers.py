@@ -83,7 +83,7 @@ def _waivers(entries: list[object]) -> Iterable[Waiver]:
 
 def waive(result: Result, waivers: Iterable[Waiver]) -> Result:
     """Return a result without the findings that are waived; they are kept apart, with the reason."""
-    mine = [waiver for waiver in waivers if waiver.rule in {result.slug, result.code}]
+    mine = [waiver for waiver in waivers if retired.current(waiver.rule) in {result.slug, result.code}]
     if not mine or not result.findings:
         return result
     left: list[Finding] = []

@@ -288,18 +288,19 @@ def rules() -> tuple[Rule, ...]:
 
 
 def find(name: str) -> Rule:
-    """Return a rule by code or slug.
+    """Return a rule by code or slug; a renamed one also by its former slug.
 
     Raises:
         UserError: with the nearest names; for a retired rule, with the reason and what proves the same.
     """
-    gone = retired.lookup(name)
-    if gone is not None:
-        raise UserError(gone.text, hint=f"xpl explain {gone.code}")
+    retired_rule = retired.lookup(name)
+    if retired_rule is not None:
+        raise UserError(retired_rule.text, hint=f"xpl explain {retired_rule.code}")
     names = {key: entry for entry in entries() for key in (entry.code, entry.slug)}
-    wanted = name.upper() if name.upper() in names else name.lower()
-    if wanted in names:
-        return names[wanted].load()
+    key = retired.current(name)
+    key = key.upper() if key.upper() in names else key.lower()
+    if key in names:
+        return names[key].load()
     raise no_such(f"there is no rule {name!r}", name, names, listing="xpl rules")
 
 
@@ -329,7 +330,7 @@ def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, .
 
 def lookup(name: str) -> Entry | None:
     """Return what stands for a rule of this code or slug, None if there is none."""
-    return next((item for item in entries() if name in {item.code, item.slug}), None)
+    return next((item for item in entries() if retired.current(name) in {item.code, item.slug}), None)
 
 
 def needed(item: Rule, way: tuple[str, ...] = ()) -> tuple[Entry, ...]:
@@ -353,6 +354,7 @@ def needed(item: Rule, way: tuple[str, ...] = ()) -> tuple[Entry, ...]:
 def _matches(entry: Entry, name: str) -> bool:
     if name == ADVICE:
         return entry.is_advice
+    name = retired.current(name)
     letters, prefix = entry.code.rstrip(string.digits), name.upper()
     return entry.slug == name or (prefix.startswith(letters) and entry.code.startswith(prefix))
 
