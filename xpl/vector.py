@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl.simulator.crew import Crew, Limits
 from xpl.simulator.process import EnvLostError
+from xpl.simulator.worker_pool import EnvTimeouts, EnvWorkerPool
 
 if TYPE_CHECKING:
     from xpl.contract import Action, Config, ObservationDict, Report, Result
-    from xpl.simulator.crew import Calls
+    from xpl.simulator.worker_pool import Calls
 
 INFRASTRUCTURE = "infrastructure"
 """`end_reason` of an episode that says nothing about the policy: what it was played with failed."""
@@ -61,7 +61,7 @@ class VectorEnv:
         *,
         workers: int = 1,
         python: str | None = None,
-        limits: Limits | None = None,
+        limits: EnvTimeouts | None = None,
     ) -> None:
         self._total = int(config.get("num_envs") or 1)
         if not 1 <= workers <= self._total:
@@ -74,17 +74,19 @@ class VectorEnv:
         self._running: list[list[int]] = [[] for _ in self._shares]
         self._last: dict[int, ObservationDict] = {}
         self._final: dict[int, Result] = {}
-        self._crew = Crew(client, [{**config, "num_envs": len(part)} for part in self._shares], python, limits)
+        self._workers = EnvWorkerPool(
+            client, [{**config, "num_envs": len(part)} for part in self._shares], python, limits
+        )
 
     @property
     def guarded(self) -> bool:
         """Whether the environment keeps its robot's limits itself."""
-        return self._crew.guarded
+        return self._workers.guarded
 
     @property
     def pids(self) -> list[int]:
         """Process ids of the workers that live."""
-        return self._crew.pids
+        return self._workers.pids
 
     def reset(self, seed: Sequence[int] | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Start a new episode in every environment; workers that were lost are started again before.
@@ -100,7 +102,7 @@ class VectorEnv:
         seeds = range(self._next_seed, self._next_seed + self._total) if seed is None else [int(each) for each in seed]
         if len(seeds) != self._total:
             raise ValueError(f"reset needs {self._total} seeds, one per environment, got {list(seeds)}")
-        self._crew.start_missing()
+        self._workers.start_missing()
         self._seeds, self._next_seed = list(seeds), seeds[-1] + 1
         self._running = [[] for _ in self._shares]
         self._last, self._final = {}, {}
@@ -116,7 +118,7 @@ class VectorEnv:
             ]
             for worker, part in enumerate(self._shares)
         }
-        for worker, (_, observations, running) in self._crew.reset(asked).items():
+        for worker, (_, observations, running) in self._workers.reset(asked).items():
             self._saw(worker, range(len(observations)), observations)
             self._running[worker] = running
         self._options = wanted
@@ -147,13 +149,13 @@ class VectorEnv:
         if not last_frame:
             parts = self._by_worker(chosen)
             asked = {worker: [["get_obs_batch", [local]], _RUNNING] for worker, local in parts.items()}
-            answers = self._crew.run(asked)
+            answers = self._workers.run(asked)
             for worker, (observations, running) in answers.items():
                 self._saw(worker, parts[worker], observations)
                 self._running[worker] = running
         missing = [index for index in chosen if index not in self._last]
         if missing:
-            raise EnvLostError(self._crew.lost[self._owner[missing[0]][0]])
+            raise EnvLostError(self._workers.lost[self._owner[missing[0]][0]])
         return [self._last[index] for index in chosen]
 
     def take_action(self, action: Action) -> Report:
@@ -179,7 +181,7 @@ class VectorEnv:
             for worker, local in parts.items()
         }
         reports: dict[int, Any] = {}
-        for worker, (told, running) in self._crew.run(asked).items():
+        for worker, (told, running) in self._workers.run(asked).items():
             reports.update(zip((self._shares[worker][each] for each in parts[worker]), told or ()))
             ended = set(self._running[worker]).difference(running)
             self._running[worker] = running
@@ -196,7 +198,7 @@ class VectorEnv:
         """Return the environments whose episode goes on."""
         if not self._seeds:
             raise RuntimeError("no episode has begun: call reset first")
-        alive = [worker for worker, reason in enumerate(self._crew.lost) if not reason]
+        alive = [worker for worker, reason in enumerate(self._workers.lost) if not reason]
         return [self._shares[worker][local] for worker in alive for local in self._running[worker]]
 
     def results(self) -> list[Result]:
@@ -211,8 +213,8 @@ class VectorEnv:
 
     def finish_episode(self) -> None:
         """Pass on what debug clients call at the end of an episode, where the environment knows it."""
-        if _FINISH in self._crew.methods:
-            self._crew.run({worker: [[_FINISH, []]] for worker in range(len(self._shares))})
+        if _FINISH in self._workers.methods:
+            self._workers.run({worker: [[_FINISH, []]] for worker in range(len(self._shares))})
 
     def render(self, env_idx: int = 0, camera: str | None = None) -> Any:
         """Return what a camera sees now, (H, W, 3) uint8 RGB, for people.
@@ -223,14 +225,14 @@ class VectorEnv:
             EnvLostError: the environment is lost.
         """
         ((worker, local),) = self._by_worker([env_idx]).items()
-        answers = self._crew.look({worker: [[_RENDER, [*local, camera]]]})
+        answers = self._workers.query({worker: [[_RENDER, [*local, camera]]]})
         if worker not in answers:
-            raise EnvLostError(self._crew.lost[worker])
+            raise EnvLostError(self._workers.lost[worker])
         return answers[worker][0]
 
     def close(self) -> None:
         """Close the environments and end their processes."""
-        self._crew.close()
+        self._workers.close()
 
     # -- indices -------------------------------------------------------------------------------------------------------
 
@@ -256,7 +258,7 @@ class VectorEnv:
 
     def _report(self, index: int, given: Any) -> Report:
         report = {**(given or {}), spec.Obs.ENV_IDX: index}
-        if self._crew.lost[self._owner[index][0]]:
+        if self._workers.lost[self._owner[index][0]]:
             report["end_reason"] = self._final.get(index, {}).get("end_reason", INFRASTRUCTURE)
         return report
 
@@ -264,7 +266,7 @@ class VectorEnv:
         """Return what the workers that live say of their environments' episodes."""
         return {
             index: {**result, spec.Obs.ENV_IDX: index}
-            for worker, (told,) in self._crew.run({worker: [_RESULTS] for worker in workers}).items()
+            for worker, (told,) in self._workers.run({worker: [_RESULTS] for worker in workers}).items()
             for index, result in zip(self._shares[worker], told)
         }
 
@@ -275,5 +277,5 @@ class VectorEnv:
             "success": None,
             "score": None,
             "end_reason": INFRASTRUCTURE,
-            "error": self._crew.lost[self._owner[env][0]],
+            "error": self._workers.lost[self._owner[env][0]],
         }

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, NoReturn
 
 import typer
 
-from xpl.simulator.asking import name_terminal
+from xpl.simulator.terminal import publish_terminal
 from xpl_cli import __version__
 from xpl_cli.basics import console, failures
 from xpl_cli.basics.endings import endings
@@ -134,7 +134,7 @@ def run() -> NoReturn:
     console.open_streams()
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a shell has it for what it starts in the background
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    name_terminal()
+    publish_terminal()
     # A supervisor's SIGTERM ends a command the way Ctrl-C does, so that every `finally` still runs.
     signal.signal(signal.SIGTERM, _interrupt)
     code = main(sys.argv[1:])

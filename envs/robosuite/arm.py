@@ -32,7 +32,7 @@ class Arm:
     Args:
         prefix: see above.
         number: robosuite's, of the robot.
-        counted_from: what a change counts from (`xpl.simulator.changes.Changes`).
+        counted_from: what a change counts from (`xpl.simulator.pose_deltas.PoseDeltas`).
     """
 
     def __init__(self, prefix: str, number: int, counted_from: str) -> None:

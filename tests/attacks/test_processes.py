@@ -181,18 +181,18 @@ def test_what_a_shell_had_started_before_it_became_the_server_is_spared(
             found = processes.descendants(server.pid)  # their commands are cut, and a checkout's path may be long
             return [one for one in found if b"sys.stdin.read()" in Path(f"/proc/{one.pid}/cmdline").read_bytes()]
 
-        wait_until(lambda: len(processes.descendants(server.pid)) == 3 and reader(), "reader, keeper and worker run")
+        wait_until(lambda: len(processes.descendants(server.pid)) == 3 and reader(), "reader, reaper and worker run")
         (spared,) = reader()
         server.send_signal(signal.SIGTERM)
         server.send_signal(signal.SIGTERM)
         assert server.wait(DEADLINE_S) == 0
-        wait_until(lambda: not spared.lives, "the reader has read all of it")
+        wait_until(lambda: not spared.is_alive, "the reader has read all of it")
         assert log.exists()
 
 
 @pytest.mark.slow
 def test_a_worker_says_how_it_ended(write_adapter: Callable[..., Path]) -> None:
-    """Its keeper ends as it did: by the same signal, or with the same exit code."""
+    """Its reaper ends as it did: by the same signal, or with the same exit code."""
     for ending, told in {
         "import os; os._exit(7)": "exit code 7",
         "import os; os.abort()": "signal SIGABRT",

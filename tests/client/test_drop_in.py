@@ -146,7 +146,7 @@ def test_a_client_that_is_connected_can_be_handed_over(server: Start) -> None:
         assert second.trial_id == "t7"
         assert WsModelClient(client=first).call("heartbeat")["ok"] is True
     assert [frame.message_type for frame in frames] == ["hello", "reset", "heartbeat"]
-    with pytest.raises(TypeError, match=r"must be an xpl\.Client"):
+    with pytest.raises(TypeError, match=r"must be a connected xpl\.Client"):
         Client("", client=object())
     with pytest.raises(ClientError):
         second.reset()

@@ -22,7 +22,7 @@ from xpl.process import spawn
 )
 def test_an_exit_code_is_told_in_words(code: int, launched: bool, told: str) -> None:
     """A launcher gives a signal on as 128 and its number; a real-time signal has no name."""
-    assert spawn.how_it_ended(code, launched=launched) == told
+    assert spawn.describe_exit(code, launched=launched) == told
 
 
 def test_a_group_ends_with_its_leader() -> None:

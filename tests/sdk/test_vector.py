@@ -24,8 +24,8 @@ from tests.support.places import ROOT
 from xpl.action import ActionError
 from xpl.process.modules import load_module
 from xpl.rollout import run_batch
-from xpl.simulator.crew import Limits
 from xpl.simulator.process import EnvLostError, EnvRaisedError
+from xpl.simulator.worker_pool import EnvTimeouts
 from xpl.vector import INFRASTRUCTURE, VectorEnv, shares
 from xpl_cli.basics.content import room
 
@@ -227,7 +227,7 @@ def test_a_misfortune_spoils_its_own_episodes_and_no_others(
     start: Callable[..., VectorEnv], what: str, said: str
 ) -> None:
     """Environments of the same worker are lost, those that had ended before keep their result, others go on."""
-    env = start({"num_envs": 5}, workers=2, limits=Limits(step_s=0.5))
+    env = start({"num_envs": 5}, workers=2, limits=EnvTimeouts(step_s=0.5))
     env.reset([1, 9, 9, 9, 2])
     env.take_action_batch([ON] * 5, range(5))
     assert env.get_running_env_idx_list() == [1, 2, 3, 4]
@@ -319,7 +319,7 @@ def test_an_environment_that_cannot_be_made_leaves_nothing(
     start: Callable[..., VectorEnv], what: str, error: type[Exception], said: str
 ) -> None:
     with pytest.raises(error, match=said):
-        start({"num_envs": 2, "misfortune": what}, workers=2, limits=Limits(start_s=2.0))
+        start({"num_envs": 2, "misfortune": what}, workers=2, limits=EnvTimeouts(start_s=2.0))
 
 
 @pytest.mark.parametrize(("count", "workers"), [(2, 3), (2, 0)])

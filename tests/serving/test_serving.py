@@ -488,7 +488,7 @@ def test_no_signal_leaves_a_process_behind(
     assert process.stdout is not None
     try:
         url = json.loads(process.stdout.readline())["url"]
-        wait_until(lambda: len(processes(mark)) == 4, "front end, keeper, worker and the model's child run")
+        wait_until(lambda: len(processes(mark)) == 4, "front end, reaper, worker and the model's child run")
         peer = Peer(url)
         with contextlib.ExitStack() as stack:
             if thinking:

@@ -1,1 +1,1 @@
-"""An adapter's evaluation loop in a process of its own: what it is given there in place of environment and client."""
+"""An adapter's evaluation loop in a separate process, with proxies of environment and client."""

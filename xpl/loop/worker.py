@@ -1,19 +1,19 @@
-"""The process of an adapter's evaluation loop: it runs deploy.py, and sees observations and actions, nothing else.
+"""Process of an adapter's evaluation loop: it runs deploy.py, with access to observations and actions only.
 
 Standard library and numpy only, besides what deploy.py needs. A message has a head, in JSON, and one packed value
-(`xpl.process.link`, `xpl.wire.packed`). The process that judges sends
+(`xpl.process.link`, `xpl.wire.packed`). The evaluator sends
 
     {"load": PATH}                          -> {"functions": [NAME, ...]}, or {"raised": {"type", "message"}}
-    {"play": FUNCTION, "running": [0]}      -> {"returned": null}, or {"raised": {"type", "message", "told"}}
+    {"run": FUNCTION, "running": [0]}       -> {"returned": null}, or {"raised": {"type", "message", "forwarded"}}
 
-and until the loop has returned it answers what the loop asks (`xpl.loop.stand_ins`):
+and until the loop has returned it answers the loop's operations (`xpl.loop.proxies`):
 
-    {"ask": "task_env" or "client", "operation": NAME, "ahead": false}, [arguments, options]
-                                            -> {"ok": true, "running": [...]}, what it returns
+    {"target": "task_env" or "client", "operation": NAME, "pipelined": false}, [arguments, options]
+                                            -> {"ok": true, "running": [...]}, the result
                                             -> {"ok": false, "running": [...]}, {"type", "message", ...}
 
-A question that goes ahead is not answered; where it is refused, the next one is answered by that, and not run. `told`
-says that what the loop raised is what it was answered.
+A pipelined operation is not answered; if it fails, the next operation is answered by its error and not run. `forwarded`
+says that the loop raised an error that it had been sent.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
 
-from xpl.loop.stand_ins import Client, Judge, TaskEnv
+from xpl.loop.proxies import ClientProxy, EvaluatorLink, TaskEnvProxy
 from xpl.process import child, link
 from xpl.process.modules import load_module
 from xpl.wire import telling
@@ -37,38 +37,38 @@ class LoopWorker:
     """Runs the loops of one adapter.
 
     Args:
-        judge: the link to the process that judges.
+        evaluator: the link to the evaluator's process.
     """
 
-    def __init__(self, judge: Judge) -> None:
-        self._judge = judge
+    def __init__(self, evaluator: EvaluatorLink) -> None:
+        self._evaluator = evaluator
         self._module: ModuleType | None = None
 
-    def answer(self, head: link.Head) -> link.Head:
-        """Do what a message asks for, and return the head of the answer."""
+    def handle(self, head: link.Head) -> link.Head:
+        """Run the command of a message, and return the head of the answer."""
         try:
             if "load" in head:
                 self._module = load_module(Path(head["load"]))
                 return {"functions": [name for name, value in vars(self._module).items() if callable(value)]}
-            self._judge.begin(head["running"])
-            getattr(self._module, head["play"])(TaskEnv(self._judge), Client(self._judge))
+            self._evaluator.begin(head["running"])
+            getattr(self._module, head["run"])(TaskEnvProxy(self._evaluator), ClientProxy(self._evaluator))
         except BaseException as error:  # noqa: BLE001 - whatever the adapter's code raises, SystemExit too
-            is_told = error is self._judge.told
-            about = telling.describe(error)
-            if not is_told:
-                with contextlib.suppress(Exception):  # where the adapter closed it
-                    sys.stderr.write(about["traceback"])
-            message = about["message"][:_LONGEST] if about["message"] != about["type"] else ""
-            return {"raised": {"type": about["type"], "message": message, "told": is_told}}
+            is_forwarded = error is self._evaluator.last_error
+            description = telling.describe(error)
+            if not is_forwarded:
+                with contextlib.suppress(Exception):  # the adapter may have closed it
+                    sys.stderr.write(description["traceback"])
+            message = description["message"][:_LONGEST] if description["message"] != description["type"] else ""
+            return {"raised": {"type": description["type"], "message": message, "forwarded": is_forwarded}}
         return {"returned": None}
 
 
 def main(descriptor: int) -> NoReturn:
-    """Run loops, as messages on a descriptor ask for, until it is closed."""
-    channel = child.joined(descriptor)
-    worker = LoopWorker(Judge(channel))
+    """Answer the messages on a descriptor until it is closed."""
+    channel = child.open_link(descriptor)
+    worker = LoopWorker(EvaluatorLink(channel))
     while True:
         message = channel.receive()
         if message is None:
             child.end()
-        channel.send(worker.answer(link.decode(message)[0]))
+        channel.send(worker.handle(link.decode(message)[0]))

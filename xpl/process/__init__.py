@@ -1,1 +1,1 @@
-"""Processes of our own: how one is started, what it is told over its private link, and how it ends with its parent."""
+"""Child processes: how one is started, its private link to the parent, and how it ends with its parent."""

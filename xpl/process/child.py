@@ -1,4 +1,4 @@
-"""A process of our own that answers messages over a private descriptor: how it starts, serves, ends with its parent.
+"""Child's side of a process that answers messages over a private descriptor: start, serve, end with the parent.
 
 Standard library only. Workers of policies (`xpl.worker.main`) and of environments (`xpl.simulator.worker`), and the
 processes that run an adapter's evaluation loop (`xpl.loop.worker`), are such processes.
@@ -31,115 +31,119 @@ SDK_START = """
 import importlib.util, sys
 sys.path[:] = [p for p in sys.path if p]
 folder = sys.argv[1]
-found = importlib.util.spec_from_file_location("xpl", folder + "/__init__.py", submodule_search_locations=[folder])
-module = sys.modules["xpl"] = importlib.util.module_from_spec(found)
-found.loader.exec_module(module)
+init = folder + "/__init__.py"
+module_spec = importlib.util.spec_from_file_location("xpl", init, submodule_search_locations=[folder])
+module = sys.modules["xpl"] = importlib.util.module_from_spec(module_spec)
+module_spec.loader.exec_module(module)
 """
-"""Makes `import xpl` work in any interpreter without putting a folder on its path: nothing but the SDK becomes
-importable. Its first argument is the SDK's folder; further code may follow. Python 3.9, standard library."""
+"""Makes `import xpl` work in any interpreter without a change of its path: only the SDK becomes importable.
+Its first argument is the SDK's folder; further code may follow. Python 3.9, standard library."""
 
-KEPT_START = """
+REAPER_START = """
 import os, sys
 if sys.executable:
     _worker = os.fork()
     if _worker:
-        _keeper = [sys.executable, "-I", "-S", sys.argv[1] + "/process/keeper.py", str(_worker), sys.argv[2]]
-        os.execv(_keeper[0], _keeper)
+        _reaper = [sys.executable, "-I", "-S", sys.argv[1] + "/process/reaper.py", str(_worker), sys.argv[2]]
+        os.execv(_reaper[0], _reaper)
 """
-"""Puts a keeper (`xpl.process.keeper`) above this process; comes before `SDK_START`. Its second argument is the number
+"""Puts a reaper (`xpl.process.reaper`) above this process; comes before `SDK_START`. Its second argument is the number
 of its end of the link."""
 
 
-TURN_S = 1.0
-"""How long the main thread has to come back from foreign code before another one lets go of what is held."""
-LEAVE_S = 5.0
-"""How long letting go may take."""
+MAIN_THREAD_S = 1.0
+"""Time for the main thread to return from third-party code before another thread runs the cleanup, s."""
+CLEANUP_S = 5.0
+"""Time limit of the cleanup, s."""
 
 
-class _Ended(BaseException):
-    """This process was asked to end; nothing between here and the loop of messages is to catch it."""
+class _Terminated(BaseException):
+    """This process received SIGTERM; a BaseException, so that only the message loop catches it."""
 
 
-class Leaving:
-    """What is to be done once before this process ends, by whichever thread gets there first.
+class ExitCleanup:
+    """Cleanup that runs once before this process ends, in whichever thread comes first.
 
     Args:
-        leave: lets go of what is held: an arm holds its pose, a simulator closes its files.
+        cleanup: releases resources: an arm holds its pose, a simulator closes its files.
     """
 
-    def __init__(self, leave: Callable[[], None]) -> None:
-        self._leave = leave
-        self._turn = threading.Lock()
-        self._begun = threading.Event()
+    def __init__(self, cleanup: Callable[[], None]) -> None:
+        self._cleanup = cleanup
+        self._claim = threading.Lock()
+        self._started = threading.Event()
         self._done = threading.Event()
 
     def run(self) -> None:
-        """Let go, unless that has been done; return when it is done, or takes too long."""
-        if not self._turn.acquire(blocking=False):
-            self._done.wait(LEAVE_S)
+        """Run the cleanup, unless it has run; return when it is done, or after `CLEANUP_S`."""
+        if not self._claim.acquire(blocking=False):
+            self._done.wait(CLEANUP_S)
             return
-        self._begun.set()
+        self._started.set()
         try:
-            self._leave()
-        except BaseException:  # noqa: BLE001 - it is the last thing that happens here
+            self._cleanup()
+        except BaseException:  # noqa: BLE001 - the process ends anyway
             sys.stderr.write(traceback.format_exc())
         finally:
             self._done.set()
 
-    def see_to_it(self) -> None:
-        """See that it happens although the main thread may be stuck, and return when it has, or takes too long."""
-        if not self._begun.wait(TURN_S):
+    def ensure_run(self) -> None:
+        """Run the cleanup even if the main thread is stuck; return when it is done, or after `CLEANUP_S`."""
+        if not self._started.wait(MAIN_THREAD_S):
             threading.Thread(target=self.run, daemon=True).start()
-        self._done.wait(LEAVE_S)
+        self._done.wait(CLEANUP_S)
 
 
-def serve(descriptor: int, handle: Handle, leave: Callable[[], None] | None = None) -> NoReturn:
+def serve(descriptor: int, handle: Handle, cleanup: Callable[[], None] | None = None) -> NoReturn:
     """Answer messages that arrive on a descriptor until it is closed, then end.
 
     Args:
-        descriptor: our end of a socket pair (`joined`).
+        descriptor: this process's end of a socket pair (`open_link`).
         handle: returns head and buffers of the answer to the head and the buffers of a message.
-        leave: is called once before the process ends: when the parent is gone, when it closes the link, and on SIGTERM;
-            where the main thread does not come back from `handle`, by another thread.
+        cleanup: called once before the process ends: when the parent is gone, when it closes the link, and on SIGTERM;
+            in another thread if the main thread does not return from `handle`.
     """
-    leaving = None if leave is None else Leaving(leave)
+    exit_cleanup = None if cleanup is None else ExitCleanup(cleanup)
     try:
-        stream = joined(descriptor, leaving)
-        _answer(stream, handle)
+        stream = open_link(descriptor, exit_cleanup)
+        _answer_messages(stream, handle)
     except PackingError as error:
         sys.stderr.write(f"[worker] {error}\n")
-    except (OSError, _Ended):
+    except (OSError, _Terminated):
         pass
-    if leaving is not None:
-        leaving.run()
+    if exit_cleanup is not None:
+        exit_cleanup.run()
     end()
 
 
-def _answer(stream: Channel, handle: Handle) -> None:
+def _answer_messages(stream: Channel, handle: Handle) -> None:
     while True:
         message = stream.receive()
         if message is None:
             return
         answer = handle(*link.decode(message))
-        del message  # what it holds may be large, and the next one may be long in coming
+        del message  # it may be large, and the next message may take long
         stream.send(*answer)
 
 
-def joined(descriptor: int, leaving: Leaving | None = None) -> Channel:
-    """Return the link to the parent, and prepare this process for it.
+def open_link(descriptor: int, exit_cleanup: ExitCleanup | None = None) -> Channel:
+    """Open the link to the parent, and set up output and signals of this process.
 
-    What runs here may print: standard output is joined to standard error, so the link stays clean, and nothing fails
-    for want of a reader when the parent is gone: least of all an arm that says that it stops. A thread watches the
-    link, so that the process ends with its parent even while it computes. SIGUSR1 prints where it is.
+    Standard output is redirected to standard error, and output without a reader is dropped: printing fails neither in
+    user code nor in an arm that stops after its parent is gone. A thread watches the link, so that the process ends
+    with its parent even while it computes. SIGUSR1 prints the stacks of all threads.
 
     Args:
-        descriptor: our end of a socket pair.
-        leaving: what is to be done before the process ends; SIGTERM is waited for then, too.
+        descriptor: this process's end of a socket pair.
+        exit_cleanup: runs before the process ends; SIGTERM is handled then, too.
     """
     os.dup2(2, 1)
     sys.stdout, sys.stderr = (
         io.TextIOWrapper(
-            io.BufferedWriter(_Output(number, "w", closefd=False)), "utf-8", "backslashreplace", line_buffering=True
+            io.BufferedWriter(_DroppingOutput(number, "w", closefd=False)),
+            "utf-8",
+            "backslashreplace",
+            line_buffering=True,
         )
         for number in (1, 2)
     )
@@ -148,50 +152,50 @@ def joined(descriptor: int, leaving: Leaving | None = None) -> Channel:
     os.set_inheritable(descriptor, False)  # noqa: FBT003 - positional only
     channel = socket.socket(fileno=descriptor)
     channel.settimeout(None)
-    threading.Thread(target=_watch, args=(descriptor, leaving), daemon=True).start()
-    if leaving is not None:
-        _end_on_sigterm(leaving)
+    threading.Thread(target=_watch_parent, args=(descriptor, exit_cleanup), daemon=True).start()
+    if exit_cleanup is not None:
+        _end_on_sigterm(exit_cleanup)
     return Channel(channel)
 
 
-class _Output(io.FileIO):
-    """A descriptor whose reader may go: what is written then is dropped."""
+class _DroppingOutput(io.FileIO):
+    """A descriptor that drops output when its reader is gone."""
 
     def write(self, data: Any, /) -> int:
-        """Write, or drop."""
+        """Write, or drop the data."""
         try:
             return super().write(data)
         except BrokenPipeError:
             return memoryview(data).nbytes
 
 
-def _watch(descriptor: int, leaving: Leaving | None) -> None:
+def _watch_parent(descriptor: int, exit_cleanup: ExitCleanup | None) -> None:
     """Wait until the other end of the link is closed."""
     poll = select.poll()
-    poll.register(descriptor, 0)  # a hang-up is reported unasked
+    poll.register(descriptor, 0)  # POLLHUP is always reported
     while not any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll()):
         pass
-    _leave(leaving)
+    _clean_up_and_end(exit_cleanup)
 
 
-def _leave(leaving: Leaving | None) -> NoReturn:
-    """Let go of what is held, and end."""
-    if leaving is not None:
-        leaving.see_to_it()
+def _clean_up_and_end(exit_cleanup: ExitCleanup | None) -> NoReturn:
+    """Run the cleanup, and end."""
+    if exit_cleanup is not None:
+        exit_cleanup.ensure_run()
     end()
 
 
-def _end_on_sigterm(leaving: Leaving) -> None:
-    def told(_number: int, _frame: object) -> NoReturn:
+def _end_on_sigterm(exit_cleanup: ExitCleanup) -> None:
+    def on_sigterm(_number: int, _frame: object) -> NoReturn:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        threading.Thread(target=_leave, args=(leaving,), daemon=True).start()
-        raise _Ended
+        threading.Thread(target=_clean_up_and_end, args=(exit_cleanup,), daemon=True).start()
+        raise _Terminated
 
-    signal.signal(signal.SIGTERM, told)
+    signal.signal(signal.SIGTERM, on_sigterm)
 
 
 def end() -> NoReturn:
-    """End at once, with all child processes: the parent is gone, the main thread may be deep inside foreign code."""
+    """End at once, with all child processes: the main thread may be inside third-party code."""
     if os.getpid() == os.getpgrp():  # the parent starts this process as the leader of a group of its own
         os.killpg(os.getpgrp(), signal.SIGKILL)
     os._exit(0)

@@ -1,7 +1,7 @@
-"""The private stream between the server's front end and a worker: a little JSON and raw buffers, one after the other.
+"""Messages of the private stream between a parent and its worker: a JSON head and raw buffers.
 
 One message is a frame (`xpl.wire.frame`) whose header is `[head, [length of each buffer]]`. The buffers are packed
-values (`xpl.wire.packed`), which the front end passes on without reading them.
+values (`xpl.wire.packed`), which a server's front end forwards without reading them.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from xpl.wire.arrays import Data
 
 Head = dict[str, Any]
-"""What a message says besides its buffers, in what JSON knows."""
+"""The JSON part of a message."""
 
 HEAD_LIMIT = 1 << 23
-"""Bytes of a head: its lists and maps take many times as much memory."""
+"""Most bytes of a head: its lists and maps take many times as much memory."""
 
 _SCRATCH = 1 << 16
 _STEP = 1 << 26
@@ -40,7 +40,7 @@ def encode(head: object, buffers: Sequence[Data] = ()) -> list[Data]:
     """Return the pieces of one message; the buffers are not copied.
 
     Raises:
-        PackingError: if the head is not made of what JSON knows, or is too large.
+        PackingError: the head is no JSON, or too large.
     """
     sizes = [len(buffer) for buffer in buffers]
     try:
@@ -60,8 +60,8 @@ def encode(head: object, buffers: Sequence[Data] = ()) -> list[Data]:
     return [begun(text, sum(map(len, body))), *body]
 
 
-def joined(pieces: Sequence[Data]) -> Sequence[Data]:
-    """Return the pieces of a message as one where it is small: each that is sent wakes the other side."""
+def coalesce(pieces: Sequence[Data]) -> Sequence[Data]:
+    """Return the pieces of a small message as one: every send wakes the other side."""
     return [b"".join(pieces)] if sum(map(len, pieces)) <= _SCRATCH else pieces
 
 
@@ -69,7 +69,7 @@ def decode(message: Data) -> tuple[Any, list[memoryview]]:
     """Return the head and the buffers of one message; the buffers are read-only views of it.
 
     Raises:
-        PackingError: if it is not exactly one message.
+        PackingError: the bytes are not exactly one message.
     """
     view = memoryview(message).toreadonly()
     end = PREFIX_BYTES + lengths(view)[0]
@@ -80,33 +80,33 @@ def decode(message: Data) -> tuple[Any, list[memoryview]]:
             buffers.append(view[end : end + size])
             end += size + len(gap(size))
     except (ValueError, TypeError, RecursionError):
-        raise PackingError("the header of a message is none: the stream is out of step") from None
+        raise PackingError("malformed header of a message: the stream is out of step") from None
     if end != len(view) or any(size < 0 for size in sizes):
         raise PackingError(f"a message of {end} bytes was announced, got {len(view)}: the stream is out of step")
     return head, buffers
 
 
 class Inbox:
-    """Cuts a stream into messages, without I/O: read into `space()`, then say how much came.
+    """Splits a stream into messages, without I/O: read into `space()`, then call `take` with the number of bytes.
 
     Args:
-        largest: most bytes of a message's body; one that announces more is none.
+        largest: most bytes of a message's body; a message that announces more is malformed.
     """
 
     def __init__(self, largest: int = BODY_LIMIT) -> None:
         self._largest = largest
         self._scratch = bytearray(_SCRATCH)
-        self._kept = 0
+        self._buffered = 0
         self._message: bytearray | None = None
         self._filled = 0
         self._total = 0
 
     def space(self) -> memoryview:
-        """Return where the next bytes are to be put."""
+        """Return the buffer for the next bytes."""
         if self._message is None:
-            return memoryview(self._scratch)[self._kept :]
+            return memoryview(self._scratch)[self._buffered :]
         if self._filled == len(self._message):
-            # In steps: what is announced is no reason to take that much memory.
+            # Grow in steps: do not allocate what is only announced.
             grown = bytearray(min(self._total, 2 * len(self._message)))
             grown[: self._filled] = self._message
             self._message = grown
@@ -116,10 +116,10 @@ class Inbox:
         """Return the messages that `count` more bytes complete.
 
         Raises:
-            PackingError: if the stream is out of step.
+            PackingError: the stream is out of step.
         """
         if self._message is None:
-            return self._cut(memoryview(self._scratch)[: self._kept + count])
+            return self._cut(memoryview(self._scratch)[: self._buffered + count])
         self._filled += count
         if self._filled < self._total:
             return []
@@ -128,7 +128,7 @@ class Inbox:
 
     def _cut(self, view: memoryview) -> list[Data]:
         messages: list[Data] = []
-        self._kept = 0
+        self._buffered = 0
         while len(view) >= PREFIX_BYTES:
             header, body = lengths(view)
             if body > self._largest or header > HEAD_LIMIT + PREFIX_BYTES:
@@ -147,12 +147,12 @@ class Inbox:
             view = view[total:]
         rest = bytes(view)
         self._scratch[: len(rest)] = rest
-        self._kept = len(rest)
+        self._buffered = len(rest)
         return messages
 
 
 class Channel:
-    """A blocking end of the stream: the worker's."""
+    """The worker's end of the stream; blocks."""
 
     def __init__(self, channel: socket.socket) -> None:
         self._socket = channel
@@ -163,17 +163,17 @@ class Channel:
         """Send a message.
 
         Raises:
-            PackingError: if it cannot be sent; nothing was sent then.
-            OSError: if the other end is gone.
+            PackingError: it cannot be encoded; nothing was sent.
+            OSError: the other end is gone.
         """
-        for piece in joined(encode(head, buffers)):
+        for piece in coalesce(encode(head, buffers)):
             self._socket.sendall(piece)
 
     def receive(self) -> Data | None:
         """Return the bytes of the next message, or None at the end of the stream.
 
         Raises:
-            PackingError: if what arrives is not a message.
+            PackingError: the stream is no sequence of messages.
         """
         while not self._ready:
             try:

@@ -1,7 +1,7 @@
-"""Python files of a package that is found by path: loaded under a module name of their own.
+"""Import of Python files by path, each under a unique module name.
 
-Policies, environments, rules and simulators have their own `envs`, `policy`, `utils`: under a name made from its path,
-a file shadows none of them.
+Policies, environments, rules and simulators have their own `envs`, `policy`, `utils`: a name made from the file's path
+shadows none of them.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ def register_package(name: str, folder: Path) -> None:
 
 
 def execute(name: str, path: Path) -> ModuleType:
-    """Run a Python file as the module `name`; one that raises is no module.
+    """Run a Python file as the module `name`; remove the module if it raises.
 
     Raises:
         ImportError: if it cannot be loaded as a Python module.
     """
-    found = importlib.util.spec_from_file_location(name, path)
-    if found is None or found.loader is None:
+    module_spec = importlib.util.spec_from_file_location(name, path)
+    if module_spec is None or module_spec.loader is None:
         message = f"{path} cannot be loaded as a Python module"
         raise ImportError(message)
-    module = importlib.util.module_from_spec(found)
+    module = importlib.util.module_from_spec(module_spec)
     sys.modules[name] = module
     try:
-        found.loader.exec_module(module)
+        module_spec.loader.exec_module(module)
     except BaseException:
         del sys.modules[name]
         raise

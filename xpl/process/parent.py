@@ -1,6 +1,6 @@
-"""A process of our own, seen from whoever started it: one message at a time, each with a deadline, and a certain end.
+"""Parent's side of a child process: one message at a time, each with a deadline, and a guaranteed end.
 
-The process leads a group of its own and ends with whoever started it, however that ends (`xpl.process.child`).
+The process leads its own process group and ends with its parent, however that ends (`xpl.process.child`).
 """
 
 from __future__ import annotations
@@ -22,36 +22,36 @@ if TYPE_CHECKING:
     from xpl.wire.arrays import Data
 
 _LOOK_S = 0.5
-"""How often a silent process is looked at: its children may hold the link open after it has ended."""
+"""Interval at which a silent process is polled, s: its children may keep the link open after it has ended."""
 _GRACE_S = 5.0
 
 
 class ProcessLostError(RuntimeError):
-    """The process ended, did not answer in time, or sent what is no message; it has been ended then."""
+    """The process ended, did not answer in time, or sent a malformed message; it has been killed."""
 
 
 class Process:
-    """A child process of ours, asked one message at a time.
+    """A child process that answers one message at a time.
 
     Args:
         start: code that it runs after `child.SDK_START`; its second argument is the number of its end of the link.
-        python: interpreter; this one by default. It needs numpy, and not the SDK.
-        prefix: what is put before the command, as an isolation has it.
-        environment: variables of the process; ours by default.
-        is_silent: whether what it prints is thrown away.
-        largest: most bytes of a message from it.
+        python: interpreter; this one by default. It needs numpy, not the SDK.
+        prefix: put before the command, for an isolation.
+        environment: variables of the process; those of this process by default.
+        is_silent: discard its output.
+        largest: most bytes of a message that it sends.
 
     Attributes:
-        pid: the process, which leads a group of its own.
+        pid: process id, and id of its process group.
 
     Raises:
-        OSError: there is no such interpreter.
+        OSError: the interpreter does not exist.
     """
 
     name = "the process"
-    """What it is called in sentences."""
+    """Name of the process in messages."""
     lost_error: type[ProcessLostError] = ProcessLostError
-    """What is raised when it is lost."""
+    """Exception that is raised when the process is lost."""
 
     def __init__(  # noqa: PLR0913 - keywords, and how one process differs from another
         self,
@@ -81,7 +81,7 @@ class Process:
                 self._channel.close()
                 raise
         self.pid = self._process.pid
-        self._output = threading.Thread(target=_show, args=(self._process.stdout,), daemon=True)
+        self._output = threading.Thread(target=_forward_output, args=(self._process.stdout,), daemon=True)
         self._output.start()
         self._is_launched = bool(prefix)
         self._inbox = link.Inbox(largest)
@@ -90,35 +90,35 @@ class Process:
         self._is_killed = False
 
     def send(self, pieces: Sequence[Data], limit_s: float) -> None:
-        """Send a message, whose answer `take` returns.
+        """Send a message; `take` returns the answer.
 
         Args:
             pieces: of the message (`link.encode`).
-            limit_s: seconds until the answer has to be there.
+            limit_s: seconds within which the answer must arrive.
 
         Raises:
-            ProcessLostError: the process is gone, or took in nothing.
+            ProcessLostError: the process is gone, or does not read.
         """
         self._limit_s, self._deadline = limit_s, time.monotonic() + limit_s
         try:
             self._channel.settimeout(limit_s)
-            for piece in link.joined(pieces):
+            for piece in link.coalesce(pieces):
                 self._channel.sendall(piece)
         except socket.timeout:
-            raise self._lost(self._late()) from None
+            raise self._kill_and_report(self._timeout_message()) from None
         except OSError:
-            raise self._lost(self._ended()) from None
+            raise self._kill_and_report(self._exit_message()) from None
 
     def take(self) -> tuple[Any, list[memoryview]]:
-        """Return head and buffers of the next message of the process, which are read-only.
+        """Return head and buffers of the next message of the process; the buffers are read-only.
 
         Raises:
-            ProcessLostError: there is none.
+            ProcessLostError: no message in time, or a malformed one.
         """
         while not self._ready:
             left = self._deadline - time.monotonic()
             if left <= 0:
-                raise self._lost(self._late())
+                raise self._kill_and_report(self._timeout_message())
             self._channel.settimeout(min(left, _LOOK_S))
             try:
                 count = self._channel.recv_into(self._inbox.space())
@@ -130,47 +130,47 @@ class Process:
             except OSError:
                 count = 0
             except PackingError as error:
-                raise self._broken(error) from None
+                raise self._link_error(error) from None
             if not count:
-                raise self._lost(self._ended())
+                raise self._kill_and_report(self._exit_message())
         try:
             return link.decode(self._ready.pop(0))
         except PackingError as error:
-            raise self._broken(error) from None
+            raise self._link_error(error) from None
 
     def kill(self) -> None:
-        """End the process and its children at once; killing twice is fine."""
-        if self._is_killed:  # its number may be another's by now
+        """Kill the process and its children; killing twice is fine."""
+        if self._is_killed:  # its id may have been reused
             return
         self._is_killed = True
         self._channel.close()
         spawn.end_group(self.pid)
         self._process.wait()
-        self._output.join(_LOOK_S)  # of one that left the group, the pipe may stay open
+        self._output.join(_LOOK_S)  # a child that left the group may keep the pipe open
 
-    def _late(self) -> str:
+    def _timeout_message(self) -> str:
         return f"{self.name} did not answer within {self._limit_s:g} s"
 
-    def _ended(self) -> str:
+    def _exit_message(self) -> str:
         """Return how the process ended."""
         try:
             code = self._process.wait(_GRACE_S)
         except subprocess.TimeoutExpired:
             return f"{self.name}'s process closed its link"
-        return f"{self.name}'s process {spawn.how_it_ended(code, launched=self._is_launched)}"
+        return f"{self.name}'s process {spawn.describe_exit(code, launched=self._is_launched)}"
 
-    def _broken(self, error: Exception) -> ProcessLostError:
-        return self._lost(f"the link to {self.name} broke: {error}")
+    def _link_error(self, error: Exception) -> ProcessLostError:
+        return self._kill_and_report(f"the link to {self.name} broke: {error}")
 
-    def _lost(self, reason: str) -> ProcessLostError:
+    def _kill_and_report(self, reason: str) -> ProcessLostError:
         self.kill()
         return self.lost_error(reason)
 
 
-def _show(output: IO[bytes] | None) -> None:
-    """Copy what a process prints to standard error, which it must not hold itself.
+def _forward_output(output: IO[bytes] | None) -> None:
+    """Copy the output of a process to standard error, which the process must not inherit.
 
-    A terminal can be read from and set by whoever has it open, and a log file be opened again and emptied.
+    A process that has a terminal open can read from it and set it, and can truncate a log file.
     """
     if output is None:
         return

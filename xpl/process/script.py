@@ -1,4 +1,4 @@
-"""Runs an author's script as its interpreter would, and tells the standard's own errors in a line, without a traceback.
+"""Runs an author's script like its interpreter, but prints the standard's own errors in one line, without a traceback.
 
 It is started by its path in the policy's Python, SCRIPT and its arguments behind it, and imports nothing of `xpl`.
 """
@@ -19,7 +19,7 @@ def main() -> None:
     del sys.argv[0]
     script = Path(sys.argv[0])
     sys.path[0] = str(script.resolve().parent)
-    sys.excepthook = functools.partial(_told, script)
+    sys.excepthook = functools.partial(_print_exception, script)
     module = ModuleType("__main__")
     module.__file__ = str(script)
     sys.modules["__main__"] = module
@@ -27,8 +27,10 @@ def main() -> None:
     exec(code, module.__dict__)  # noqa: S102 - what an interpreter is for
 
 
-def _told(script: Path, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Print what ended the script: where and why if the standard says so, else its traceback, from the script on."""
+def _print_exception(
+    script: Path, kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    """Print an uncaught exception: one line with its location for an error of `xpl`, else a traceback."""
     while trace is not None and trace.tb_frame.f_code.co_filename != str(script):
         trace = trace.tb_next
     if kind.__module__.partition(".")[0] != STANDARD:

@@ -1,4 +1,4 @@
-"""How a process of ours is started and ended: its link, command, variables and group, and what its exit code says."""
+"""Start and end of a child process: link, command, variables, process group, exit code."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from xpl.process import child
 
 _BUFFER = 1 << 22
 _SIGNALLED = 128
-"""What a launcher adds to the number of the signal that ended what it had started."""
+"""Offset that a launcher adds to the number of the signal that ended its child."""
 
 
 def link() -> tuple[socket.socket, socket.socket]:
-    """Return both ends of a link, ours first."""
+    """Return both ends of a link, the parent's first."""
     ends = socket.socketpair()
     for end in ends:
         for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
@@ -29,27 +29,27 @@ def command(python: str, start: str, *arguments: str, prefix: Sequence[str] = ()
     """Return the command of a process that runs code of the SDK.
 
     Args:
-        python: interpreter; it needs numpy, and not the SDK.
-        start: what it runs: `child.SDK_START`, which takes the first argument, and more.
-        arguments: the further ones; for most the number of their end of the link.
-        prefix: what is put before the command, as an isolation has it.
+        python: interpreter; it needs numpy, not the SDK.
+        start: its code: `child.SDK_START`, which reads the first argument, and more.
+        arguments: further arguments; usually the number of its end of the link.
+        prefix: put before the command, for an isolation.
     """
     return [*prefix, python, "-c", start, str(Path(child.__file__).parents[1]), *arguments]
 
 
 def variables(environment: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the variables of a process with an interpreter of its own: our path settings must not leak into it."""
-    found = {**(os.environ if environment is None else environment), "PYTHONUNBUFFERED": "1"}
-    found.pop("PYTHONHOME", None)
-    return found
+    """Return the environment variables of a process with its own interpreter, without this one's path settings."""
+    env = {**(os.environ if environment is None else environment), "PYTHONUNBUFFERED": "1"}
+    env.pop("PYTHONHOME", None)
+    return env
 
 
-def how_it_ended(code: int, *, launched: bool = False) -> str:
-    """Return in words how a process ended.
+def describe_exit(code: int, *, launched: bool = False) -> str:
+    """Return a phrase about how a process ended.
 
     Args:
-        code: its exit code; minus the number of a signal that ended it.
-        launched: whether a launcher gave the code on, as an isolation has one.
+        code: exit code; negative: the number of the signal that ended it.
+        launched: whether a launcher, such as an isolation, passed the code on.
     """
     if launched and code > _SIGNALLED:
         code = _SIGNALLED - code
@@ -60,6 +60,6 @@ def how_it_ended(code: int, *, launched: bool = False) -> str:
 
 
 def end_group(leader: int) -> None:
-    """Kill a process that leads a group, and the group; who has ended stays ended."""
+    """Kill the process group of `leader`; one that has ended is ignored."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(leader, signal.SIGKILL)

@@ -1,1 +1,1 @@
-"""Environments in processes of their own, as whoever drives them sees them."""
+"""Environments in separate processes, and what their parent needs to drive them."""

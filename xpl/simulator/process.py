@@ -1,6 +1,6 @@
-"""An environment in a process of its own, seen from outside: start, one message at a time, end.
+"""Parent's side of an environment in a separate process: start, one message at a time, end.
 
-The process leads a group of its own and ends with whoever started it, however that ends (`xpl.process.child`).
+The process leads its own process group and ends with its parent, however that ends (`xpl.process.child`).
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
     from xpl.wire.arrays import Data
 
 _START = "from xpl.simulator.worker import main; main(int(sys.argv[2]))"
-_GRACE_S = child.TURN_S + child.LEAVE_S + 2.0
-"""What a process is given to close its environment: the time that it gives itself, and a little more."""
+_GRACE_S = child.MAIN_THREAD_S + child.CLEANUP_S + 2.0
+"""Time for a process to close its environment: its own limit, and a little more."""
 _LOOK_S = 0.005
 
 
 class EnvLostError(ProcessLostError):
-    """The process ended, or did not answer in time; it has been ended then."""
+    """The process ended, or did not answer in time and was killed."""
 
 
 class EnvRaisedError(RuntimeError):
     """The environment raised.
 
     Args:
-        kind: type of what it raised.
-        message: what that says.
+        kind: name of the exception's type.
+        message: its text.
     """
 
     def __init__(self, kind: str, message: str) -> None:
@@ -46,24 +46,24 @@ def message(op: str, value: object) -> list[Data]:
     """Return the pieces of a message to a worker.
 
     Raises:
-        PackingError: the value holds what cannot travel.
+        PackingError: the value cannot be encoded.
     """
     return link.encode({"op": op}, [b"".join(packed.encode(value))])
 
 
 class EnvProcess(Process):
-    """One worker of an environment (`xpl.simulator.worker`), asked one message at a time.
+    """One worker of an environment (`xpl.simulator.worker`), one message at a time.
 
     Args:
-        python: interpreter; this one by default. It needs numpy and what the environment imports, and not the SDK.
-        prefix: what is put before the command, to keep it within bounds.
-        environment: variables of the process; ours by default.
+        python: interpreter; this one by default. It needs numpy and the environment's imports, not the SDK.
+        prefix: put before the command, for an isolation.
+        environment: variables of the process; those of this process by default.
 
     Attributes:
-        pid: the process, which leads a group of its own.
+        pid: process id, and id of its process group.
 
     Raises:
-        OSError: there is no such interpreter.
+        OSError: the interpreter does not exist.
     """
 
     name = "the environment"
@@ -75,7 +75,7 @@ class EnvProcess(Process):
         super().__init__(_START, python, prefix=prefix, environment=environment)
 
     def receive(self) -> Any:
-        """Return the answer to what was sent; its arrays are read-only.
+        """Return the answer to the last message; its arrays are read-only.
 
         Raises:
             EnvRaisedError: the environment raised.
@@ -87,14 +87,14 @@ class EnvProcess(Process):
         return packed.decode(buffers[0])
 
     def kill(self) -> None:
-        """End the process, once it has closed its environment; at once where that takes too long.
+        """Let the process close its environment and end; kill it if that takes too long.
 
-        It does so by itself when the link is closed, also in the middle of a step.
+        The process does so when the link is closed, also in the middle of a step.
         """
         self._channel.close()
         deadline = time.monotonic() + _GRACE_S
-        with contextlib.suppress(ChildProcessError):  # it has been waited for already
-            # Left to be waited for: until then its number is its own.
+        with contextlib.suppress(ChildProcessError):  # it has been reaped already
+            # WNOWAIT: until it is reaped, its id is not reused.
             while not os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
                 if time.monotonic() > deadline:
                     break

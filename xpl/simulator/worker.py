@@ -1,14 +1,14 @@
-"""The worker of an environment: makes one from its client file and runs its operations, in an interpreter of its own.
+"""Worker process of an environment: makes it from its client file and runs its methods, in its own interpreter.
 
 Standard library and numpy only, besides what the environment needs. Messages have a head, in JSON, and one packed value
 (`xpl.process.link`, `xpl.wire.packed`):
 
     {"op": "make"}, {"client", "config"}         -> {"ok": true}, {"guarded", "methods"}
-    {"op": "run"}, [[method, arguments], ...]    -> {"ok": true}, what each returns
+    {"op": "run"}, [[method, arguments], ...]    -> {"ok": true}, the result of each
     {"op": "close"}, null                        -> {"ok": true}, null
 
-Whatever raises is answered by `{"error": {"type", "message"}}`, and what follows it is not run. Before the process
-ends, however that comes but for SIGKILL, the environment is closed: an arm must not be left as it happened to move.
+An exception is answered by `{"error": {"type", "message"}}`, and the calls after it are not run. Before the process
+ends, except by SIGKILL, the environment is closed: an arm must not be left moving.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from xpl import _spec as spec
 from xpl.environment import NotInstalledError
 from xpl.process import child
 from xpl.process.modules import load_module
-from xpl.simulator import asking
+from xpl.simulator import terminal
 from xpl.wire import packed, telling
 
 if TYPE_CHECKING:
@@ -40,19 +40,19 @@ class EnvWorker:
         self._is_closed = False
 
     def handle(self, head: Mapping[str, Any], buffers: Sequence[Data]) -> tuple[dict[str, Any], list[Data]]:
-        """Return the answer to one message; whatever the environment raises becomes an `error`."""
+        """Return the answer to one message; an exception of the environment becomes an `error`."""
         operations: dict[str, Callable[[Any], Any]] = {MAKE: self._make, RUN: self._run, CLOSE: self._close}
         try:
             result = operations[head["op"]](packed.decode(buffers[0]))
             return {"ok": True}, [b"".join(packed.encode(result))]
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a simulator may end the process over anything
-            about = telling.describe(error)
-            if not isinstance(error, (ValueError, NotInstalledError)):  # the caller is told what is wrong
-                sys.stderr.write(about["traceback"])
-            return {"error": {"type": about["type"], "message": about["message"]}}, []
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a simulator may call sys.exit
+            description = telling.describe(error)
+            if not isinstance(error, (ValueError, NotInstalledError)):  # the message suffices
+                sys.stderr.write(description["traceback"])
+            return {"error": {"type": description["type"], "message": description["message"]}}, []
 
-    def _make(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        self._env = load_module(Path(asked["client"])).make(asked["config"])
+    def _make(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        self._env = load_module(Path(request["client"])).make(request["config"])
         methods = [name for name in dir(self._env) if not name.startswith("_")]
         return {"guarded": bool(getattr(self._env, "guarded", False)), "methods": methods}
 
@@ -65,13 +65,13 @@ class EnvWorker:
             self._env.close()
 
     def leave(self) -> None:
-        """Close the environment, unless that has been done."""
+        """Close the environment, unless it is closed."""
         if not self._is_closed:
             self._close(None)
 
 
 def main(descriptor: int) -> NoReturn:
-    """Serve messages that arrive on a descriptor until it is closed."""
-    asking.use_terminal()
+    """Answer the messages on a descriptor until it is closed."""
+    terminal.use_terminal()
     worker = EnvWorker()
     child.serve(descriptor, worker.handle, worker.leave)

@@ -126,8 +126,8 @@ def start(name: str, config: Config, *, workers: int = 1, python: str | None = N
         UserError: the environment refuses the configuration, or cannot be made or played here.
     """
     from xpl.environment import NotInstalledError
-    from xpl.simulator.crew import Limits
     from xpl.simulator.process import EnvLostError, EnvRaisedError
+    from xpl.simulator.worker_pool import EnvTimeouts
     from xpl.vector import VectorEnv
 
     folder = find(name)
@@ -139,7 +139,7 @@ def start(name: str, config: Config, *, workers: int = 1, python: str | None = N
             # One that asks for a verdict, too, does so in the last step.
             facts = manifest(folder)
             asks = {"step_s": _PERSON_S} if facts.robot else {}
-            limits = Limits(start_s=_PERSON_S, **asks) if facts.real_time else None
+            limits = EnvTimeouts(start_s=_PERSON_S, **asks) if facts.real_time else None
             env: Any = VectorEnv(_client(folder), config, workers=workers, python=python, limits=limits)
         else:
             env = content.load_module(_client(folder)).make(config)

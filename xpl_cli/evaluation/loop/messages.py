@@ -53,7 +53,7 @@ class LoopRequest:
         """
         try:
             whom, operation = head["target"], head["operation"]
-            arguments, options = packed.decode(buffers[0], shown.find)
+            arguments, options = packed.decode(buffers[0], shown.resolve)
         except (LookupError, TypeError, ValueError) as error:
             raise LoopProtocolError(f"the process of its evaluation loop sent no question: {error!s:.200}") from None
         known = {TASK_ENV: ENV_OPERATIONS, CLIENT: CLIENT_OPERATIONS}.get(whom, ()) if isinstance(whom, str) else ()

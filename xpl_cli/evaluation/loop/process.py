@@ -75,7 +75,7 @@ class _Process(Process):
         below = processes.descendants(self.pid)
         super().kill()
         for member in below:
-            if member.lives:
+            if member.is_alive:
                 with contextlib.suppress(ProcessLookupError, PermissionError):
                     os.kill(member.pid, 9)
 

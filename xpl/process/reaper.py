@@ -1,6 +1,6 @@
-"""The process above a worker: it sees everything that the worker starts, and ends all of it with the worker.
+"""Reaper: the process above a worker, which kills everything that the worker started when the worker ends.
 
-    python -I -S keeper.py WORKER LINK
+    python -I -S reaper.py WORKER LINK
 
 A worker forks as its first act: the child goes on as the worker, the parent becomes this. What the worker's processes
 leave behind becomes a child of this one (prctl(2), PR_SET_CHILD_SUBREAPER), whatever group or session it made for
@@ -26,16 +26,16 @@ _AGAIN_S = 0.005
 
 
 def main(worker: int, link: int) -> NoReturn:
-    """Wait for the end of the worker, or of whoever is at the other end of the link; then end all there is."""
+    """Wait until the worker ends or the link is closed; then kill all descendants."""
     wakes, woken = os.pipe()
     os.set_blocking(woken, False)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # meant for the server, which ends this process in order
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(woken, warn_on_full_buffer=False)
-    _adopt()
+    _become_subreaper()
     poll = select.poll()
-    poll.register(link, 0)  # a hang-up is reported unasked
+    poll.register(link, 0)  # POLLHUP is always reported
     poll.register(wakes, select.POLLIN)
     status = None
     while status is None:
@@ -48,8 +48,8 @@ def main(worker: int, link: int) -> NoReturn:
     _end_as(status or 0)
 
 
-def _adopt() -> None:
-    """Become the parent of what loses its own; and be woken, should this be stopped, when the server ends."""
+def _become_subreaper() -> None:
+    """Become the parent of orphaned descendants; get SIGCONT when the server ends, should this process be stopped."""
     if sys.platform != "linux":
         return
     with contextlib.suppress(ImportError, OSError, AttributeError):
@@ -61,30 +61,30 @@ def _adopt() -> None:
 
 
 def _reap(worker: int) -> int | None:
-    """Let go of what has ended; return the status of the worker if it is among it."""
-    found = None
+    """Reap processes that have ended; return the status of the worker if it is one of them."""
+    worker_status = None
     with contextlib.suppress(ChildProcessError):
         while True:
             pid, status = os.waitpid(-1, os.WNOHANG)
             if pid == 0:
                 break
             if pid == worker:
-                found = status
-    return found
+                worker_status = status
+    return worker_status
 
 
 def _end_all(worker: int) -> None:
-    """Kill everything below this process, until there is nothing left."""
-    told: set[int] = set()
+    """Kill all descendants of this process until none is left."""
+    reported: set[int] = set()
     if not os.path.isdir(_PROC) and os.getpid() == os.getpgrp():  # noqa: PTH112 - pathlib starts slowly
-        os.killpg(os.getpgrp(), signal.SIGKILL)  # this process, too: nobody else can be seen
+        os.killpg(os.getpgrp(), signal.SIGKILL)  # this process, too: without /proc no other is visible
     while True:
-        left = _below(os.getpid())
+        left = _descendants(os.getpid())
         if not left:
             return
         for pid, (name, group) in left.items():
-            if pid != worker and group != os.getpgrp() and pid not in told:
-                told.add(pid)
+            if pid != worker and group != os.getpgrp() and pid not in reported:
+                reported.add(pid)
                 with contextlib.suppress(OSError):
                     os.write(2, f"[worker] ended process {pid} ({name}), which had left the group\n".encode())
             with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -93,9 +93,9 @@ def _end_all(worker: int) -> None:
         _reap(worker)
 
 
-def _below(pid: int) -> dict[int, tuple[str, int]]:
-    """Return name and group of the living processes below one, by their numbers."""
-    known: dict[int, tuple[int, str, int]] = {}
+def _descendants(pid: int) -> dict[int, tuple[str, int]]:
+    """Return name and process group of the living descendants of a process, by process id."""
+    processes: dict[int, tuple[int, str, int]] = {}
     for entry in os.listdir(_PROC) if os.path.isdir(_PROC) else ():  # noqa: PTH112, PTH208 - pathlib starts slowly
         if entry.isdigit():
             with contextlib.suppress(OSError, ValueError, IndexError):
@@ -103,23 +103,23 @@ def _below(pid: int) -> dict[int, tuple[str, int]]:
                     before, _, after = file.read().rpartition(")")
                 state, parent, group = after.split()[:3]
                 if state != "Z":
-                    known[int(entry)] = int(parent), before.partition("(")[2], int(group)
-    found: dict[int, tuple[str, int]] = {}
+                    processes[int(entry)] = int(parent), before.partition("(")[2], int(group)
+    descendants: dict[int, tuple[str, int]] = {}
     inside = {pid}
     while inside:
-        inside = {one for one, (parent, _, _) in known.items() if parent in inside and one not in found}
-        found.update({one: known[one][1:] for one in inside})
-    return found
+        inside = {one for one, (parent, _, _) in processes.items() if parent in inside and one not in descendants}
+        descendants.update({one: processes[one][1:] for one in inside})
+    return descendants
 
 
 def _end_as(status: int) -> NoReturn:
-    """End as the worker did."""
+    """End with the worker's exit code or signal."""
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
         with contextlib.suppress(ImportError, OSError, ValueError):
             import resource
 
-            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # one memory image of a crash is enough
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # one core dump of a crash is enough
         if number != signal.SIGKILL:
             signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
