@@ -21,11 +21,11 @@ from tests.support.commands import problem, xpl
 from tests.support.examples import examples
 from tests.support.recordings.runs import Faults, rewritten, synthetic
 from xpl_cli.basics.errors import UserError
-from xpl_cli.evaluation.leaderboard import board, field, ranking
+from xpl_cli.evaluation.leaderboard import comparable_runs, ranking, ranking_text
 from xpl_cli.evaluation.records import lines, records
 from xpl_cli.evaluation.records.failures import contradiction
 from xpl_cli.evaluation.records.records import RecordError
-from xpl_cli.evaluation.report import curves, media, written
+from xpl_cli.evaluation.report import curves, media, report_files
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 
@@ -246,7 +246,7 @@ def test_success_without_a_step_or_a_request_is_not_ranked(told: dict[str, Any],
     run = synthetic(tmp_path / "run", rate=1.0, faults=Faults(policy=0, retried=0))
     found = records.read(rewritten(run, lambda lines: [{**lines[0], **told}, *lines[1:]]))
     with pytest.raises(UserError, match=r"episode 0 succeeded, (after 0 steps|without a request)"):
-        field.gather([found])
+        comparable_runs.gather([found])
 
 
 @pytest.mark.parametrize("kind", ["a pipe", "a device", "a folder", "a loop of links", "no rights", "too large"])
@@ -292,7 +292,7 @@ def test_every_command_that_reads_records_names_the_line(sound: Path, tmp_path: 
         ended = xpl(*command, "--skip-bad-lines", *(["--anyway"] if command[0] == "leaderboard" else []))
         assert ended.code == 0, ended
         assert f"line {BAD}" in ended.stderr
-    assert "left out of the record" in (run / "report" / written.MARKDOWN).read_text(encoding="utf-8")
+    assert "left out of the record" in (run / "report" / report_files.MARKDOWN).read_text(encoding="utf-8")
 
 
 def _npy(shape: tuple[int, ...] = (), dtype: str = "<f4", data: bytes = bytes(4)) -> bytes:
@@ -344,7 +344,7 @@ def test_a_trace_beyond_its_bounds_is_a_sentence_of_the_page(name: str, sound: P
     line["trace"] = {"path": "a.npz", "digest": hashlib.sha256(content).hexdigest()}
     run = _changed(sound, tmp_path / "run", line)
     (run / "a.npz").write_bytes(content)
-    (entry,) = media.shown(records.read(run), 1 << 24, "").values()
+    (entry,) = media.collect_media(records.read(run), 1 << 24, "").values()
     assert "a.npz holds no curves: " in entry["problem"]
     assert said in entry["problem"]
 
@@ -415,14 +415,14 @@ def test_whatever_stands_in_a_line_is_left_out_or_can_be_reported(
     found = records.read(run, skip=True)
     assert all(f"line {number}" in skipped for skipped in found.skipped)
     assert all(validate(one.as_json(), lines.definition("episode")) == [] for one in found.attempts)
-    document = written.write(found, run / "report", 0)
+    document = report_files.write(found, run / "report", 0)
     json.dumps(document, allow_nan=False, ensure_ascii=False).encode()
     if any(map(contradiction, found.finals.values())):
         with pytest.raises(UserError, match="the record was changed"):
-            field.gather([found], anyway=True)
+            comparable_runs.gather([found], anyway=True)
         return
-    ranked = ranking.rank(field.gather([found], anyway=True))
-    for form in (board.text, board.as_csv, board.as_markdown):
+    ranked = ranking.rank(comparable_runs.gather([found], anyway=True))
+    for form in (ranking_text.text, ranking_text.as_csv, ranking_text.as_markdown):
         assert form(ranked)
 
 

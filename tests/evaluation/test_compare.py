@@ -15,8 +15,8 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.statistics import intervals, verdicts
 from xpl_cli.evaluation.statistics.comparison import IncomparableError, compare
-from xpl_cli.evaluation.statistics.comparisons import Comparison
-from xpl_cli.evaluation.statistics.intervals import Pairs
+from xpl_cli.evaluation.statistics.comparison_model import Comparison
+from xpl_cli.evaluation.statistics.intervals import PairedCounts
 from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def test_the_better_policy_is_named_with_its_margin(runs: tuple[Path, Path]) -> 
     rows, overall = found["cells"], found["overall"]
     assert found["verdict"].startswith("Bar is better than Foo: ")
     assert overall["pairs"] == sum(row["pairs"] for row in rows) == 120
-    table = Pairs(*(overall[name] for name in Pairs._fields))
+    table = PairedCounts(*(overall[name] for name in PairedCounts._fields))
     assert overall["p_value"] == intervals.mcnemar(table) < 0.001
     assert overall["difference"] == pytest.approx(overall["second_rate"] - overall["first_rate"])
     assert overall["interval"][0] > 0.1
@@ -152,7 +152,7 @@ def test_exit_codes(tmp_path: Path) -> None:
 
 def test_the_documentation_shows_what_the_command_prints(tmp_path: Path) -> None:
     """docs/statistics.md: the pairs of its example, in words and in its table."""
-    pairs = {"lift_cube": Pairs(27, 4, 14, 5), "stack_blocks_two": Pairs(9, 6, 15, 20)}
+    pairs = {"lift_cube": PairedCounts(27, 4, 14, 5), "stack_blocks_two": PairedCounts(9, 6, 15, 20)}
     folders = []
     for side, name in enumerate(("Foo", "Bar")):
         folder = synthetic(tmp_path / name, list(pairs), ["clean"], 50, policy=name, faults=Faults(retried=0))

@@ -14,7 +14,7 @@ from tests.support.commands import xpl
 from tests.support.places import ROOT
 from tests.support.recordings.runs import Faults, rewritten, synthetic
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.leaderboard import board, export, field, ranking
+from xpl_cli.evaluation.leaderboard import comparable_runs, export, ranking, ranking_text
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.evaluation.statistics.summary import summarise
@@ -34,7 +34,7 @@ def _run(folder: Path, policy: str, **wishes: Any) -> records.Run:
 
 
 def _rank(*runs: records.Run, **wishes: bool) -> ranking.Ranking:
-    return ranking.rank(field.gather(runs, **wishes))
+    return ranking.rank(comparable_runs.gather(runs, **wishes))
 
 
 # --- Order ------------------------------------------------------------------------------------------------------------
@@ -59,7 +59,7 @@ def test_what_the_episodes_do_not_tell_apart_is_said(tmp_path: Path) -> None:
     found = _rank(*(_run(tmp_path, name, rate=0.6) for name in ("One", "Other")))
     first, second = (row.policy for row in found.rows)
     assert any(note.startswith(f"Not told apart from {first} by these episodes: {second}.") for note in found.notes)
-    assert board.standing(found.rows[1]) == "not told apart from the first"
+    assert ranking_text.describe_standing(found.rows[1]) == "not told apart from the first"
 
 
 def test_equal_runs_share_a_rank_and_have_names_of_their_own(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_a_run_with_too_many_infrastructure_errors_is_not_ranked(tmp_path: Path)
     assert [row.policy for row in found.rows] == ["Bad"]
     assert (
         "Broken is not ranked: 80 of its 80 episodes ended with an infrastructure error, more than 10%"
-        in board.text(found)
+        in ranking_text.text(found)
     )
     with pytest.raises(UserError, match="no run can be ranked"):
         _rank(broken)
@@ -126,9 +126,9 @@ def test_a_record_that_contradicts_itself_about_success_is_not_ranked(tmp_path: 
 
 def test_a_ranking_is_written_for_people_papers_and_tables(tmp_path: Path) -> None:
     found = _rank(*(_run(tmp_path, name) for name in ("One", "Other_|_two")))
-    assert len([line for line in board.text(found).splitlines() if "/80" in line or "/79" in line]) <= 2
-    assert "| Other\\_\\|\\_two |" in board.as_markdown(found)
-    rows = list(csv.DictReader(io.StringIO(board.as_csv(found))))
+    assert len([line for line in ranking_text.text(found).splitlines() if "/80" in line or "/79" in line]) <= 2
+    assert "| Other\\_\\|\\_two |" in ranking_text.as_markdown(found)
+    rows = list(csv.DictReader(io.StringIO(ranking_text.as_csv(found))))
     assert [float(row["success_rate"]) for row in rows] == [row.success_rate for row in found.rows]
     assert rows[0]["p_value"] == ""
 
@@ -152,16 +152,16 @@ def test_runs_that_are_not_alike_are_ranked_only_by_those_who_want_it(
 ) -> None:
     """The refusal says what differs; in spite of it, the ranking says so, too."""
     runs = _run(tmp_path, "One"), _run(tmp_path, "Other", **wishes)
-    with pytest.raises(field.UnlikeError) as refused:
+    with pytest.raises(comparable_runs.IncompatibleRunsError) as refused:
         _rank(*runs)
     assert said in str(refused.value)
     assert refused.value.code == ExitCode.NOT_RUN
     if "spec" in wishes:  # which common episodes do not mend
-        with pytest.raises(field.UnlikeError):
+        with pytest.raises(comparable_runs.IncompatibleRunsError):
             _rank(*runs, common=True)
     found = _rank(*runs, anyway=True)
     assert any(note.startswith(said) for note in found.notes)
-    assert "in spite of differences" in board.title(found)
+    assert "in spite of differences" in ranking_text.title(found)
     assert validate(found.as_json(), "leaderboard") == []
 
 
@@ -171,7 +171,7 @@ def test_other_machines_are_named_and_no_reason_to_refuse(tmp_path: Path) -> Non
     facts["system"] = "another system"
     found = _rank(*runs)
     assert any(note.startswith("Machine: system: ") and "another system" in note for note in found.notes)
-    assert "in spite of differences" not in board.title(found)
+    assert "in spite of differences" not in ranking_text.title(found)
 
 
 def test_common_episodes_make_runs_alike(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from tests.support.recordings.runs import episode, synthetic
 from xpl_cli.evaluation.leaderboard import ranking
 from xpl_cli.evaluation.records import lines, model, records
-from xpl_cli.evaluation.statistics import comparisons, summaries
+from xpl_cli.evaluation.statistics import comparison_model, summary_model
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 from xpl_cli.submission import bundle, claims
@@ -45,17 +45,17 @@ _ANSWER = {"schema", "next"}
         (bundle.Checkpoints, _SUBMISSION["$defs"]["checkpoints"], set()),
         (claims.Claim, _SUBMISSION["properties"]["runs"]["items"], set()),
         (claims.CellClaim, _SUBMISSION["$defs"]["cell"], set()),
-        (summaries.Summary, _SUMMARY, _ANSWER),
-        (summaries.Row, _SUMMARY["$defs"]["row"], set()),
-        (summaries.Contrast, _SUMMARY["properties"]["contrasts"]["items"], set()),
-        (summaries.ExecutionStats, _EXECUTION, set()),
-        (summaries.Latency, _EXECUTION["properties"]["inference"], set()),
-        (summaries.Error, _EXECUTION["properties"]["errors"]["items"], set()),
-        (comparisons.Comparison, _COMPARISON, _ANSWER),
-        (comparisons.Side, _COMPARISON["$defs"]["side"], set()),
-        (comparisons.Row, _COMPARISON["$defs"]["row"], set()),
+        (summary_model.Summary, _SUMMARY, _ANSWER),
+        (summary_model.SummaryRow, _SUMMARY["$defs"]["row"], set()),
+        (summary_model.Contrast, _SUMMARY["properties"]["contrasts"]["items"], set()),
+        (summary_model.ExecutionStats, _EXECUTION, set()),
+        (summary_model.Latency, _EXECUTION["properties"]["inference"], set()),
+        (summary_model.ErrorCount, _EXECUTION["properties"]["errors"]["items"], set()),
+        (comparison_model.Comparison, _COMPARISON, _ANSWER),
+        (comparison_model.ComparedRun, _COMPARISON["$defs"]["side"], set()),
+        (comparison_model.ComparisonRow, _COMPARISON["$defs"]["row"], set()),
         (ranking.Ranking, _LEADERBOARD, _ANSWER),
-        (ranking.Row, _LEADERBOARD["$defs"]["row"], set()),
+        (ranking.RankingRow, _LEADERBOARD["$defs"]["row"], set()),
         (ranking.FieldDifference, _LEADERBOARD["properties"]["differences"]["items"], set()),
     ],
 )

@@ -10,10 +10,10 @@ import pytest
 from tests.support.outside.browser import Page, browser
 from tests.support.peer import wait_until
 from tests.support.recordings.runs import Faults, synthetic
-from xpl_cli.evaluation.leaderboard import field, ranking
-from xpl_cli.evaluation.leaderboard import written as board
+from xpl_cli.evaluation.leaderboard import comparable_runs, ranking
+from xpl_cli.evaluation.leaderboard import leaderboard_files as board
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.report import written
+from xpl_cli.evaluation.report import report_files
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,8 +41,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def url(run: Path) -> str:
     """Return the address of the run's page, which is a file."""
-    written.write(records.read(run), run / written.FOLDER, 1 << 30)
-    return (run / written.FOLDER / written.PAGE).as_uri()
+    report_files.write(records.read(run), run / report_files.FOLDER, 1 << 30)
+    return (run / report_files.FOLDER / report_files.PAGE).as_uri()
 
 
 def _fits(page: Page) -> bool:
@@ -122,8 +122,8 @@ def test_texts_of_others_stay_texts(page: Page, tmp_path: Path) -> None:
     text = (folder / records.FILE).read_text()
     sentence = "left_arm_joint_state holds a value that is no number"
     (folder / records.FILE).write_text(text.replace(json.dumps(sentence), json.dumps(f"{sentence} {HOSTILE}")))
-    written.write(records.read(folder), folder / written.FOLDER, 0)
-    page.open((folder / written.FOLDER / written.PAGE).as_uri(), 390)
+    report_files.write(records.read(folder), folder / report_files.FOLDER, 0)
+    page.open((folder / report_files.FOLDER / report_files.PAGE).as_uri(), 390)
     page("document.querySelector('#episode-0').click()")
     assert HOSTILE in page("document.title")
     assert _text(page, "h1") == HOSTILE
@@ -138,7 +138,7 @@ def test_the_leaderboard_fits_too(page: Page, tmp_path: Path, width: int, dark: 
     folders = [
         synthetic(tmp_path / name, episodes=20, policy=name, rate=rate) for name, rate in (("A", 0.2), ("B", 0.9))
     ]
-    board.write(ranking.rank(field.gather([records.read(folder) for folder in folders])), tmp_path / "board")
+    board.write(ranking.rank(comparable_runs.gather([records.read(folder) for folder in folders])), tmp_path / "board")
     page.open((tmp_path / "board/leaderboard.html").as_uri(), width, dark=dark)
     assert _fits(page)
     assert (_background(page) < 60) is dark

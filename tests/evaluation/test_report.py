@@ -19,7 +19,7 @@ from tests.support.recordings.runs import Faults, synthetic
 from tests.support.work import calls
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.report import curves, episodes, media, phrases, written
+from xpl_cli.evaluation.report import curves, episodes, media, number_format, report_files
 from xpl_cli.evaluation.statistics.summary import summarise
 from xpl_cli.standard.validate import validate
 
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MUCH = 1 << 30
-FILES = {written.PAGE, written.MARKDOWN, written.DOCUMENT, written.TABLE, written.EPISODES}
+FILES = {report_files.PAGE, report_files.MARKDOWN, report_files.DOCUMENT, report_files.TABLE, report_files.EPISODES}
 
 
 def _write(folder: Path, out: Path | None = None, budget: int = MUCH) -> Path:
-    out = out or folder / written.FOLDER
-    written.write(records.read(folder), out, budget)
+    out = out or folder / report_files.FOLDER
+    report_files.write(records.read(folder), out, budget)
     return out
 
 
@@ -75,20 +75,20 @@ def test_what_cannot_be_reported_is_said_in_a_sentence(tmp_path: Path) -> None:
 def test_a_report_is_replaced_and_nothing_else_is(tmp_path: Path) -> None:
     """A second report takes the place of the first; a folder with somebody's work stays as it is."""
     run = synthetic(tmp_path / "foo", episodes=2)
-    first = (_write(run) / written.PAGE).read_bytes()
-    assert (_write(run) / written.PAGE).read_bytes() == first
-    (run / written.FOLDER / "mine.txt").write_text("work")
+    first = (_write(run) / report_files.PAGE).read_bytes()
+    assert (_write(run) / report_files.PAGE).read_bytes() == first
+    (run / report_files.FOLDER / "mine.txt").write_text("work")
     with pytest.raises(UserError, match=r"holds more than a report \(mine\.txt\)"):
         _write(run)
-    assert (run / written.FOLDER / "mine.txt").read_text() == "work"
+    assert (run / report_files.FOLDER / "mine.txt").read_text() == "work"
 
 
 def test_a_run_that_goes_on_is_reported_as_what_it_is(tmp_path: Path) -> None:
     """Page and Markdown say how much is still to come; cells without an episode have no rate."""
     out = _write(synthetic(tmp_path / "foo", episodes=10, played=13))
-    assert "13 of 40 episodes" in (out / written.PAGE).read_text()
-    assert "This run is not complete: 13 of 40 episodes." in (out / written.MARKDOWN).read_text()
-    assert (_write(synthetic(tmp_path / "bar", episodes=2, played=0)) / written.PAGE).is_file()
+    assert "13 of 40 episodes" in (out / report_files.PAGE).read_text()
+    assert "This run is not complete: 13 of 40 episodes." in (out / report_files.MARKDOWN).read_text()
+    assert (_write(synthetic(tmp_path / "bar", episodes=2, played=0)) / report_files.PAGE).is_file()
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_many_episodes_take_not_much_each(tmp_path: Path) -> None:
     _write(run)  # what is imported and compiled once does not count
     out, count = calls(lambda: _write(run))
     assert count < 600 * 2000
-    assert len(_data((out / written.PAGE).read_text())["episodes"]["columns"]["index"]) == 2000
+    assert len(_data((out / report_files.PAGE).read_text())["episodes"]["columns"]["index"]) == 2000
 
 
 def test_spreadsheets_find_no_formula(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_spreadsheets_find_no_formula(tmp_path: Path) -> None:
 
 def test_the_page_holds_all_that_it_needs(tmp_path: Path) -> None:
     """Nothing in it leads elsewhere, and its own policy lets nothing but its own style and script run."""
-    page = (_write(synthetic(tmp_path / "foo", episodes=4, traces=2, films=2)) / written.PAGE).read_text()
+    page = (_write(synthetic(tmp_path / "foo", episodes=4, traces=2, films=2)) / report_files.PAGE).read_text()
     assert not re.search(r"""(?:src|href|url)\s*[=(]\s*["']?(?:https?:)?//""", page)
     policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', page)
     assert policy is not None
@@ -129,7 +129,7 @@ def test_the_page_holds_all_that_it_needs(tmp_path: Path) -> None:
 def test_the_list_holds_every_episode(tmp_path: Path) -> None:
     """Columns and shared values give back what the record says."""
     run = synthetic(tmp_path / "foo", episodes=10, faults=Faults(0.2, 0.2, 0.3))
-    data = _data((_write(run) / written.PAGE).read_text())["episodes"]
+    data = _data((_write(run) / report_files.PAGE).read_text())["episodes"]
     finals = list(records.read(run).finals.values())
     columns, values = data["columns"], data["values"]
     assert [values[place] for place in columns["task"]] == [one.task for one in finals]
@@ -145,10 +145,10 @@ def test_the_list_holds_every_episode(tmp_path: Path) -> None:
 def test_what_exceeds_the_budget_is_linked(tmp_path: Path) -> None:
     """Without a budget films are reached beside the page, wherever that is, and curves are named."""
     run = synthetic(tmp_path / "a run", episodes=2, traces=3, films=2)
-    shown = _data((_write(run, tmp_path / "elsewhere", budget=0) / written.PAGE).read_text())["media"]
+    shown = _data((_write(run, tmp_path / "elsewhere", budget=0) / report_files.PAGE).read_text())["media"]
     assert shown["0"]["film"] == {"source": "../a%20run/films/0.webp", "video": False}
     assert shown["2"] == {"trace": "../a%20run/traces/2.npz"}
-    embedded = _data((_write(run) / written.PAGE).read_text())["media"]
+    embedded = _data((_write(run) / report_files.PAGE).read_text())["media"]
     assert embedded["0"]["film"]["source"].startswith("data:image/webp;base64,")
     assert len(embedded["2"]["curves"]["panels"]) == 14
 
@@ -157,7 +157,7 @@ def test_a_small_budget_goes_to_every_cell_and_to_failures_first(tmp_path: Path)
     """Of each cell in turn, a failure and a success in turn, are embedded."""
     run = records.read(synthetic(tmp_path / "foo", episodes=8, traces=32, rate=0.5))
     size = max(len(json.dumps(curves.read(path.read_bytes(), path.name))) for path in run.folder.glob("traces/*"))
-    shown = media.shown(run, 9 * size, "")
+    shown = media.collect_media(run, 9 * size, "")
     assert sum("trace" in entry for entry in shown.values()) > 10
     chosen = [run.finals[int(index)] for index, entry in shown.items() if "curves" in entry]
     cells = {(one.task, one.setting) for one in chosen}
@@ -175,7 +175,7 @@ def test_a_small_budget_goes_to_every_cell_and_to_failures_first(tmp_path: Path)
 def test_a_film_that_was_changed_or_is_gone_is_not_shown(tmp_path: Path, spoil: Any, said: str) -> None:
     run = synthetic(tmp_path / "foo", episodes=2, films=1)
     spoil(run)
-    shown = media.shown(records.read(run), MUCH, "")
+    shown = media.collect_media(records.read(run), MUCH, "")
     assert list(shown["0"]) == ["problem"]
     assert said in shown["0"]["problem"]
 
@@ -185,7 +185,7 @@ def test_a_record_leads_to_no_file_outside_its_run(tmp_path: Path) -> None:
     shutil.copy(run / "films/0.webp", tmp_path / "secret.webp")
     text = (run / records.FILE).read_text()
     (run / records.FILE).write_text(text.replace("films/0.webp", "../secret.webp"))
-    assert "outside the run" in media.shown(records.read(run), MUCH, "")["0"]["problem"]
+    assert "outside the run" in media.collect_media(records.read(run), MUCH, "")["0"]["problem"]
 
 
 def _trace(path: Path, **arrays: Any) -> Path:
@@ -245,8 +245,8 @@ def test_what_is_no_trace_is_refused(tmp_path: Path) -> None:
 )
 def test_times_are_for_people(seconds: float, said: str) -> None:
     """Two units at most."""
-    assert phrases.duration(seconds) == said
+    assert number_format.duration(seconds) == said
 
 
 def test_differences_have_a_sign_and_no_negative_zero() -> None:
-    assert [phrases.points(value) for value in (0.123, -0.051, -0.001)] == ["+12", "\N{MINUS SIGN}5", "+0"]
+    assert [number_format.points(value) for value in (0.123, -0.051, -0.001)] == ["+12", "\N{MINUS SIGN}5", "+0"]

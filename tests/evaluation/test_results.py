@@ -10,8 +10,8 @@ import pytest
 
 from tests.support.commands import xpl
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.evaluation.leaderboard import tables, tally, trees
-from xpl_cli.evaluation.leaderboard.tally import protocol
+from xpl_cli.evaluation.leaderboard import policy_scores, result_trees, tables
+from xpl_cli.evaluation.leaderboard.policy_scores import protocol
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,8 +48,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _ranked(root: Path, by: str = "success", **options: Any) -> tables.Results:
-    results, notes = trees.read([root])
-    return tables.rank(tally.tally(results, **options), by=by, notes=notes)
+    results, notes = result_trees.read([root])
+    return tables.rank(policy_scores.score_policies(results, **options), by=by, notes=notes)
 
 
 def _told(root: Path, by: str = "success", **options: Any) -> dict[str, Any]:
@@ -133,8 +133,8 @@ def test_results_of_robotwin_are_plain_numbers(tmp_path: Path) -> None:
             file = tmp_path / task / "ACT" / setting / "50" / "2026-08-01 10:00:00" / "_result.txt"
             file.parent.mkdir(parents=True)
             file.write_text(f"Timestamp: 2026-08-01\n\nInstruction Type: unseen\n\n{rate}\n")
-    results, _ = trees.read([tmp_path])
-    told = tables.rank(tally.tally(results), results[0].benchmark)
+    results, _ = result_trees.read([tmp_path])
+    told = tables.rank(policy_scores.score_policies(results), results[0].benchmark)
     (row,) = told.as_json()["rows"]
     assert row["overall"] == {"success": pytest.approx(0.5), "score": None, "success_spread": 0.0, "score_spread": None}
     assert tables.ranking(told).header == (
@@ -169,21 +169,21 @@ def test_a_file_that_is_no_result_is_refused_and_can_be_left_out(tmp_path: Path,
     bad = _write(tmp_path, "swap_T", "P", 0, 1, 50)
     bad.write_text(content)
     with pytest.raises(UserError, match=said):
-        trees.read([tmp_path])
-    results, notes = trees.read([tmp_path], skip=True)
+        result_trees.read([tmp_path])
+    results, notes = result_trees.read([tmp_path], skip=True)
     assert [result.task for result in results] == ["insert_key"]
     assert said in notes[0]
 
 
 def test_folders_without_results_and_mixtures_are_refused(tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match="there is no"):
-        trees.read([tmp_path])
+        result_trees.read([tmp_path])
     _write(tmp_path / "eval_result" / "RoboDojo", "insert_key", "P", 0, 1, 50)
     file = tmp_path / "t" / "p" / "s" / "c" / "w" / "_result.txt"
     file.parent.mkdir(parents=True)
     file.write_text("0.5")
     with pytest.raises(UserError, match="robodojo and robotwin"):
-        trees.read([tmp_path])
+        result_trees.read([tmp_path])
 
 
 def test_the_command_writes_tables(whole: Path) -> None:

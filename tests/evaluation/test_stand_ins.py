@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.recordings.runs import episode, synthetic
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.evaluation.leaderboard import export, field, trees
+from xpl_cli.evaluation.leaderboard import comparable_runs, export, result_trees
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.report import markdown
 from xpl_cli.evaluation.runs.evaluation import EvalSetup, Evaluation
@@ -54,7 +54,7 @@ def test_no_leaderboard_takes_it(tmp_path: Path) -> None:
     usual, mixed = _run(tmp_path, "Usual", ("clean",)), _run(tmp_path, "Mixed", ("clean", SETTING))
     for runs in ([_run(tmp_path)], [usual, mixed]):
         with pytest.raises(UserError, match=rf"is not ranked\. In {SETTING} something {SAID}") as refused:
-            field.gather(runs, anyway=True)
+            comparable_runs.gather(runs, anyway=True)
         assert refused.value.code == ExitCode.NOT_RUN
 
 
@@ -71,9 +71,9 @@ def test_a_result_file_in_such_a_folder_is_none(tmp_path: Path) -> None:
     file.parent.mkdir(parents=True)
     file.write_text("1.0\n")
     with pytest.raises(UserError, match=SAID):
-        trees.read([tmp_path])
+        result_trees.read([tmp_path])
     with pytest.raises(NotFoundError):
-        trees.read([tmp_path], skip=True)
+        result_trees.read([tmp_path], skip=True)
 
 
 def test_it_is_not_submitted(tmp_path: Path) -> None:

@@ -11,13 +11,13 @@ import pytest
 from xpl_cli.evaluation.statistics import intervals as statistics
 from xpl_cli.evaluation.statistics.intervals import (
     Estimate,
-    Pairs,
+    PairedCounts,
     bootstrap,
-    difference,
-    exact,
+    clopper_pearson,
     holm,
     mcnemar,
-    paired,
+    newcombe,
+    newcombe_paired,
     wilson,
 )
 
@@ -36,7 +36,7 @@ def test_intervals_of_a_share_are_those_of_published_tables(
 ) -> None:
     """Newcombe, Two-sided confidence intervals for the single proportion, Stat. Med. 17 (1998), table I."""
     assert wilson(successes / count, count) == pytest.approx(by_score, abs=5e-5)
-    assert exact(successes, count) == pytest.approx(by_tails, abs=5e-5)
+    assert clopper_pearson(successes, count) == pytest.approx(by_tails, abs=5e-5)
 
 
 @pytest.mark.parametrize(("mean", "count"), [(0.5, 0), (1.1, 3), (float("nan"), 3)])
@@ -62,14 +62,14 @@ def test_the_difference_of_independent_shares_is_that_of_published_tables(
     first: tuple[int, int], second: tuple[int, int], low: float, high: float
 ) -> None:
     """Newcombe, Interval estimation for the difference ..., Stat. Med. 17 (1998) 873-890, table II, method 10."""
-    found = difference(_share(*first), _share(*second))
+    found = newcombe(_share(*first), _share(*second))
     assert found.interval == pytest.approx((low, high), abs=5e-5)
 
 
 def test_the_paired_difference_is_that_of_a_published_example() -> None:
     """Fagerland, Lydersen, Laake, Statistical Analysis of Contingency Tables (2017), chapter 8: Cavo et al., 2012."""
-    pairs = Pairs(both=59, only_first=16, only_second=6, neither=80)
-    found = paired(pairs)
+    pairs = PairedCounts(both=59, only_first=16, only_second=6, neither=80)
+    found = newcombe_paired(pairs)
     assert found.value == pytest.approx(-0.0621, abs=5e-5)
     assert found.interval == pytest.approx((-0.1186, -0.0046), abs=5e-5)
     assert mcnemar(pairs) == pytest.approx(0.052479, abs=5e-7)
@@ -77,17 +77,17 @@ def test_the_paired_difference_is_that_of_a_published_example() -> None:
 
 def test_the_exact_test_is_that_of_published_examples() -> None:
     """Fagerland et al., chapter 8: Bentur et al., 2009; and what nobody is better in says nothing."""
-    assert mcnemar(Pairs(both=1, only_first=7, only_second=1, neither=12)) == pytest.approx(0.0703, abs=5e-5)
-    assert mcnemar(Pairs(both=9, only_first=0, only_second=0, neither=11)) == 1.0
+    assert mcnemar(PairedCounts(both=1, only_first=7, only_second=1, neither=12)) == pytest.approx(0.0703, abs=5e-5)
+    assert mcnemar(PairedCounts(both=9, only_first=0, only_second=0, neither=11)) == 1.0
 
 
 def test_pairing_narrows_the_interval_of_what_goes_together() -> None:
     """And exchanging the two subjects turns the difference round."""
-    pairs = Pairs(both=25, only_first=2, only_second=6, neither=17)
-    alone = difference(_share(27, 50), _share(31, 50))
-    assert paired(pairs).interval.width < alone.interval.width
-    low, high = paired(Pairs(pairs.both, pairs.only_second, pairs.only_first, pairs.neither)).interval
-    assert paired(pairs).interval == pytest.approx((-high, -low))
+    pairs = PairedCounts(both=25, only_first=2, only_second=6, neither=17)
+    alone = newcombe(_share(27, 50), _share(31, 50))
+    assert newcombe_paired(pairs).interval.width < alone.interval.width
+    low, high = newcombe_paired(PairedCounts(pairs.both, pairs.only_second, pairs.only_first, pairs.neither)).interval
+    assert newcombe_paired(pairs).interval == pytest.approx((-high, -low))
 
 
 def test_the_paired_interval_holds_the_true_difference_as_often_as_it_says() -> None:
@@ -95,7 +95,7 @@ def test_the_paired_interval_holds_the_true_difference_as_often_as_it_says() -> 
     from scipy import stats
 
     tables = [t for t in itertools.product(range(21), repeat=4) if sum(t) == 20]
-    intervals = np.array([paired(Pairs(*table)).interval for table in tables])
+    intervals = np.array([newcombe_paired(PairedCounts(*table)).interval for table in tables])
     for shares in ((0.5, 0.1, 0.2, 0.2), (0.25, 0.25, 0.25, 0.25), (0.7, 0.15, 0.05, 0.1), (0.3, 0.02, 0.18, 0.5)):
         chance = stats.multinomial(20, shares).pmf(np.array(tables))
         truth = shares[2] - shares[1]
@@ -112,7 +112,7 @@ def test_a_mean_of_cells_holds_the_true_mean_as_often_as_it_says() -> None:
         chances = [stats.binom(12, rate).pmf(np.arange(13)) for rate in rates]
         covered = 0.0
         for successes in itertools.product(range(13), repeat=3):
-            found = statistics.mean([shares[count] for count in successes])
+            found = statistics.mean_estimate([shares[count] for count in successes])
             if np.mean(rates) in found.interval:
                 covered += math.prod(chance[count] for chance, count in zip(chances, successes, strict=True))
         assert 0.92 < covered < 0.995, rates
@@ -120,13 +120,13 @@ def test_a_mean_of_cells_holds_the_true_mean_as_often_as_it_says() -> None:
 
 def test_a_mean_of_one_is_that_one() -> None:
     """A suite of one cell says the same overall; a suite of none says nothing."""
-    found = statistics.mean([_share(3, 7)])
+    found = statistics.mean_estimate([_share(3, 7)])
     assert found.value == 3 / 7
     assert found.interval == pytest.approx(wilson(3 / 7, 7))
     with pytest.raises(ValueError, match="at least one estimate"):
-        statistics.mean([])
+        statistics.mean_estimate([])
     with pytest.raises(ValueError, match="at least one pair"):
-        paired(Pairs(0, 0, 0, 0))
+        newcombe_paired(PairedCounts(0, 0, 0, 0))
 
 
 def test_p_values_are_raised_as_published() -> None:

@@ -88,7 +88,7 @@ def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
     assert [line.success for line in run.finals.values()] == [seed in drill.WINS for seed in range(4)] * 2
     assert [line.failure for line in run.finals.values()] == [None, None, "task", None] * 2
     assert len({line.worker for line in run.finals.values()}) == 2
-    assert {line.containment for line in run.finals.values()} == {IsolationSettings.here(ROOT, isolate=False).name}
+    assert {line.containment for line in run.finals.values()} == {IsolationSettings.strictest(ROOT, isolate=False).name}
     assert [index for index, line in run.finals.items() if line.film] == [0, 4]
     for line in run.finals.values():
         for file in filter(None, (line.trace, line.film)):

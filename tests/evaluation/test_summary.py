@@ -56,7 +56,7 @@ def test_the_exact_interval_is_at_hand(tmp_path: Path) -> None:
     folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"])
     usual, exact = summary_of(folder), summary_of(folder, "exact")
     row = exact["overall"]
-    assert row["success_interval"] == pytest.approx(list(intervals.exact(row["successes"], row["judged"])))
+    assert row["success_interval"] == pytest.approx(list(intervals.clopper_pearson(row["successes"], row["judged"])))
     assert exact["methods"]["success"] == "exact"
     assert row["success_interval"][0] < usual["overall"]["success_interval"][0]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
 from xpl import _spec as sdk
-from xpl_cli.audit.engine.circumstances import of_package
+from xpl_cli.audit.engine.circumstances import package_circumstances
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport, Waived
 from xpl_cli.audit.rules.profiles import Choice, Profile
@@ -70,7 +70,7 @@ class Audited:
         Args:
             adapter: folder of the adapter in the bundle.
         """
-        around = of_package(Source(adapter, self.variant), POLICY, self.report.path)
+        around = package_circumstances(Source(adapter, self.variant), POLICY, self.report.path)
         return judged(replace(self.report, circumstances=around))
 
     def problems(self, adapter: Path) -> Iterator[str]:

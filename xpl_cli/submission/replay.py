@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.evaluation.records.cells import cells
-from xpl_cli.evaluation.statistics.intervals import CONFIDENCE, Interval, Pairs, exact, mcnemar, paired
+from xpl_cli.evaluation.statistics.intervals import (
+    CONFIDENCE,
+    Interval,
+    PairedCounts,
+    clopper_pearson,
+    mcnemar,
+    newcombe_paired,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -165,12 +172,12 @@ def _is_broken(pair: Pair) -> bool:
 
 def _judged_by_outcome(compared: Sequence[Pair], total: int, counts: Mapping[str, int]) -> Finding:
     outcomes = Counter((bool(pair.recorded.success), bool(pair.replayed.success)) for pair in compared)
-    pairs = Pairs(outcomes[True, True], outcomes[True, False], outcomes[False, True], outcomes[False, False])
+    pairs = PairedCounts(outcomes[True, True], outcomes[True, False], outcomes[False, True], outcomes[False, False])
     flips = counts.get(Match.DIFFERENT.value, 0)
     is_all = len(compared) == total
     share = flips / len(compared)
-    differing = Interval(share, share) if is_all else exact(flips, len(compared))
-    gap = paired(pairs)
+    differing = Interval(share, share) if is_all else clopper_pearson(flips, len(compared))
+    gap = newcombe_paired(pairs)
     change = Interval(gap.value, gap.value) if is_all else gap.interval
     alike = counts.get(Match.SAME.value, 0)
     said = f"{len(compared) - flips} of {len(compared)} episodes come out as recorded, {alike} of them bit by bit"

@@ -114,7 +114,7 @@ class Player:
             raise UserError(f"{folder.name} does not wait for the policy: no episode repeats", code=ExitCode.NOT_RUN)
         if fingerprints.package_digest(folder) != plan.environment.digest:
             raise UserError(f"{folder.name} here is another version than the run's", code=ExitCode.NOT_RUN)
-        bounds = IsolationSettings.here(adapter.path.parent, isolate=self.runtime.isolate)
+        bounds = IsolationSettings.strictest(adapter.path.parent, isolate=self.runtime.isolate)
         return evaluate.make_configs(adapter, folder, plan, self.runtime, bounds)
 
     def _find_weights(self, config: Config, loaded: LoadedCheckpoint | None) -> None:

@@ -38,9 +38,16 @@ def leaderboard(
 
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.evaluation.leaderboard import board, export, field, ranking, trees, written
+    from xpl_cli.evaluation.leaderboard import (
+        comparable_runs,
+        export,
+        leaderboard_files,
+        ranking,
+        ranking_text,
+        result_trees,
+    )
 
-    if any(trees.is_tree(path) for path in runs):
+    if any(result_trees.is_tree(path) for path in runs):
         if common or robodojo is not None or robotwin is not None:
             raise UserError("--common, --robodojo and --robotwin are for runs of ours: result files know no episodes")
         _of_the_field(runs, by=by, with_tables=tables, partial=anyway, out=out, skip=skip_bad_lines, as_json=as_json)
@@ -48,18 +55,18 @@ def leaderboard(
     if tables:
         raise UserError("--tables is for results of RoboDojo: name a folder with its _result.json files")
     found = reading.runs(runs, skip=skip_bad_lines)
-    result = ranking.rank(field.gather(found, common=common, anyway=anyway), by)
+    result = ranking.rank(comparable_runs.gather(found, common=common, anyway=anyway), by)
     for name, folder in (("robodojo", robodojo), ("robotwin", robotwin)):
         if folder is not None:
             console.note(f"{folder}: {export.write(name, found, folder)} files written")
     if out is not None:
-        written.write(result, out)
+        leaderboard_files.write(result, out)
         console.note(f"{out}: written")
     if as_json:
         following = [shlex.join(["xpl", "compare", *map(str, runs[:2])])] if len(runs) > 1 else []
         console.data_json({**result.as_json(), "next": following})
     else:
-        console.data(board.text(result))
+        console.data(ranking_text.text(result))
 
 
 def _of_the_field(
@@ -70,10 +77,10 @@ def _of_the_field(
 
     from xpl_cli.basics import atomic, console
     from xpl_cli.basics.errors import ExitCode, UserError
-    from xpl_cli.evaluation.leaderboard import tables, tally, trees, written
+    from xpl_cli.evaluation.leaderboard import leaderboard_files, policy_scores, result_trees, tables
 
-    results, notes = trees.read(folders, skip=skip)
-    told = tables.rank(tally.tally(results, partial=partial), results[0].benchmark, by, notes)
+    results, notes = result_trees.read(folders, skip=skip)
+    told = tables.rank(policy_scores.score_policies(results, partial=partial), results[0].benchmark, by, notes)
     shown = tables.of_the_paper(told) if with_tables else [tables.ranking(told)]
     if out is not None:
         texts = {".md": tables.as_markdown(told, shown), ".csv": tables.as_csv(told)}
@@ -81,7 +88,7 @@ def _of_the_field(
         try:
             out.mkdir(parents=True, exist_ok=True)
             for ending, text in texts.items():
-                atomic.write_file(out / f"{written.NAME}{ending}", text.encode(errors="replace"))
+                atomic.write_file(out / f"{leaderboard_files.NAME}{ending}", text.encode(errors="replace"))
         except OSError as error:
             raise UserError(f"{out} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
         console.note(f"{out}: written")

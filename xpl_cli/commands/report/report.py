@@ -29,14 +29,14 @@ def report(
 
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.evaluation.report import written
+    from xpl_cli.evaluation.report import report_files
 
     if out is not None and len(runs) > 1:
         raise UserError(f"--out takes one run, got {len(runs)}")
     for run in reading.runs(runs, skip=skip_bad_lines):
-        folder = out or run.folder / written.FOLDER
-        document = written.write(run, folder, int(embed * 1e6))
+        folder = out or run.folder / report_files.FOLDER
+        document = report_files.write(run, folder, int(embed * 1e6))
         if as_json:
             console.data(json.dumps({**document, "next": []}, ensure_ascii=False))
         else:
-            console.data(str(folder / written.PAGE))
+            console.data(str(folder / report_files.PAGE))

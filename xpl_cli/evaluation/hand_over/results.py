@@ -1,6 +1,7 @@
-"""What a benchmark's own launcher left behind, as a record takes it: nothing that contradicts itself.
+"""Results that a benchmark's own launcher wrote, checked for contradictions.
 
-`layouts` is RoboDojo's _result.json, `rate` RoboTwin's _result.txt (`xpl_cli.evaluation.records.field` reads both).
+`layouts` is RoboDojo's _result.json, `rate` RoboTwin's _result.txt; `xpl_cli.evaluation.records.benchmark_files` reads
+both.
 """
 
 from __future__ import annotations

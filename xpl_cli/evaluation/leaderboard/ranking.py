@@ -8,26 +8,26 @@ from typing import TYPE_CHECKING, ClassVar
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import UserError, one_of
 from xpl_cli.evaluation.runs import protocol
-from xpl_cli.evaluation.statistics import cautions, intervals
+from xpl_cli.evaluation.statistics import caveats, intervals
 from xpl_cli.evaluation.statistics.comparison import IncomparableError, compare
-from xpl_cli.evaluation.statistics.documents import Document
+from xpl_cli.evaluation.statistics.documents import JsonDocument
 from xpl_cli.evaluation.statistics.summary import summarise
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from xpl_cli.evaluation.leaderboard.field import Field
+    from xpl_cli.evaluation.leaderboard.comparable_runs import ComparableRuns
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.statistics.intervals import Interval
-    from xpl_cli.evaluation.statistics.summaries import Summary
+    from xpl_cli.evaluation.statistics.summary_model import Summary
 
 SUCCESS, SCORE = "success", "score"
 ALPHA = 0.05
 
 
 @dataclass(frozen=True)
-class Gap:
+class GapToFirst:
     """By how much a run differs from the first one on the episodes that both played.
 
     Attributes:
@@ -45,7 +45,7 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class Row:
+class RankingRow:
     """A run in a ranking; all but these as in its summary.
 
     Attributes:
@@ -71,7 +71,7 @@ class Row:
     infrastructure_bounds: tuple[float, float] | None
     settings: Mapping[str, float | None]
     dimensions: Mapping[str, float | None]
-    to_first: Gap | None
+    to_first: GapToFirst | None
     rank: int
 
     @property
@@ -91,7 +91,7 @@ class FieldDifference:
 
 
 @dataclass(frozen=True)
-class Ranking(Document):
+class Ranking(JsonDocument):
     """Runs in their order.
 
     Attributes:
@@ -112,7 +112,7 @@ class Ranking(Document):
     tasks: Sequence[str]
     settings: Sequence[str]
     differences: Sequence[FieldDifference]
-    rows: Sequence[Row]
+    rows: Sequence[RankingRow]
     notes: Sequence[str] = ()
 
     @property
@@ -125,7 +125,7 @@ class Ranking(Document):
         ]
 
 
-def rank(field: Field, by: str = SUCCESS) -> Ranking:
+def rank(field: ComparableRuns, by: str = SUCCESS) -> Ranking:
     """Return the ranking: by success rate, then by mean score, unless otherwise asked; equal ones share a rank.
 
     Args:
@@ -157,12 +157,12 @@ def rank(field: Field, by: str = SUCCESS) -> Ranking:
         ],
         rows=rows,
     )
-    skipped = cautions.of_skipped([line for run in field.runs for line in run.skipped])
+    skipped = caveats.of_skipped([line for run in field.runs for line in run.skipped])
     asked = [] if by == SUCCESS else [f"Ranked by {by}; the comparison with the first is of success."]
     return replace(result, notes=[*asked, *skipped, *_subsets(field), *field.sentences(), *refusals, *_notes(result)])
 
 
-def _subsets(field: Field) -> Iterator[str]:
+def _subsets(field: ComparableRuns) -> Iterator[str]:
     """Yield a sentence on the first run's part of the protocol, where it is not all of it; alike runs have the same."""
     try:
         folder = environments.find(field.runs[0].plan.environment.name)
@@ -189,9 +189,9 @@ def _strength(summary: Summary, by: str) -> tuple[float, float]:
     return (score, rate) if by == SCORE else (rate, score)
 
 
-def _row(run: Run, summary: Summary, gap: Gap | None, rank: int) -> Row:
+def _row(run: Run, summary: Summary, gap: GapToFirst | None, rank: int) -> RankingRow:
     overall, policy = summary.overall, run.plan.policy
-    return Row(
+    return RankingRow(
         folder=str(run.folder),
         run=run.plan.run,
         policy=policy.name,
@@ -212,15 +212,15 @@ def _row(run: Run, summary: Summary, gap: Gap | None, rank: int) -> Row:
     )
 
 
-def _gaps(runs: Sequence[Run]) -> tuple[list[Gap | None], list[str]]:
+def _gaps(runs: Sequence[Run]) -> tuple[list[GapToFirst | None], list[str]]:
     """Return by how much each run differs from the first, and sentences about those that cannot be compared."""
     best, *others = runs
-    gaps: list[Gap | None] = [None]
+    gaps: list[GapToFirst | None] = [None]
     refusals = []
     for run in others:
         try:
             row = compare(best, run).overall
-            gaps.append(Gap(row.pairs, row.difference, row.interval, row.p_value))
+            gaps.append(GapToFirst(row.pairs, row.difference, row.interval, row.p_value))
         except IncomparableError as error:
             gaps.append(None)
             refusals.append(f"{run.folder} is not compared with the first: {error}.")
@@ -246,4 +246,4 @@ def _notes(result: Ranking) -> Iterator[str]:
         yield (
             f"Episodes with an infrastructure error count as failed, because the cause cannot be attributed: {counts}."
         )
-    yield cautions.scope()
+    yield caveats.scope()

@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.basics.errors import UserError, one_of
 from xpl_cli.basics.untrusted import as_lines, in_markdown
+from xpl_cli.evaluation.leaderboard.policy_scores import OTHER, protocol
 from xpl_cli.evaluation.leaderboard.ranking import SCORE, SUCCESS
-from xpl_cli.evaluation.leaderboard.tally import OTHER, protocol
-from xpl_cli.evaluation.leaderboard.trees import ROBODOJO
+from xpl_cli.evaluation.leaderboard.result_trees import ROBODOJO
 from xpl_cli.evaluation.report import episodes, markdown
 from xpl_cli.evaluation.statistics import wording
-from xpl_cli.evaluation.statistics.documents import plain
+from xpl_cli.evaluation.statistics.documents import to_plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.evaluation.leaderboard.tally import Figure, Tally
+    from xpl_cli.evaluation.leaderboard.policy_scores import MeanScore, PolicyScores
 
 _CAUTION: Final = (
     "Result files tell neither what was evaluated nor which episodes are the same: no interval and no test goes with "
@@ -30,7 +30,7 @@ _CAUTION: Final = (
 
 
 @dataclass(frozen=True)
-class Table:
+class BenchmarkTable:
     """A table.
 
     Attributes:
@@ -44,11 +44,11 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Row:
+class PolicyRow:
     """A policy in the ranking: one more than the number of better ones, and what its results come to."""
 
     rank: int
-    tally: Tally
+    tally: PolicyScores
 
 
 @dataclass(frozen=True)
@@ -66,16 +66,18 @@ class Results:
     benchmark: str
     by: str
     dimensions: Sequence[str]
-    rows: Sequence[Row]
+    rows: Sequence[PolicyRow]
     notes: Sequence[str]
 
     def as_json(self) -> dict[str, Any]:
         """Return the ranking as JSON has it."""
-        rows = [{"rank": row.rank, **plain(row.tally)} for row in self.rows]
-        return {"schema": "xpl.results/1", **plain(self), "rows": rows}
+        rows = [{"rank": row.rank, **to_plain(row.tally)} for row in self.rows]
+        return {"schema": "xpl.results/1", **to_plain(self), "rows": rows}
 
 
-def rank(found: Sequence[Tally], benchmark: str = ROBODOJO, by: str = SUCCESS, notes: Sequence[str] = ()) -> Results:
+def rank(
+    found: Sequence[PolicyScores], benchmark: str = ROBODOJO, by: str = SUCCESS, notes: Sequence[str] = ()
+) -> Results:
     """Return the ranking: equal ones share a rank, and who has nothing that counts is last.
 
     Args:
@@ -92,17 +94,17 @@ def rank(found: Sequence[Tally], benchmark: str = ROBODOJO, by: str = SUCCESS, n
         by = one_of("--by", _spelt(by, names), [SUCCESS, SCORE, *names])
     order = sorted(found, key=lambda one: (*(-part for part in _strength(one, by)), one.policy))
     strengths = [_strength(one, by) for one in order]
-    rows = [Row(1 + strengths.index(strength), one) for one, strength in zip(order, strengths, strict=True)]
+    rows = [PolicyRow(1 + strengths.index(strength), one) for one, strength in zip(order, strengths, strict=True)]
     return Results(benchmark, by, names, rows, [*notes, *_notes(order)])
 
 
-def dimensions(found: Sequence[Tally]) -> list[str]:
+def dimensions(found: Sequence[PolicyScores]) -> list[str]:
     """Return the dimensions that any policy has something in, in the order of the benchmark."""
     there = {name for one in found for name in one.dimensions}
     return [name for name in (*protocol().dimensions, OTHER) if name in there]
 
 
-def ranking(told: Results) -> Table:
+def ranking(told: Results) -> BenchmarkTable:
     """Return the ranking as a table."""
     if told.benchmark == ROBODOJO:
         names = told.dimensions if list(told.dimensions) != [OTHER] else []
@@ -123,10 +125,10 @@ def ranking(told: Results) -> Table:
         for row, group in zip(told.rows, groups, strict=True)
     )
     count = "1 policy" if len(rows) == 1 else f"{len(rows)} policies"
-    return Table(f"{count}, by {told.by} (%, mean and spread over the seeds)", header, rows)
+    return BenchmarkTable(f"{count}, by {told.by} (%, mean and spread over the seeds)", header, rows)
 
 
-def of_the_paper(told: Results) -> list[Table]:
+def of_the_paper(told: Results) -> list[BenchmarkTable]:
     """Return Tables II to IV, as far as there is something in them; figures are score / success rate, in percent.
 
     Raises:
@@ -137,13 +139,13 @@ def of_the_paper(told: Results) -> list[Table]:
     return [table for table in (_second(told), _third(told), _fourth(told)) if table.rows]
 
 
-def text(told: Results, tables: Sequence[Table]) -> str:
+def text(told: Results, tables: Sequence[BenchmarkTable]) -> str:
     """Return tables for a terminal, with the notes."""
     parts = [as_lines([table.title, "", *wording.aligned(table.header, table.rows)]) for table in tables]
     return "\n\n".join([*parts, as_lines(f"- {note}" for note in told.notes)])
 
 
-def as_markdown(told: Results, tables: Sequence[Table]) -> str:
+def as_markdown(told: Results, tables: Sequence[BenchmarkTable]) -> str:
     """Return tables as Markdown, with the notes."""
     parts = [f"## {in_markdown(table.title)}\n\n{markdown.table(table.header, table.rows)}" for table in tables]
     return "\n\n".join([*parts, "\n".join(f"- {in_markdown(note)}" for note in told.notes)]) + "\n"
@@ -169,7 +171,7 @@ def as_csv(told: Results) -> str:
     return episodes.as_csv(columns, lines)
 
 
-def _second(told: Results) -> Table:
+def _second(told: Results) -> BenchmarkTable:
     names = [name for name in told.dimensions if name != OTHER] or told.dimensions
     rows = [
         (row.tally.policy, *(_both(row.tally.dimensions.get(name)) for name in names), _both(row.tally.overall))
@@ -177,10 +179,10 @@ def _second(told: Results) -> Table:
         if row.tally.overall is not None
     ]
     title = "Table II. Results by dimension: score / success rate (%); the average is that of the dimensions"
-    return Table(title, ("policy", *names, "Average"), tuple(rows))
+    return BenchmarkTable(title, ("policy", *names, "Average"), tuple(rows))
 
 
-def _third(told: Results) -> Table:
+def _third(told: Results) -> BenchmarkTable:
     rows = []
     for row in told.rows:
         standard, random = (row.tally.halves.get(name) for name in ("standard", "random"))
@@ -189,20 +191,22 @@ def _third(told: Results) -> Table:
         drops = [_drop(*(getattr(part, key, None) for part in (standard, random))) for key in (SCORE, SUCCESS)]
         rows.append((row.tally.policy, _both(standard), _both(random), *drops))
     title = "Table III. Generalization, standard against randomized: score / success rate (%), and relative drops"
-    return Table(title, ("policy", "Standard", "Random", "drop of score", "drop of success"), tuple(rows))
+    return BenchmarkTable(title, ("policy", "Standard", "Random", "drop of score", "drop of success"), tuple(rows))
 
 
-def _fourth(told: Results) -> Table:
+def _fourth(told: Results) -> BenchmarkTable:
     names = sorted({name for row in told.rows for name in row.tally.variants})
     rows = [
         (row.tally.policy, *(_both(row.tally.variants.get(name)) for name in names), _both(row.tally.overall))
         for row in told.rows
         if row.tally.variants
     ]
-    return Table("Table IV. Results by robot: score / success rate (%)", ("policy", *names, "Overall"), tuple(rows))
+    return BenchmarkTable(
+        "Table IV. Results by robot: score / success rate (%)", ("policy", *names, "Overall"), tuple(rows)
+    )
 
 
-def _strength(one: Tally, by: str) -> tuple[float, float]:
+def _strength(one: PolicyScores, by: str) -> tuple[float, float]:
     figure = one.dimensions.get(by) if by not in (SUCCESS, SCORE) else one.overall
     if figure is None:
         return -1.0, -1.0
@@ -215,7 +219,7 @@ def _spelt(given: str, names: Sequence[str]) -> str:
     return next((name for name in names if name.lower() == given.lower()), given)
 
 
-def _notes(found: Sequence[Tally]) -> Iterator[str]:
+def _notes(found: Sequence[PolicyScores]) -> Iterator[str]:
     lacking = [one for one in found if one.counted < one.expected]
     if lacking:
         named = ", ".join(f"{one.policy} {one.counted} of {one.expected}" for one in lacking)
@@ -226,14 +230,14 @@ def _notes(found: Sequence[Tally]) -> Iterator[str]:
     yield _CAUTION
 
 
-def _spread(figure: Figure | None, key: str) -> str:
+def _spread(figure: MeanScore | None, key: str) -> str:
     """Return success or score with its spread over the seeds: `8.80 ±0.42`."""
     if figure is None or getattr(figure, key) is None:
         return wording.NOTHING
     return f"{100 * getattr(figure, key):.2f} ±{100 * getattr(figure, f'{key}_spread'):.2f}"
 
 
-def _both(figure: Figure | None) -> str:
+def _both(figure: MeanScore | None) -> str:
     if figure is None:
         return wording.NOTHING
     score = wording.NOTHING if figure.score is None else f"{100 * figure.score:.2f}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.evaluation.runs.stopping import stopping_point
-from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs, bootstrap, exact, wilson
+from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, PairedCounts, bootstrap, clopper_pearson, wilson
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 FAILURES: Final = ("task", "policy", INFRASTRUCTURE)
 INTERVAL_METHODS: Final[dict[str, Callable[[int, int], Interval]]] = {
     "wilson": lambda successes, count: wilson(successes / count, count),
-    "exact": exact,
+    "exact": clopper_pearson,
 }
 """Intervals of a success rate, by name."""
 
@@ -101,7 +101,7 @@ class Cell:
         return sum(line.failure == kind for line in self.counted)
 
     def success_rate(self, method: str) -> Estimate | None:
-        """Return the rate of certain successes, its interval by one of METHODS; None if no episode tells of success."""
+        """Return the success rate with an interval by one of INTERVAL_METHODS; None if no episode defines success."""
         outcomes = self.certain
         if not outcomes:
             return None
@@ -149,10 +149,10 @@ def score(line: EpisodeOutcome) -> float | None:
     return 0.0 if line.score is None and line.failure == "policy" else line.score
 
 
-def paired_counts(first: Mapping[_Case, bool], second: Mapping[_Case, bool]) -> Pairs:
+def paired_counts(first: Mapping[_Case, bool], second: Mapping[_Case, bool]) -> PairedCounts:
     """Return how often both, one or none succeeded, of the cases that two have in common."""
     counts = Counter((first[case], second[case]) for case in first.keys() & second.keys())
-    return Pairs(counts[True, True], counts[True, False], counts[False, True], counts[False, False])
+    return PairedCounts(counts[True, True], counts[True, False], counts[False, True], counts[False, False])
 
 
 def cells(run: Run) -> list[Cell]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup, escape
 
-from xpl_cli.basics.untrusted import harmless
+from xpl_cli.basics.untrusted import escape_controls
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -68,7 +68,7 @@ def columns(counts: Sequence[int], label: str) -> Markup:
 
 
 def _svg(kind: str, label: str, parts: Iterable[str]) -> Markup:
-    shown = escape(harmless(label))
+    shown = escape(escape_controls(label))
     head = f'<svg class="{kind}" viewBox="0 0 100 100" preserveAspectRatio="none" role="img" aria-label="{shown}">'
     return Markup(f"{head}{''.join(parts)}</svg>")  # noqa: S704 - made of numbers, our own classes and an escaped label
 

@@ -6,20 +6,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from xpl_cli.evaluation.report import figures
-from xpl_cli.evaluation.report.phrases import many, milliseconds
+from xpl_cli.evaluation.report.number_format import many, milliseconds
 from xpl_cli.evaluation.statistics.execution import bin_edge
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-    from xpl_cli.evaluation.statistics.summaries import Latency
+    from xpl_cli.evaluation.statistics.summary_model import Latency
 
 _STEP = 2
 """Bins from one label to the next: every other edge doubles the time."""
 
 
 @dataclass(frozen=True)
-class View:
+class LatencyView:
     """A histogram, its sentence, and the edges of its bins that are labelled."""
 
     said: str
@@ -27,7 +27,7 @@ class View:
     ticks: list[str]
 
 
-def view(inference: Latency) -> View | None:
+def view(inference: Latency) -> LatencyView | None:
     """Return the histogram without its empty ends, with its sentence and the edges of its bins; None without any."""
     counts = inference.histogram
     filled = [place for place, count in enumerate(counts) if count]
@@ -42,4 +42,6 @@ def view(inference: Latency) -> View | None:
         f"{milliseconds(inference.p99)}."
     )
     edges = range(first, last + 1, _STEP)
-    return View(said, figures.columns(counts[first:last], said), [milliseconds(bin_edge(place)) for place in edges])
+    return LatencyView(
+        said, figures.columns(counts[first:last], said), [milliseconds(bin_edge(place)) for place in edges]
+    )

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.statistics.summaries import Summary
+    from xpl_cli.evaluation.statistics.summary_model import Summary
 
 
 def render(run: Run, summary: Summary) -> str:

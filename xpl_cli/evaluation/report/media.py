@@ -37,7 +37,7 @@ class Film(TypedDict):
     video: bool
 
 
-class Shown(TypedDict, total=False):
+class EpisodeMedia(TypedDict, total=False):
     """What the page shows of an episode.
 
     Attributes:
@@ -53,7 +53,7 @@ class Shown(TypedDict, total=False):
     problem: str
 
 
-def shown(run: Run, budget: int, link: str) -> dict[str, Shown]:
+def collect_media(run: Run, budget: int, link: str) -> dict[str, EpisodeMedia]:
     """Return what the page shows of each episode that has a film or curves.
 
     Args:
@@ -64,10 +64,10 @@ def shown(run: Run, budget: int, link: str) -> dict[str, Shown]:
     Returns:
         what is shown, by index.
     """
-    found: dict[str, Shown] = {}
+    found: dict[str, EpisodeMedia] = {}
     full: set[str] = set()
     for episode in _in_turn(run):
-        entry: Shown = {}
+        entry: EpisodeMedia = {}
         for kind, file in ((FILM, episode.film), (TRACE, episode.trace)):
             if file is None:
                 continue
@@ -106,7 +106,7 @@ def locate(folder: Path, file: RecordedFile, kind: str) -> Path:
     return path
 
 
-def _piece(kind: str, path: Path, file: RecordedFile, budget: int) -> tuple[Shown | None, int]:
+def _piece(kind: str, path: Path, file: RecordedFile, budget: int) -> tuple[EpisodeMedia | None, int]:
     """Return a film or curves to embed, None where the budget does not bear them; and their size, 0 without a look."""
     if path.stat().st_size > budget:
         return None, 0
@@ -114,7 +114,7 @@ def _piece(kind: str, path: Path, file: RecordedFile, budget: int) -> tuple[Show
     if hashlib.sha256(content).hexdigest() != file.digest:
         raise UserError(f"{file.path} is not what was recorded: its digest differs")
     if kind == TRACE:
-        piece: Shown = {"curves": curves.read(content, file.path)}
+        piece: EpisodeMedia = {"curves": curves.read(content, file.path)}
         size = len(json.dumps(piece))
     else:
         address = f"data:{_media_type(path)};base64,{base64.b64encode(content).decode()}"
@@ -122,7 +122,7 @@ def _piece(kind: str, path: Path, file: RecordedFile, budget: int) -> tuple[Show
     return None if size > budget else piece, size
 
 
-def _linked(kind: str, address: str) -> Shown:
+def _linked(kind: str, address: str) -> EpisodeMedia:
     if kind == TRACE:
         return {"trace": address}
     is_video = address.startswith("data:video/") or address.endswith((".mp4", ".webm"))

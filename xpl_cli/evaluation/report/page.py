@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.report.media import Shown
-    from xpl_cli.evaluation.statistics.summaries import Summary
+    from xpl_cli.evaluation.report.media import EpisodeMedia
+    from xpl_cli.evaluation.statistics.summary_model import Summary
 
 
-def render(run: Run, summary: Summary, media: Mapping[str, Shown]) -> str:
+def render(run: Run, summary: Summary, media: Mapping[str, EpisodeMedia]) -> str:
     """Return the page of a run.
 
     Args:
@@ -33,7 +33,7 @@ def render(run: Run, summary: Summary, media: Mapping[str, Shown]) -> str:
     )
 
 
-def _media_said(media: Mapping[str, Shown]) -> str:
+def _media_said(media: Mapping[str, EpisodeMedia]) -> str:
     """Return what there is to see of the episodes."""
     films = sum("film" in entry for entry in media.values())
     drawn = sum("curves" in entry or "trace" in entry for entry in media.values())

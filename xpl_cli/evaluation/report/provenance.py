@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from xpl_cli.evaluation.records import run_mode
-from xpl_cli.evaluation.report.phrases import many
+from xpl_cli.evaluation.report.number_format import many
 from xpl_cli.evaluation.statistics import wording
 
 if TYPE_CHECKING:
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
     from xpl_cli.evaluation.records.model import PlannedCell
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.statistics.summaries import Summary
+    from xpl_cli.evaluation.statistics.summary_model import Summary
 
 _MOST_RANGES = 4
 
 
 @dataclass(frozen=True)
-class Pair:
+class ProvenanceItem:
     """A fact by its name; `mono`: the value is to be read letter by letter."""
 
     name: str
@@ -28,7 +28,7 @@ class Pair:
     mono: bool
 
 
-def view(run: Run, summary: Summary) -> list[Pair]:
+def view(run: Run, summary: Summary) -> list[ProvenanceItem]:
     """Return what was run, fact by fact; a fact without a name goes with the one before it."""
     plan = run.plan
     policy, environment, checkpoint = plan.policy, plan.environment, plan.policy.checkpoint
@@ -50,7 +50,7 @@ def view(run: Run, summary: Summary) -> list[Pair]:
         ("Intervals", _methods(summary), False),
         *(("Machine", _flat(facts), False) for facts in run.machines.values()),
     ]
-    return [Pair(*pair) for pair in pairs]
+    return [ProvenanceItem(*pair) for pair in pairs]
 
 
 def _seeds(cells: Sequence[PlannedCell]) -> str:

@@ -8,38 +8,38 @@ from typing import TYPE_CHECKING
 from xpl_cli import __version__
 from xpl_cli.evaluation.records import run_mode, stand_ins
 from xpl_cli.evaluation.report import figures, latency, provenance
-from xpl_cli.evaluation.report.parts import (
+from xpl_cli.evaluation.report.number_format import between, duration, many, milliseconds, points
+from xpl_cli.evaluation.report.page_model import (
     Bar,
+    ChartGroup,
+    ChartRow,
     Contrasts,
-    Fact,
+    CorrectionCount,
+    EndingCount,
     Failures,
-    Fixed,
-    Group,
+    HeadFigure,
     Headline,
-    Line,
-    Named,
-    Part,
+    LabelledClass,
+    PageTable,
+    PageView,
     Reason,
-    Table,
     TableCell,
     TableRow,
     TaskBars,
-    View,
 )
-from xpl_cli.evaluation.report.phrases import between, duration, many, milliseconds, points
 from xpl_cli.evaluation.statistics import wording
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.statistics.summaries import ExecutionStats, Row, Summary
+    from xpl_cli.evaluation.statistics.summary_model import ExecutionStats, Summary, SummaryRow
 
 _COLOURS = 5  # of settings, in page.css
 _MOST_REASONS = 8
 
 
-def view(run: Run, summary: Summary, media_said: str) -> View:
+def view(run: Run, summary: Summary, media_said: str) -> PageView:
     """Return what the page says.
 
     Args:
@@ -50,7 +50,7 @@ def view(run: Run, summary: Summary, media_said: str) -> View:
     overall = summary.overall
     complete = not overall.remaining
     kinds = _kinds(summary)
-    return View(
+    return PageView(
         title=f"{summary.policy} in {summary.environment}",
         policy=summary.policy,
         environment=summary.environment,
@@ -60,7 +60,7 @@ def view(run: Run, summary: Summary, media_said: str) -> View:
         headline=_headline(summary),
         facts=_facts(summary),
         confidence=wording.percent(summary.confidence),
-        settings=[Named(name, kind) for name, kind in kinds.items()],
+        settings=[LabelledClass(name, kind) for name, kind in kinds.items()],
         tasks=_tasks(summary, kinds),
         groups=_groups(summary, kinds),
         contrasts=_contrasts(summary, kinds),
@@ -106,17 +106,17 @@ def _headline(summary: Summary) -> Headline:
     return Headline(f"{100 * rate:.1f}".removesuffix(".0"), "%", said, figure)
 
 
-def _facts(summary: Summary) -> list[Fact]:
+def _facts(summary: Summary) -> list[HeadFigure]:
     overall, execution = summary.overall, summary.execution
     failures, score, inference = overall.failures, overall.mean_score, execution.inference
     known_score = wording.NOTHING if score is None else f"{score:.2f}"
     return [
-        Fact("Mean score", known_score, between(overall.score_interval, 2)),
-        Fact("Task not achieved", str(failures["task"]), "ran to the end"),
-        Fact("Failed by the policy", str(failures["policy"]), "error or stopped; no success"),
-        Fact("Infrastructure errors", str(failures["infrastructure"]), _bounds(overall, execution)),
-        Fact("Action request", milliseconds(inference.p50), f"median; 95 % within {milliseconds(inference.p95)}"),
-        Fact(
+        HeadFigure("Mean score", known_score, between(overall.score_interval, 2)),
+        HeadFigure("Task not achieved", str(failures["task"]), "ran to the end"),
+        HeadFigure("Failed by the policy", str(failures["policy"]), "error or stopped; no success"),
+        HeadFigure("Infrastructure errors", str(failures["infrastructure"]), _bounds(overall, execution)),
+        HeadFigure("Action request", milliseconds(inference.p50), f"median; 95 % within {milliseconds(inference.p95)}"),
+        HeadFigure(
             "Run time",
             duration(execution.wall_seconds),
             f"all episodes together, {many(execution.attempts, 'attempt')}",
@@ -124,7 +124,7 @@ def _facts(summary: Summary) -> list[Fact]:
     ]
 
 
-def _bounds(overall: Row, execution: ExecutionStats) -> str:
+def _bounds(overall: SummaryRow, execution: ExecutionStats) -> str:
     bounds = overall.infrastructure_bounds
     retried = f"{execution.retried} run again" if execution.retried else ""
     if bounds is None:
@@ -142,7 +142,7 @@ def _tasks(summary: Summary, kinds: Mapping[str, str]) -> list[TaskBars]:
     return list(found.values())
 
 
-def _groups(summary: Summary, kinds: Mapping[str, str]) -> list[Group]:
+def _groups(summary: Summary, kinds: Mapping[str, str]) -> list[ChartGroup]:
     """Return the rows by setting and by dimension, where there are several."""
     groups = []
     for title, rows in (
@@ -150,13 +150,13 @@ def _groups(summary: Summary, kinds: Mapping[str, str]) -> list[Group]:
         ("By dimension", [(str(row.dimension), row) for row in summary.dimensions]),
     ):
         if len(rows) > 1:
-            groups.append(Group(title, [_line(name, row, kinds.get(name, "s0")) for name, row in rows]))
+            groups.append(ChartGroup(title, [_line(name, row, kinds.get(name, "s0")) for name, row in rows]))
     return groups
 
 
-def _line(name: str, row: Row, kind: str) -> Line:
+def _line(name: str, row: SummaryRow, kind: str) -> ChartRow:
     text = wording.rate(row)
-    return Line(name, text, figures.strip(row.success_rate, row.success_interval, kind, f"{name}: {text}"))
+    return ChartRow(name, text, figures.strip(row.success_rate, row.success_interval, kind, f"{name}: {text}"))
 
 
 def _contrasts(summary: Summary, kinds: Mapping[str, str]) -> Contrasts:
@@ -177,7 +177,7 @@ def _contrasts(summary: Summary, kinds: Mapping[str, str]) -> Contrasts:
         low, high = map(points, row.interval or ())
         text = f"{points(row.difference or 0.0)} ({low} to {high})"
         figure = figures.difference(row.difference, row.interval, kinds[other], f"{name}: {text}")
-        lines.append(Line(name, text, figure))
+        lines.append(ChartRow(name, text, figure))
     return Contrasts(
         lines,
         f"{first.capitalize()} against {others[0] if named else 'the others'}",
@@ -185,29 +185,29 @@ def _contrasts(summary: Summary, kinds: Mapping[str, str]) -> Contrasts:
     )
 
 
-def _table(summary: Summary, kinds: Mapping[str, str]) -> Table:
+def _table(summary: Summary, kinds: Mapping[str, str]) -> PageTable:
     header = [
-        Named("Task", ""),
-        Named("Setting", ""),
-        Named("Episodes", "number"),
-        Named("Success", "number"),
-        Named("", "mini"),
-        Named("Interval", "number"),
-        Named("Score", "number"),
-        Named("Interval", "number"),
-        Named("Policy", "number"),
-        Named("Infrastructure", "number"),
-        Named("Steps", "number"),
+        LabelledClass("Task", ""),
+        LabelledClass("Setting", ""),
+        LabelledClass("Episodes", "number"),
+        LabelledClass("Success", "number"),
+        LabelledClass("", "mini"),
+        LabelledClass("Interval", "number"),
+        LabelledClass("Score", "number"),
+        LabelledClass("Interval", "number"),
+        LabelledClass("Policy", "number"),
+        LabelledClass("Infrastructure", "number"),
+        LabelledClass("Steps", "number"),
     ]
     rows = []
     for row in wording.shown(summary):
         texts = _cells(row, kinds.get(row.setting or "", "s0"))
         cells = [TableCell(value, column.kind) for value, column in zip(texts, header, strict=True)]
         rows.append(TableRow(row.task is None, cells))
-    return Table(header, rows)
+    return PageTable(header, rows)
 
 
-def _cells(row: Row, kind: str) -> Sequence[str]:
+def _cells(row: SummaryRow, kind: str) -> Sequence[str]:
     rate, score, failures = row.success_rate, row.mean_score, row.failures
     episodes = str(row.judged) if not row.remaining else f"{row.judged} of {row.planned}"
     return (
@@ -225,7 +225,7 @@ def _cells(row: Row, kind: str) -> Sequence[str]:
     )
 
 
-def _failures(run: Run, overall: Row) -> Failures:
+def _failures(run: Run, overall: SummaryRow) -> Failures:
     failures = overall.failures
     counts = {
         "success": overall.successes,
@@ -254,14 +254,14 @@ def _failures(run: Run, overall: Row) -> Failures:
             "infrastructure error is retried a limited number of times and then counts as failed."
         ),
         figure=figures.shares(counts, ", ".join(f"{names[kind]} {count}" for kind, count in counts.items())),
-        parts=[Part(kind, names[kind], count) for kind, count in counts.items() if count],
+        parts=[EndingCount(kind, names[kind], count) for kind, count in counts.items() if count],
         reasons=[Reason(text, count) for text, count in reasons.most_common(_MOST_REASONS)],
     )
 
 
-def _corrections(run: Run, overall: Row) -> list[Fixed]:
+def _corrections(run: Run, overall: SummaryRow) -> list[CorrectionCount]:
     touched = Counter(kind for episode in run.finals.values() for kind in episode.corrections or {})
     return [
-        Fixed(kind.replace("_", " "), f"{many(steps, 'step')} of {many(touched[kind], 'episode')}")
+        CorrectionCount(kind.replace("_", " "), f"{many(steps, 'step')} of {many(touched[kind], 'episode')}")
         for kind, steps in sorted(overall.corrections.items(), key=lambda item: -item[1])
     ]

@@ -181,7 +181,7 @@ def _check_files(what: str, folder: str, digest: str) -> None:
 def _kept(orders: RolloutConfig | ServerConfig) -> IsolationSettings:
     """Return what the adapter is kept from on this machine."""
     asked = orders.bounds
-    return asked if asked.isolate else IsolationSettings.here(Path(orders.policy).parent, isolate=False)
+    return asked if asked.isolate else IsolationSettings.strictest(Path(orders.policy).parent, isolate=False)
 
 
 def _check_checkpoint(orders: ServerConfig) -> None:

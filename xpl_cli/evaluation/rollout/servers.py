@@ -97,7 +97,7 @@ class ManagedServer:
             ServerLostError: it cannot be started any more.
         """
         with self._turn:
-            if self._running is None or self._running.ended is not None:
+            if self._running is None or self._running.exit_code is not None:
                 self._running = None
                 self._stack.close()
                 self._running = self._started()

@@ -152,7 +152,7 @@ class RolloutWorker:
         """
         policy = Path(self._orders.policy)
         with contextlib.ExitStack() as opened:
-            loop = AdapterLoop(policy, isolation=opened.enter_context(self._orders.bounds.around(policy)))
+            loop = AdapterLoop(policy, isolation=opened.enter_context(self._orders.bounds.isolate_adapter(policy)))
             opened.callback(loop.close)
             self._open = opened.pop_all()
         return loop

@@ -168,7 +168,7 @@ def collect(request: RecordRequest, progress: Progress) -> DemonstrationSet:
     overrides, wishes = _asked(request)
     place = environments.find(request.environment)
     planned = plan.make_plan(adapter, place, adapter.config(overrides), wishes).plan
-    bounds = IsolationSettings.here(adapter.path.parent, isolate=request.runtime.isolate)
+    bounds = IsolationSettings.strictest(adapter.path.parent, isolate=request.runtime.isolate)
     lane_orders, server_orders = evaluate.make_configs(
         adapter, place, planned, request.runtime, bounds, demos=request.demos
     )

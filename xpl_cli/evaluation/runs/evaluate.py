@@ -237,7 +237,7 @@ def _bounds(request: EvalRequest) -> IsolationSettings:
     """Return what the adapter is kept from; on a cluster only what was asked for, for each machine has its own."""
     if request.room.backend != LOCAL:
         return IsolationSettings(isolate=request.runtime.isolate)
-    return IsolationSettings.here(request.package.path.parent, isolate=request.runtime.isolate)
+    return IsolationSettings.strictest(request.package.path.parent, isolate=request.runtime.isolate)
 
 
 def check_complete(run: Run) -> None:

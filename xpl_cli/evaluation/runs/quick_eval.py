@@ -203,7 +203,7 @@ def _backend(request: QuickEvalRequest, folder: Path, planned: RunPlan, progress
         folder,
         planned,
         request.runtime,
-        IsolationSettings.here(request.package.path.parent, isolate=request.runtime.isolate),
+        IsolationSettings.strictest(request.package.path.parent, isolate=request.runtime.isolate),
         env_workers=request.workers,
         demos=request.demos,
     )

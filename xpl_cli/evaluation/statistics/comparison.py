@@ -13,10 +13,16 @@ from typing import TYPE_CHECKING
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import stand_ins
 from xpl_cli.evaluation.records.cells import cells, paired_counts
-from xpl_cli.evaluation.statistics import cautions, intervals, verdicts
-from xpl_cli.evaluation.statistics.comparisons import Comparison, LeftOut, Methods, Row, Side
-from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs
-from xpl_cli.evaluation.statistics.matching import differences
+from xpl_cli.evaluation.statistics import caveats, intervals, verdicts
+from xpl_cli.evaluation.statistics.comparison_model import (
+    ComparedRun,
+    Comparison,
+    ComparisonMethods,
+    ComparisonRow,
+    UnpairedEpisodes,
+)
+from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, PairedCounts
+from xpl_cli.evaluation.statistics.run_differences import find_differences
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -51,7 +57,7 @@ class _Matches:
     scores: Sequence[tuple[float | None, float | None]]
 
     @property
-    def pairs(self) -> Pairs:
+    def pairs(self) -> PairedCounts:
         """How often both, one or none succeeded."""
         first, second = (dict(enumerate(pair[side] for pair in self.successes)) for side in (0, 1))
         return paired_counts(first, second)
@@ -88,9 +94,9 @@ def compare(first: Run, second: Run) -> Comparison:
         first=_side(first),
         second=_side(second),
         confidence=intervals.CONFIDENCE,
-        methods=Methods(),
-        differences=differences(first, second),
-        left_out=LeftOut(_counted(first) - compared, _counted(second) - compared),
+        methods=ComparisonMethods(),
+        differences=find_differences(first, second),
+        left_out=UnpairedEpisodes(_counted(first) - compared, _counted(second) - compared),
         same_trajectories=sum(_is_same(one, other) for match in matches for one, other in match.lines),
         known_layouts=sum(_has_layouts(*pair) for match in matches for pair in match.lines),
         cells=[replace(row, adjusted_p_value=value) for row, value in zip(rows, raised, strict=True)],
@@ -100,7 +106,7 @@ def compare(first: Run, second: Run) -> Comparison:
     unreal = stand_ins.sentence(names[0], (match.setting for match in matches))
     notes = [
         *([] if unreal is None else [unreal]),
-        *cautions.of_skipped((*first.skipped, *second.skipped)),
+        *caveats.of_skipped((*first.skipped, *second.skipped)),
         *verdicts.notes(result, stops=stops),
     ]
     return replace(result, verdict=verdicts.verdict(result), notes=notes)
@@ -144,14 +150,14 @@ def _refuse_other_layouts(matches: Sequence[_Matches]) -> None:
         )
 
 
-def _row(task: str | None, setting: str | None, matches: Sequence[_Matches]) -> Row:
+def _row(task: str | None, setting: str | None, matches: Sequence[_Matches]) -> ComparisonRow:
     """Return the row of one task and setting, or of all."""
     tables = [match.pairs for match in matches]
-    pairs = Pairs(*map(sum, zip(*tables, strict=True)))
-    success = intervals.mean([intervals.paired(table) for table in tables])
+    pairs = PairedCounts(*map(sum, zip(*tables, strict=True)))
+    success = intervals.mean_estimate([intervals.newcombe_paired(table) for table in tables])
     scores = [found for match in matches if (found := match.score_difference()) is not None]
-    gain = intervals.mean(scores) if scores else None
-    return Row(
+    gain = intervals.mean_estimate(scores) if scores else None
+    return ComparisonRow(
         task=task,
         setting=setting,
         pairs=pairs.total,
@@ -166,9 +172,9 @@ def _row(task: str | None, setting: str | None, matches: Sequence[_Matches]) -> 
     )
 
 
-def _side(run: Run) -> Side:
+def _side(run: Run) -> ComparedRun:
     plan = run.plan
-    return Side(
+    return ComparedRun(
         folder=str(run.folder),
         run=plan.run,
         policy=plan.policy.name,

@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any, ClassVar
 
 
-class Document:
+class JsonDocument:
     """An answer that a schema describes.
 
     Attributes:
@@ -18,13 +18,13 @@ class Document:
 
     def as_json(self) -> dict[str, Any]:
         """Return the answer as JSON has it."""
-        return {"schema": self.schema, **plain(self)}
+        return {"schema": self.schema, **to_plain(self)}
 
 
-def plain(value: object) -> Any:
+def to_plain(value: object) -> Any:
     """Return a value as JSON has it: of dataclasses maps, of tuples lists."""
     if is_dataclass(value):
-        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
+        return {item.name: to_plain(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
-        return {key: plain(entry) for key, entry in value.items()}
-    return [plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
+        return {key: to_plain(entry) for key, entry in value.items()}
+    return [to_plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value

@@ -7,8 +7,8 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from xpl.vector import INFRASTRUCTURE
-from xpl_cli.evaluation.statistics import cautions
-from xpl_cli.evaluation.statistics.summaries import Error, ExecutionStats, Latency
+from xpl_cli.evaluation.statistics import caveats
+from xpl_cli.evaluation.statistics.summary_model import ErrorCount, ExecutionStats, Latency
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,8 +35,8 @@ def execution_stats(run: Run, beyond: int) -> ExecutionStats:
         wall_seconds=math.fsum(line.wall_seconds for line in run.attempts),
         machines=machines,
         inference=_inference(run),
-        errors=[Error(failure, error, count) for (failure, error), count in errors.most_common()],
-        notes=cautions.of_execution(beyond, machines, recovered),
+        errors=[ErrorCount(failure, error, count) for (failure, error), count in errors.most_common()],
+        notes=caveats.of_execution(beyond, machines, recovered),
     )
 
 

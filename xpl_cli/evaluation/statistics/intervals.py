@@ -59,7 +59,7 @@ class Estimate(NamedTuple):
     interval: Interval
 
 
-class Pairs(NamedTuple):
+class PairedCounts(NamedTuple):
     """Outcomes of two subjects that met the same cases.
 
     Attributes:
@@ -102,7 +102,7 @@ def wilson(mean: float, count: int) -> Interval:
     return Interval(min(mean, max(0.0, middle - half)), max(mean, min(1.0, middle + half)))
 
 
-def exact(successes: int, count: int) -> Interval:
+def clopper_pearson(successes: int, count: int) -> Interval:
     """Return the interval of a share that holds it with 95 % confidence or more, whatever the share is.
 
     Source: C. J. Clopper, E. S. Pearson, The Use of Confidence or Fiducial Limits Illustrated in the Case of the
@@ -147,7 +147,7 @@ def bootstrap(values: Iterable[float]) -> Interval:
     return Interval(float(found.low), float(found.high))
 
 
-def mean(estimates: Sequence[Estimate]) -> Estimate:
+def mean_estimate(estimates: Sequence[Estimate]) -> Estimate:
     """Return the mean of estimates that are independent of each other, each of the same weight.
 
     Source for shares: G. Zou, W. Huang, X. Zhang, A Note on Confidence Interval Estimation for a Linear Function of
@@ -165,7 +165,7 @@ def mean(estimates: Sequence[Estimate]) -> Estimate:
     return Estimate(value, Interval(value - below, value + above))
 
 
-def difference(first: Estimate, second: Estimate, correlation: float = 0.0) -> Estimate:
+def newcombe(first: Estimate, second: Estimate, correlation: float = 0.0) -> Estimate:
     """Return second minus first.
 
     Source for shares: R. G. Newcombe, Interval Estimation for the Difference between Independent Proportions,
@@ -187,7 +187,7 @@ def difference(first: Estimate, second: Estimate, correlation: float = 0.0) -> E
     return Estimate(value, Interval(value - below, value + above))
 
 
-def paired(pairs: Pairs) -> Estimate:
+def newcombe_paired(pairs: PairedCounts) -> Estimate:
     """Return by how much the second subject's success rate exceeds the first's, on the same cases.
 
     Source: R. G. Newcombe, Improved Confidence Intervals for the Difference between Binomial Proportions Based on
@@ -203,10 +203,10 @@ def paired(pairs: Pairs) -> Estimate:
         Estimate(successes / count, wilson(successes / count, count))
         for successes in (pairs.both + pairs.only_first, pairs.both + pairs.only_second)
     )
-    return difference(first, second, _correlation(pairs))
+    return newcombe(first, second, _correlation(pairs))
 
 
-def mcnemar(pairs: Pairs) -> float:
+def mcnemar(pairs: PairedCounts) -> float:
     """Return the two-sided p-value of "neither is better" by the exact test of the cases in which only one succeeded.
 
     Source: Q. McNemar, Note on the Sampling Error of the Difference between Correlated Proportions or Percentages,
@@ -231,7 +231,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return raised
 
 
-def _correlation(pairs: Pairs) -> float:
+def _correlation(pairs: PairedCounts) -> float:
     """Return the coefficient phi of the fourfold table, corrected for continuity as Newcombe's method 10 wants it."""
     both, only_first, only_second, neither = pairs
     agreement: float = both * neither - only_first * only_second

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.evaluation.records import run_mode
 from xpl_cli.evaluation.records.cells import FAILURES, Cell, cells, paired_counts
-from xpl_cli.evaluation.statistics import cautions, intervals
+from xpl_cli.evaluation.statistics import caveats, intervals
 from xpl_cli.evaluation.statistics.execution import execution_stats
-from xpl_cli.evaluation.statistics.summaries import Contrast, Methods, Row, Summary
+from xpl_cli.evaluation.statistics.summary_model import Contrast, Summary, SummaryMethods, SummaryRow
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -42,7 +42,7 @@ def summarise(run: Run, method: str = "wilson") -> Summary:
 
     Args:
         run: its record.
-        method: of the success rates' intervals: one of `cells.METHODS`.
+        method: of the success rates' intervals: one of `cells.INTERVAL_METHODS`.
     """
     found, plan = cells(run), run.plan
     measured = [_Measured(cell, cell.success_rate(method), cell.mean_score()) for cell in found]
@@ -54,7 +54,7 @@ def summarise(run: Run, method: str = "wilson") -> Summary:
         action_type=plan.action_type,
         until_width=plan.until_width,
         confidence=intervals.CONFIDENCE,
-        methods=Methods(method, SCORE_METHOD),
+        methods=SummaryMethods(method, SCORE_METHOD),
         cells=[_row([one]) for one in measured],
         tasks=_rows(measured, lambda cell: cell.task),
         settings=_rows(measured, lambda cell: cell.setting),
@@ -63,11 +63,11 @@ def summarise(run: Run, method: str = "wilson") -> Summary:
         contrasts=_contrasts(found),
         execution=execution_stats(run, sum(cell.beyond for cell in found)),
     )
-    told = cautions.of_instruction(run_mode.run_mode_of(plan).instruction)
-    return replace(summary, notes=[*told, *cautions.of_skipped(run.skipped), *cautions.of_summary(summary, found)])
+    told = caveats.of_instruction(run_mode.run_mode_of(plan).instruction)
+    return replace(summary, notes=[*told, *caveats.of_skipped(run.skipped), *caveats.of_summary(summary, found)])
 
 
-def _rows(measured: Sequence[_Measured], name: Callable[[Cell], str | None]) -> list[Row]:
+def _rows(measured: Sequence[_Measured], name: Callable[[Cell], str | None]) -> list[SummaryRow]:
     """Return a row for each group of cells of one name; cells without one are in none."""
     groups: dict[str, list[_Measured]] = {}
     for one in measured:
@@ -76,7 +76,7 @@ def _rows(measured: Sequence[_Measured], name: Callable[[Cell], str | None]) -> 
     return [_row(group) for group in groups.values()]
 
 
-def _row(measured: Sequence[_Measured]) -> Row:
+def _row(measured: Sequence[_Measured]) -> SummaryRow:
     """Return the row of one cell or of several."""
     members = [one.cell for one in measured]
     success, score = _mean(one.success for one in measured), _mean(one.score for one in measured)
@@ -86,7 +86,7 @@ def _row(measured: Sequence[_Measured]) -> Row:
     corrections: Counter[str] = Counter()
     for line in lines:
         corrections.update(line.corrections or {})
-    return Row(
+    return SummaryRow(
         task=_common(cell.task for cell in members),
         setting=_common(cell.setting for cell in members),
         dimension=_common(cell.dimension for cell in members),
@@ -145,15 +145,15 @@ def _contrast(first: Cell, second: Cell) -> tuple[Estimate | None, int]:
     """Return second minus first, and by how many common seeds; without any, the two are taken as independent."""
     pairs = paired_counts(first.by_seed, second.by_seed)
     if pairs.total:
-        return intervals.paired(pairs), pairs.total
+        return intervals.newcombe_paired(pairs), pairs.total
     one, other = first.success_rate("wilson"), second.success_rate("wilson")
-    return (None if one is None or other is None else intervals.difference(one, other)), 0
+    return (None if one is None or other is None else intervals.newcombe(one, other)), 0
 
 
 def _mean(estimates: Iterable[Estimate | None]) -> Estimate | None:
     """Return the mean of those that are known, None if none is."""
     known = [estimate for estimate in estimates if estimate is not None]
-    return intervals.mean(known) if known else None
+    return intervals.mean_estimate(known) if known else None
 
 
 def _common(values: Iterable[_T]) -> _T | None:

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.basics.untrusted import as_lines
 from xpl_cli.basics.words import amount
-from xpl_cli.evaluation.statistics import cautions
+from xpl_cli.evaluation.statistics import caveats
 from xpl_cli.evaluation.statistics.wording import NOTHING, aligned, percent, points, were
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from xpl_cli.evaluation.statistics.comparisons import Comparison, Row
+    from xpl_cli.evaluation.statistics.comparison_model import Comparison, ComparisonRow
 
 _ALPHA: Final = 0.05
 _LEAST: Final = 0.001
@@ -63,12 +63,12 @@ def notes(result: Comparison, *, stops: bool) -> list[str]:
         *_of_test(result.overall),
         *_of_tasks(result),
         *_of_pairs(result),
-        *([cautions.of_stopping()] if stops else []),
-        cautions.scope(),
+        *([caveats.of_stopping()] if stops else []),
+        caveats.scope(),
     ]
 
 
-def probability(value: float) -> str:
+def format_p_value(value: float) -> str:
     """Return a p-value as people read it."""
     return f"< {_LEAST}" if value < _LEAST else f"{value:.3f}"
 
@@ -99,7 +99,7 @@ def _of_differences(result: Comparison) -> Iterator[str]:
         yield "Both runs loaded the same checkpoint."
 
 
-def _of_test(row: Row) -> Iterator[str]:
+def _of_test(row: ComparisonRow) -> Iterator[str]:
     discordant = row.only_first + row.only_second
     least = 2 * 0.5**discordant
     if discordant and least >= _ALPHA:
@@ -139,10 +139,10 @@ def _of_pairs(result: Comparison) -> Iterator[str]:
 
 
 def _p(value: float) -> str:
-    return f"p {probability(value)}" if value < _LEAST else f"p = {probability(value)}"
+    return f"p {format_p_value(value)}" if value < _LEAST else f"p = {format_p_value(value)}"
 
 
-def _texts(row: Row) -> tuple[str, ...]:
+def _texts(row: ComparisonRow) -> tuple[str, ...]:
     adjusted = row.adjusted_p_value
     return (
         row.task or "all",
@@ -153,6 +153,6 @@ def _texts(row: Row) -> tuple[str, ...]:
         str(row.only_first),
         str(row.only_second),
         f"{round(row.difference * 100):+d} ({points(*row.interval)})",
-        probability(row.p_value),
-        NOTHING if adjusted is None else probability(adjusted),
+        format_p_value(row.p_value),
+        NOTHING if adjusted is None else format_p_value(adjusted),
     )

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from xpl_cli.evaluation.statistics.intervals import Interval
-    from xpl_cli.evaluation.statistics.summaries import Row, Summary
+    from xpl_cli.evaluation.statistics.summary_model import Summary, SummaryRow
 
 
 class Rated(Protocol):
@@ -63,7 +63,7 @@ def table(summary: Summary) -> list[tuple[str, ...]]:
     return [_texts(row) for row in shown(summary)]
 
 
-def shown(summary: Summary) -> list[Row]:
+def shown(summary: Summary) -> list[SummaryRow]:
     """Return the rows that a table has: cells, settings where there are several, and all together where it is more."""
     settings = summary.settings if len(summary.settings) > 1 else []
     return [*summary.cells, *settings, *([summary.overall] if len(summary.cells) > 1 else [])]
@@ -90,7 +90,7 @@ def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     return ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
 
 
-def _texts(row: Row) -> tuple[str, ...]:
+def _texts(row: SummaryRow) -> tuple[str, ...]:
     success = score = (NOTHING, NOTHING)
     if row.success_rate is not None and row.success_interval is not None:
         success = (percent(row.success_rate), interval(*row.success_interval))

@@ -16,7 +16,7 @@ from xpl_cli.evaluation.records import records, run_mode
 from xpl_cli.evaluation.records.run_mode import RunMode
 from xpl_cli.evaluation.rollout.backend import RolloutJob
 from xpl_cli.evaluation.rollout.instruction import with_instruction
-from xpl_cli.evaluation.statistics.matching import differences
+from xpl_cli.evaluation.statistics.run_differences import find_differences
 from xpl_cli.serving.launch import running_server
 
 if TYPE_CHECKING:
@@ -109,7 +109,9 @@ def test_a_batch_is_recorded_with_its_size(room: Path) -> None:
     assert not any(line.trace or line.film for line in run.finals.values())
     alone = xpl("eval", "Drilled", "--env", "drill", "--out", "alone", *options, cwd=room)
     assert alone.returncode == 0, alone.stderr
-    assert [str(one) for one in differences(run, records.read(room / "alone"))] == ["episodes at once: 2 against 1"]
+    assert [str(one) for one in find_differences(run, records.read(room / "alone"))] == [
+        "episodes at once: 2 against 1"
+    ]
     refused = xpl("submit", "Drilled", "run", "--check", cwd=room)
     assert refused.returncode != 0
     assert "in batches of 2" in refused.stderr

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.basics.untrusted import as_lines, in_markdown
 from xpl_cli.basics.words import amount
-from xpl_cli.evaluation.leaderboard.field import is_barrier
+from xpl_cli.evaluation.leaderboard.comparable_runs import is_barrier
 from xpl_cli.evaluation.report import episodes, markdown
-from xpl_cli.evaluation.report.phrases import points
+from xpl_cli.evaluation.report.number_format import points
 from xpl_cli.evaluation.statistics import wording
-from xpl_cli.evaluation.statistics.verdicts import probability
+from xpl_cli.evaluation.statistics.verdicts import format_p_value
 
 if TYPE_CHECKING:
-    from xpl_cli.evaluation.leaderboard.ranking import Gap, Ranking, Row
+    from xpl_cli.evaluation.leaderboard.ranking import GapToFirst, Ranking, RankingRow
 
 
 def text(ranking: Ranking) -> str:
@@ -92,16 +92,16 @@ def rows(ranking: Ranking) -> list[tuple[str, ...]]:
     return found
 
 
-def standing(row: Row) -> str:
+def describe_standing(row: RankingRow) -> str:
     """Return how a row stands to the first, as far as these episodes tell."""
     if row.to_first is None:
         return ""
     return "not told apart from the first" if row.is_close else "behind the first"
 
 
-def _gap(to_first: Gap | None) -> tuple[str, str]:
+def _gap(to_first: GapToFirst | None) -> tuple[str, str]:
     if to_first is None:
         return wording.NOTHING, wording.NOTHING
     low, high = to_first.interval
     told = f"{points(to_first.difference)} ({points(low)} to {points(high)})"
-    return told, probability(to_first.adjusted_p_value)
+    return told, format_p_value(to_first.adjusted_p_value)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Fact:
+class HeadFigure:
     """A figure of the head of the page."""
 
     name: str
@@ -21,7 +21,7 @@ class Fact:
 
 
 @dataclass(frozen=True)
-class Named:
+class LabelledClass:
     """A name and its class in page.css."""
 
     name: str
@@ -46,7 +46,7 @@ class TaskBars:
 
 
 @dataclass(frozen=True)
-class Line:
+class ChartRow:
     """A named figure with its chart."""
 
     name: str
@@ -55,11 +55,11 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Group:
+class ChartGroup:
     """Rates by setting, or by dimension."""
 
     title: str
-    rows: list[Line]
+    rows: list[ChartRow]
 
 
 @dataclass(frozen=True)
@@ -79,15 +79,15 @@ class TableRow:
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """The table of all figures."""
 
-    header: list[Named]
+    header: list[LabelledClass]
     rows: list[TableRow]
 
 
 @dataclass(frozen=True)
-class Part:
+class EndingCount:
     """How many of the planned episodes ended in one way."""
 
     kind: str
@@ -109,12 +109,12 @@ class Failures:
 
     said: str
     figure: Markup
-    parts: list[Part]
+    parts: list[EndingCount]
     reasons: list[Reason]
 
 
 @dataclass(frozen=True)
-class Fixed:
+class CorrectionCount:
     """A kind of correction, and how often it was made."""
 
     name: str
@@ -135,13 +135,13 @@ class Headline:
 class Contrasts:
     """Settings against the first one; no lines where there is nothing to compare."""
 
-    lines: list[Line]
+    lines: list[ChartRow]
     title: str = ""
     said: str = ""
 
 
 @dataclass(frozen=True)
-class View:
+class PageView:
     """What the template of the page asks for, in the order in which it shows it."""
 
     title: str
@@ -151,17 +151,17 @@ class View:
     state: str
     about: str
     headline: Headline
-    facts: list[Fact]
+    facts: list[HeadFigure]
     confidence: str
-    settings: list[Named]
+    settings: list[LabelledClass]
     tasks: list[TaskBars]
-    groups: list[Group]
+    groups: list[ChartGroup]
     contrasts: Contrasts
-    table: Table
+    table: PageTable
     notes: list[str]
     failures: Failures
-    corrections: list[Fixed]
-    latency: latency.View | None
+    corrections: list[CorrectionCount]
+    latency: latency.LatencyView | None
     media_said: str
-    versions: list[provenance.Pair]
+    versions: list[provenance.ProvenanceItem]
     footer: str

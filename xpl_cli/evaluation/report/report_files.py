@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli import __version__
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.untrusted import harmless
+from xpl_cli.basics.untrusted import escape_controls
 from xpl_cli.evaluation.report import episodes, markdown, media, page
 from xpl_cli.evaluation.statistics import wording
 from xpl_cli.evaluation.statistics.summary import summarise
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.statistics.summaries import Summary
+    from xpl_cli.evaluation.statistics.summary_model import Summary
 
 SCHEMA = "xpl.report/1"
 FOLDER = "report"
@@ -42,9 +42,9 @@ def write(run: Run, folder: Path, budget: int) -> dict[str, Any]:
     found = document(run, summary)
     link = f"{urllib.parse.quote(os.path.relpath(run.folder.resolve(), folder.resolve()))}/"
     texts = {
-        PAGE: page.render(run, summary, media.shown(run, budget, link)),
+        PAGE: page.render(run, summary, media.collect_media(run, budget, link)),
         MARKDOWN: markdown.render(run, summary),
-        DOCUMENT: harmless(json.dumps(found, indent=2, ensure_ascii=False)) + "\n",
+        DOCUMENT: escape_controls(json.dumps(found, indent=2, ensure_ascii=False)) + "\n",
         TABLE: episodes.as_csv(wording.HEADER, wording.table(summary)),
         EPISODES: episodes.table(run),
     }

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.basics import atomic, pages
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.untrusted import harmless
-from xpl_cli.evaluation.leaderboard import board
+from xpl_cli.basics.untrusted import escape_controls
+from xpl_cli.evaluation.leaderboard import ranking_text
 from xpl_cli.evaluation.report import figures
 from xpl_cli.evaluation.statistics import wording
 
@@ -28,9 +28,9 @@ def write(ranking: Ranking, folder: Path) -> None:
     """
     texts = {
         ".html": page(ranking),
-        ".md": board.as_markdown(ranking),
-        ".csv": board.as_csv(ranking),
-        ".json": harmless(json.dumps(ranking.as_json(), indent=2, ensure_ascii=False)) + "\n",
+        ".md": ranking_text.as_markdown(ranking),
+        ".csv": ranking_text.as_csv(ranking),
+        ".json": escape_controls(json.dumps(ranking.as_json(), indent=2, ensure_ascii=False)) + "\n",
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -46,7 +46,7 @@ def page(ranking: Ranking) -> str:
         {
             "rank": row.rank,
             "label": label,
-            "standing": board.standing(row),
+            "standing": ranking_text.describe_standing(row),
             "rate": wording.rate(row),
             "figure": figures.bar(row.success_rate, row.success_interval, "s0", f"{label}: {wording.rate(row)}"),
         }
@@ -55,10 +55,10 @@ def page(ranking: Ranking) -> str:
     return pages.render(
         "report/leaderboard.html.jinja",
         style="report/page.css",
-        title=board.title(ranking),
+        title=ranking_text.title(ranking),
         confidence=wording.percent(ranking.confidence),
         rows=shown,
-        header=board.header(ranking),
-        table=board.rows(ranking),
+        header=ranking_text.header(ranking),
+        table=ranking_text.rows(ranking),
         notes=ranking.notes,
     )

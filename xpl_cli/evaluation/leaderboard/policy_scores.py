@@ -15,19 +15,19 @@ from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.basics.content import room
-from xpl_cli.evaluation.leaderboard.trees import ROBODOJO
+from xpl_cli.evaluation.leaderboard.result_trees import ROBODOJO
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from xpl_cli.evaluation.leaderboard.trees import Result
+    from xpl_cli.evaluation.leaderboard.result_trees import BenchmarkResult
 
 OTHER: Final = "Other"
 
 
 @dataclass(frozen=True)
-class Figure:
+class MeanScore:
     """A mean over seeds.
 
     Attributes:
@@ -43,7 +43,7 @@ class Figure:
 
 
 @dataclass
-class Tally:
+class PolicyScores:
     """What the results of one policy come to.
 
     Attributes:
@@ -57,11 +57,11 @@ class Tally:
     """
 
     policy: str
-    overall: Figure | None = None
-    dimensions: dict[str, Figure] = field(default_factory=dict)
-    variants: dict[str, Figure] = field(default_factory=dict)
-    halves: dict[str, Figure] = field(default_factory=dict)
-    tasks: dict[str, Figure] = field(default_factory=dict)
+    overall: MeanScore | None = None
+    dimensions: dict[str, MeanScore] = field(default_factory=dict)
+    variants: dict[str, MeanScore] = field(default_factory=dict)
+    halves: dict[str, MeanScore] = field(default_factory=dict)
+    tasks: dict[str, MeanScore] = field(default_factory=dict)
     counted: int = 0
     expected: int = 0
 
@@ -117,26 +117,26 @@ def dimension_of(task: str) -> str:
     return next((name for name, tasks in protocol().dimensions.items() if task in tasks), OTHER)
 
 
-def tally(results: Sequence[Result], *, partial: bool = False) -> list[Tally]:
+def score_policies(results: Sequence[BenchmarkResult], *, partial: bool = False) -> list[PolicyScores]:
     """Return what the results of each policy come to, by name.
 
     Args:
         results: the latest of each task, policy, robot and seed.
         partial: count tasks of RoboDojo too that lack episodes.
     """
-    by_policy: dict[str, list[Result]] = defaultdict(list)
+    by_policy: dict[str, list[BenchmarkResult]] = defaultdict(list)
     for result in results:
         by_policy[result.policy].append(result)
     return [_tallied(name, found, partial=partial) for name, found in sorted(by_policy.items())]
 
 
-def _tallied(policy: str, results: Sequence[Result], *, partial: bool) -> Tally:
+def _tallied(policy: str, results: Sequence[BenchmarkResult], *, partial: bool) -> PolicyScores:
     cells, halves = _cells(results, partial=partial)
     known = protocol()
     is_known = any(dimension_of(_base(result)) != OTHER for result in results)
     asked = {(_base(result), result.variant, result.seed) for result in results}
     whole = sum(map(len, known.dimensions.values())) * len(known.seeds)
-    found = Tally(policy, counted=len(cells), expected=whole if is_known else len(asked))
+    found = PolicyScores(policy, counted=len(cells), expected=whole if is_known else len(asked))
     found.dimensions = _grouped(cells, lambda cell: cell.dimension)
     found.variants = _grouped(cells, lambda cell: cell.variant)
     found.tasks = _grouped(cells, lambda cell: cell.task)
@@ -145,7 +145,7 @@ def _tallied(policy: str, results: Sequence[Result], *, partial: bool) -> Tally:
     return found
 
 
-def _cells(results: Sequence[Result], *, partial: bool) -> tuple[list[_Cell], dict[str, list[_Cell]]]:
+def _cells(results: Sequence[BenchmarkResult], *, partial: bool) -> tuple[list[_Cell], dict[str, list[_Cell]]]:
     """Return the cells that count, and the halves of those with a randomized form."""
     known = protocol()
     suffix, half, full = known.random_suffix, known.halves, known.episodes
@@ -176,13 +176,13 @@ def _cells(results: Sequence[Result], *, partial: bool) -> tuple[list[_Cell], di
     return cells, halves
 
 
-def _base(result: Result) -> str:
+def _base(result: BenchmarkResult) -> str:
     """Return the task that a randomized form is of."""
     base = result.task.removesuffix(protocol().random_suffix)
     return base if dimension_of(base) == protocol().randomized else result.task
 
 
-def _first(result: Result, count: int, *, partial: bool) -> tuple[float, float] | None:
+def _first(result: BenchmarkResult, count: int, *, partial: bool) -> tuple[float, float] | None:
     """Return success and score of the first episodes; None where there are not so many."""
     episodes = result.episodes
     if episodes is None or len(episodes) < count:
@@ -193,7 +193,7 @@ def _first(result: Result, count: int, *, partial: bool) -> tuple[float, float] 
     return sum(success for success, _ in chosen) / count, sum(score for _, score in chosen) / count
 
 
-def _grouped(cells: Iterable[_Cell], name: Callable[[_Cell], str]) -> dict[str, Figure]:
+def _grouped(cells: Iterable[_Cell], name: Callable[[_Cell], str]) -> dict[str, MeanScore]:
     """Return a figure for each group of cells."""
     groups: dict[str, list[_Cell]] = defaultdict(list)
     for cell in cells:
@@ -203,7 +203,7 @@ def _grouped(cells: Iterable[_Cell], name: Callable[[_Cell], str]) -> dict[str, 
     return {each: figure for each in names if (figure := _over_seeds(groups[each])) is not None}
 
 
-def _over_seeds(cells: Sequence[_Cell]) -> Figure | None:
+def _over_seeds(cells: Sequence[_Cell]) -> MeanScore | None:
     """Return mean and spread over the seeds of the means of their cells."""
     return _figure(_by_seed(cells).values())
 
@@ -215,7 +215,7 @@ def _by_seed(cells: Iterable[_Cell]) -> Mapping[int, tuple[float, float | None]]
     return {seed: _mean([(cell.success, cell.score) for cell in found]) for seed, found in seeds.items()}
 
 
-def _overall(cells: Sequence[_Cell]) -> Figure | None:
+def _overall(cells: Sequence[_Cell]) -> MeanScore | None:
     """Return mean and spread over the seeds of the means of their dimensions."""
     dimensions: dict[str, list[_Cell]] = defaultdict(list)
     for cell in cells:
@@ -233,11 +233,11 @@ def _mean(pairs: Sequence[tuple[float, float | None]]) -> tuple[float, float | N
     return success, statistics.fmean(scores) if len(scores) == len(pairs) else None
 
 
-def _figure(means: Iterable[tuple[float, float | None]]) -> Figure | None:
+def _figure(means: Iterable[tuple[float, float | None]]) -> MeanScore | None:
     found = list(means)
     if not found:
         return None
     success, score = _mean(found)
     scores = [value for _, value in found if value is not None]
     spread = None if score is None else statistics.pstdev(scores)
-    return Figure(success, score, statistics.pstdev([value for value, _ in found]), spread)
+    return MeanScore(success, score, statistics.pstdev([value for value, _ in found]), spread)

@@ -27,7 +27,7 @@ _Read = TypeVar("_Read")
 
 
 @dataclass(frozen=True)
-class Result:
+class BenchmarkResult:
     """What one file says.
 
     Attributes:
@@ -59,7 +59,7 @@ class Result:
         return (self.benchmark, self.policy, self.task, self.variant, str(self.seed))
 
 
-class ResultError(ValueError):
+class BenchmarkResultError(ValueError):
     """A file is no result; says why in one sentence."""
 
 
@@ -68,7 +68,7 @@ def is_tree(path: Path) -> bool:
     return path.is_dir() and not (path / records.FILE).exists() and next(_found(path), None) is not None
 
 
-def read(paths: Sequence[Path], *, skip: bool = False) -> tuple[list[Result], list[str]]:
+def read(paths: Sequence[Path], *, skip: bool = False) -> tuple[list[BenchmarkResult], list[str]]:
     """Return the latest result of everything below some folders, and sentences about what was left out.
 
     Args:
@@ -79,7 +79,7 @@ def read(paths: Sequence[Path], *, skip: bool = False) -> tuple[list[Result], li
         NotFoundError: there are none.
         UserError: a file is no result, or there are too many.
     """
-    latest: dict[tuple[str, ...], Result] = {}
+    latest: dict[tuple[str, ...], BenchmarkResult] = {}
     others: set[tuple[str, str]] = set()
     notes: list[str] = []
     count = 0
@@ -88,8 +88,8 @@ def read(paths: Sequence[Path], *, skip: bool = False) -> tuple[list[Result], li
         if count > _MOST_FILES:
             raise UserError(f"there are more than {_MOST_FILES} results below these folders", code=ExitCode.NOT_RUN)
         try:
-            result = parsed(path)
-        except ResultError as error:
+            result = parse_result(path)
+        except BenchmarkResultError as error:
             said = f"{path} is no result: {error}"
             if not skip:
                 raise UserError(said, hint="--skip-bad-lines leaves it out", code=ExitCode.NOT_RUN) from None
@@ -111,7 +111,7 @@ def read(paths: Sequence[Path], *, skip: bool = False) -> tuple[list[Result], li
     return list(latest.values()), notes
 
 
-def parsed(path: Path) -> Result:
+def parse_result(path: Path) -> BenchmarkResult:
     """Return what a file says.
 
     Raises:
@@ -120,19 +120,19 @@ def parsed(path: Path) -> Result:
     benchmark = _NAMES[path.name]
     folders = path.resolve().parts[:-1]
     if len(folders) < 6:
-        raise ResultError("it lies in no folders that name task, policy and robot")
+        raise BenchmarkResultError("it lies in no folders that name task, policy and robot")
     task, policy, variant, made_by, when = folders[-5:]
     if stand_ins.is_one(variant):
-        raise ResultError(f"in {variant} something stands in for a part of the benchmark")
+        raise BenchmarkResultError(f"in {variant} something stands in for a part of the benchmark")
     if benchmark == ROBOTWIN:
-        return Result(
+        return BenchmarkResult(
             ROBOTWIN, policy, task, variant, 0, made_by, when, None, _asked(benchmark_files.read_rate, path), None
         )
     seed = _SEED.match(made_by)
     if seed is None:
-        raise ResultError(f"its folder {made_by!r:.80} does not begin with a seed")
+        raise BenchmarkResultError(f"its folder {made_by!r:.80} does not begin with a seed")
     made_by = made_by[seed.end() :]
-    return Result(
+    return BenchmarkResult(
         ROBODOJO, policy, task, variant, int(seed[1]), made_by, when, *_details(_asked(benchmark_files.read_json, path))
     )
 
@@ -150,7 +150,7 @@ def _details(told: benchmark_files.ResultFile) -> tuple[tuple[tuple[bool, float]
     """Return episodes, success rate and mean score of a result of RoboDojo."""
     if not told.entries:
         if told.success_rate is None:
-            raise ResultError("it has neither details nor a success_rate")
+            raise BenchmarkResultError("it has neither details nor a success_rate")
         return None, told.success_rate, told.score
     episodes = tuple((entry.success, entry.score or 0.0) for entry in told.entries)
     rate = sum(success for success, _ in episodes) / len(episodes)
@@ -161,4 +161,4 @@ def _asked(reader: Callable[[Path], _Read], path: Path) -> _Read:
     try:
         return reader(path)
     except benchmark_files.BenchmarkFileError as error:
-        raise ResultError(str(error)) from None
+        raise BenchmarkResultError(str(error)) from None

@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from xpl_cli.evaluation.statistics.documents import Document
+from xpl_cli.evaluation.statistics.documents import JsonDocument
 
 if TYPE_CHECKING:
     from xpl_cli.evaluation.statistics.intervals import Interval
-    from xpl_cli.evaluation.statistics.matching import Difference
+    from xpl_cli.evaluation.statistics.run_differences import RunDifference
 
 
 @dataclass(frozen=True)
-class Methods:
+class ComparisonMethods:
     """How a comparison is computed."""
 
     test: str = "mcnemar_exact"
@@ -24,7 +24,7 @@ class Methods:
 
 
 @dataclass(frozen=True)
-class Side:
+class ComparedRun:
     """One of the two runs: where it lies, its name, and what its plan says."""
 
     folder: str
@@ -37,7 +37,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparisonRow:
     """The comparison on one task and setting, or on all.
 
     Attributes:
@@ -69,7 +69,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class UnpairedEpisodes:
     """Episodes of each run that have no partner that counts."""
 
     first: int
@@ -77,7 +77,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class Comparison(Document):
+class Comparison(JsonDocument):
     """Two runs on the episodes that both played.
 
     Attributes:
@@ -94,16 +94,16 @@ class Comparison(Document):
 
     schema: ClassVar[str] = "xpl.comparison/1"
 
-    first: Side
-    second: Side
+    first: ComparedRun
+    second: ComparedRun
     confidence: float
-    methods: Methods
-    differences: Sequence[Difference]
-    left_out: LeftOut
+    methods: ComparisonMethods
+    differences: Sequence[RunDifference]
+    left_out: UnpairedEpisodes
     same_trajectories: int
     known_layouts: int
-    cells: Sequence[Row]
-    overall: Row
+    cells: Sequence[ComparisonRow]
+    overall: ComparisonRow
     verdict: str = ""
     notes: Sequence[str] = ()
 

@@ -10,7 +10,7 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import containment, stand_ins
 from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.evaluation.records.failures import MAX_INFRASTRUCTURE_SHARE, contradiction
-from xpl_cli.evaluation.statistics.matching import Difference, differences
+from xpl_cli.evaluation.statistics.run_differences import RunDifference, find_differences
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -24,7 +24,7 @@ _LONGEST = 100
 
 
 @dataclass(frozen=True)
-class Field:
+class ComparableRuns:
     """Runs that are ranked together.
 
     Attributes:
@@ -36,7 +36,7 @@ class Field:
 
     runs: tuple[Run, ...]
     common: bool
-    differences: tuple[tuple[int, Difference], ...]
+    differences: tuple[tuple[int, RunDifference], ...]
     remarks: tuple[str, ...] = ()
 
     def sentences(self) -> list[str]:
@@ -44,11 +44,11 @@ class Field:
         return [*self.remarks, *(_sentence(self.runs, place, difference) for place, difference in self.differences)]
 
 
-class UnlikeError(UserError):
+class IncompatibleRunsError(UserError):
     """Runs whose results would be ranked by more than what their policies can do."""
 
 
-def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -> Field:
+def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -> ComparableRuns:
     """Return the field of some runs.
 
     Args:
@@ -57,9 +57,10 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
         anyway: accept differences, which the field then names.
 
     Raises:
-        UnlikeError: they differ in tasks, seeds, standard, environment, robot, control or in how much was played.
-        UserError: a run was named twice, contradicts itself, was played where something stood in for a part of the
-            benchmark, or they have no episode in common; or all of them have too many infrastructure errors.
+        IncompatibleRunsError: they differ in tasks, seeds, standard, environment, robot, control or in the number of
+            completed episodes.
+        UserError: a run was named twice, contradicts itself or used a mock of a part of the benchmark; the runs have
+            no episode in common; or all of them have too many infrastructure errors.
     """
     folders = [run.folder.resolve() for run in runs]
     if len(set(folders)) < len(folders):
@@ -78,13 +79,13 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
     if barriers and not anyway:
         more = f" There are {len(barriers) - _MOST_TOLD} more differences." if len(barriers) > _MOST_TOLD else ""
         told = " ".join(_sentence(runs, *barrier) for barrier in barriers[:_MOST_TOLD])
-        raise UnlikeError(
+        raise IncompatibleRunsError(
             f"these runs are not alike. {told}{more}",
             hint="--common ranks by the episodes that all of them played, --anyway in spite of all differences",
             code=ExitCode.NOT_RUN,
         )
     launched = (f"{run.folder}: {said}" for run in runs if (said := containment.remark(run)) is not None)
-    return Field(played, common, found, (*unranked, *launched))
+    return ComparableRuns(played, common, found, (*unranked, *launched))
 
 
 def _refuse_contradictions(run: Run) -> None:
@@ -116,16 +117,16 @@ def is_barrier(what: str) -> bool:
     return not what.startswith(_MACHINE)
 
 
-def _unlike(first: Run, run: Run) -> Iterator[Difference]:
+def _unlike(first: Run, run: Run) -> Iterator[RunDifference]:
     """Yield in what a run differs from the first one, and whether it still goes on."""
     if run is not first:
-        yield from differences(first, run)
+        yield from find_differences(first, run)
     unplayed = sum(cell.remaining for cell in cells(run))
     if unplayed:
-        yield Difference("episodes still to come", "none", str(unplayed))
+        yield RunDifference("episodes still to come", "none", str(unplayed))
 
 
-def _sentence(runs: Sequence[Run], place: int, difference: Difference) -> str:
+def _sentence(runs: Sequence[Run], place: int, difference: RunDifference) -> str:
     first, second = (
         textwrap.shorten(text, _LONGEST, placeholder=" ...") for text in (difference.first, difference.second)
     )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from xpl_cli.evaluation.records.cells import Cell
-    from xpl_cli.evaluation.statistics.summaries import Row, Summary
+    from xpl_cli.evaluation.statistics.summary_model import Summary, SummaryRow
 
 _NARROW = 0.2
 _MANY = 10
@@ -98,7 +98,7 @@ def of_stopping() -> str:
     )
 
 
-def _of_what_is_missing(overall: Row, found: Sequence[Cell]) -> Iterator[str]:
+def _of_what_is_missing(overall: SummaryRow, found: Sequence[Cell]) -> Iterator[str]:
     if overall.remaining:
         yield (
             f"{amount(overall.remaining, 'episode')} of {overall.planned} still to be played: the rows tell of "
@@ -110,7 +110,7 @@ def _of_what_is_missing(overall: Row, found: Sequence[Cell]) -> Iterator[str]:
         yield f"No episode defines success in {', '.join(undefined)}; rows over several tasks leave these out."
 
 
-def _of_infrastructure_errors(overall: Row, found: Sequence[Cell]) -> Iterator[str]:
+def _of_infrastructure_errors(overall: SummaryRow, found: Sequence[Cell]) -> Iterator[str]:
     errors = overall.failures[INFRASTRUCTURE]
     after_crash = sum(cell.counts_as_success(line) is False for cell in found for line in cell.counted if outcome(line))
     if errors and overall.judged:
@@ -145,7 +145,7 @@ def _of_stopping(width: float | None, found: Sequence[Cell]) -> Iterator[str]:
         yield f"No seeds are left, and the interval is still wider than asked for: {', '.join(short)}."
 
 
-def _of_width(rows: Sequence[Row]) -> Iterator[str]:
+def _of_width(rows: Sequence[SummaryRow]) -> Iterator[str]:
     known = [(row.success_interval, row) for row in rows if row.success_interval is not None]
     if not known:
         return
@@ -158,7 +158,7 @@ def _of_width(rows: Sequence[Row]) -> Iterator[str]:
         )
 
 
-def _of_means(rows: Sequence[Row]) -> Iterator[str]:
+def _of_means(rows: Sequence[SummaryRow]) -> Iterator[str]:
     known = [row for row in rows if row.judged]
     if len({row.judged for row in known}) > 1:
         yield (

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Difference:
+class RunDifference:
     """One thing in which two runs differ.
 
     Attributes:
@@ -31,11 +31,11 @@ class Difference:
         return f"{self.what}: {self.first} against {self.second}"
 
 
-def differences(first: Run, second: Run) -> list[Difference]:
+def find_differences(first: Run, second: Run) -> list[RunDifference]:
     """Return in what two runs differ besides the policy, and what follows from it; results are not looked at."""
     told = zip(_facts(first), _facts(second), strict=True)
     return [
-        *(Difference(what, _shown(one), _shown(other)) for (what, one), (_, other) in told if one != other),
+        *(RunDifference(what, _shown(one), _shown(other)) for (what, one), (_, other) in told if one != other),
         *_cells(first.plan, second.plan),
         *_machines(first, second),
     ]
@@ -57,11 +57,11 @@ def _facts(run: Run) -> Iterator[tuple[str, object]]:
     yield "width at which a task ends", plan.until_width or "none"
 
 
-def _cells(first: RunPlan, second: RunPlan) -> Iterator[Difference]:
+def _cells(first: RunPlan, second: RunPlan) -> Iterator[RunDifference]:
     """Yield what only one of two plans plays."""
     one, other = ({cell.place: cell for cell in plan.cells} for plan in (first, second))
     if one.keys() != other.keys():
-        yield Difference(
+        yield RunDifference(
             "tasks that the other lacks", _listed(one.keys() - other.keys()), _listed(other.keys() - one.keys())
         )
     pairs = [(cell, other[place]) for place, cell in one.items() if place in other]
@@ -71,16 +71,16 @@ def _cells(first: RunPlan, second: RunPlan) -> Iterator[Difference]:
     ):
         if unlike:
             where = _named(unlike[0][0].place) + (f" and {len(unlike) - 1} more" if len(unlike) > 1 else "")
-            yield Difference(f"{what} of {where}", *map(said, unlike[0]))
+            yield RunDifference(f"{what} of {where}", *map(said, unlike[0]))
 
 
-def _machines(first: Run, second: Run) -> Iterator[Difference]:
+def _machines(first: Run, second: Run) -> Iterator[RunDifference]:
     """Yield the facts of the machines that are not the same in all episodes of both runs."""
     machines = [list(run.machines.values()) for run in (first, second)]
     for name in sorted({name for several in machines for facts in several for name in facts}):
         one, other = ({str(facts.get(name, "unknown")) for facts in several} for several in machines)
         if one != other and one and other:
-            yield Difference(f"machine: {name}", ", ".join(sorted(one)), ", ".join(sorted(other)))
+            yield RunDifference(f"machine: {name}", ", ".join(sorted(one)), ", ".join(sorted(other)))
 
 
 def _seeds(cell: PlannedCell) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from xpl_cli.evaluation.statistics.documents import Document
+from xpl_cli.evaluation.statistics.documents import JsonDocument
 
 if TYPE_CHECKING:
     from xpl_cli.evaluation.statistics.intervals import Interval
@@ -30,7 +30,7 @@ class Latency:
 
 
 @dataclass(frozen=True)
-class Error:
+class ErrorCount:
     """What ended attempts, whose failure it was, and how often."""
 
     failure: str | None
@@ -59,12 +59,12 @@ class ExecutionStats:
     wall_seconds: float
     machines: int
     inference: Latency
-    errors: Sequence[Error]
+    errors: Sequence[ErrorCount]
     notes: Sequence[str]
 
 
 @dataclass(frozen=True)
-class Row:
+class SummaryRow:
     """What one cell or several come to.
 
     Attributes:
@@ -117,7 +117,7 @@ class Contrast:
 
 
 @dataclass(frozen=True)
-class Methods:
+class SummaryMethods:
     """How intervals were computed."""
 
     success: str
@@ -125,7 +125,7 @@ class Methods:
 
 
 @dataclass(frozen=True)
-class Summary(Document):
+class Summary(JsonDocument):
     """What a run found.
 
     Attributes:
@@ -147,12 +147,12 @@ class Summary(Document):
     action_type: str
     until_width: float | None
     confidence: float
-    methods: Methods
-    cells: Sequence[Row]
-    tasks: Sequence[Row]
-    settings: Sequence[Row]
-    dimensions: Sequence[Row]
-    overall: Row
+    methods: SummaryMethods
+    cells: Sequence[SummaryRow]
+    tasks: Sequence[SummaryRow]
+    settings: Sequence[SummaryRow]
+    dimensions: Sequence[SummaryRow]
+    overall: SummaryRow
     contrasts: Sequence[Contrast]
     execution: ExecutionStats
     notes: Sequence[str] = ()
