@@ -13,7 +13,7 @@ from xpl.catalogue import convention as catalogue
 from xpl.catalogue.convention import in_inputs
 from xpl.catalogue.walk import UnfitError
 from xpl.embodiment import get_embodiment
-from xpl_cli.audit.offline.search.loaded import _convention
+from xpl_cli.audit.offline.search.loaded_adapter import _convention_of
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -62,10 +62,10 @@ def test_what_is_not_read_is_not_changed() -> None:
 
 def test_the_geometry_tells_a_filter_from_a_size() -> None:
     letterbox = next(one for one in _all() if one.geometry == "letterbox")
-    assert _convention(letterbox, {"letterbox", "resize"}) == "image_filter"
-    assert _convention(letterbox, {"resize"}) == "image_size"
+    assert _convention_of(letterbox, {"letterbox", "resize"}) == "image_filter"
+    assert _convention_of(letterbox, {"resize"}) == "image_size"
     colours = next(one for one in _all() if _how(one)["kind"] == "colours")
-    assert _convention(colours, ()) == "image_channels"
+    assert _convention_of(colours, ()) == "image_channels"
 
 
 def test_a_history_is_reversed_where_there_is_one() -> None:

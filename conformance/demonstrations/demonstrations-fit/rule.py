@@ -41,7 +41,7 @@ def demonstrations_fit(demonstrations: DemonstrationComparison) -> Iterator[Find
     No automatic fix.
     """
     best = demonstrations.outcome.best
-    if best is None and demonstrations.outcome.deaf:
+    if best is None and demonstrations.outcome.unconnected:
         yield from _unread(demonstrations)
         return
     if best is None and not demonstrations.outcome.complete:
@@ -66,7 +66,7 @@ def demonstrations_fit(demonstrations: DemonstrationComparison) -> Iterator[Find
 
 
 def _unread(demonstrations: DemonstrationComparison) -> Iterator[Finding]:
-    for name, convention in demonstrations.outcome.deaf:
+    for name, convention in demonstrations.outcome.unconnected:
         without = _WITHOUT.get(name, "dark")
         yield blame(
             f"{name} does not reach the model: {without}, the policy's actions are the same in all "
@@ -94,9 +94,9 @@ def _finding(demonstrations: DemonstrationComparison, best: ScoredChange) -> Fin
         if ties
         else ""
     )
-    given = dict(enumerate(demonstrations.given))
-    picture, part = plot_errors(demonstrations.ruler, given, best.given, best.words)
-    changed = demonstrations.ruler.errors(best.given, range(len(given)))
+    given = dict(enumerate(demonstrations.answers))
+    picture, part = plot_errors(demonstrations.metric, given, best.answers, best.words)
+    changed = demonstrations.metric.errors(best.answers, range(len(given)))
     table = demonstrations.table(changed)
     where = "in the block `model_io`" if best.in_block else "in encode, predict or decode"
     evidence: dict[str, Any] = {
@@ -113,7 +113,7 @@ def _finding(demonstrations: DemonstrationComparison, best: ScoredChange) -> Fin
         "part": part,
         "picture": picture,
     }
-    saved = demonstrations.saved(picture, "demonstrations-fit")
+    saved = demonstrations.save_plot(picture, "demonstrations-fit")
     if saved:
         evidence["file"] = saved
     finding = blame(
@@ -130,16 +130,16 @@ def _finding(demonstrations: DemonstrationComparison, best: ScoredChange) -> Fin
 
 def _numbers(demonstrations: DemonstrationComparison) -> dict[str, Any]:
     outcome = demonstrations.outcome
-    means = {name: float(errors.steps[errors.known].mean()) for name, errors in demonstrations.witnesses.items()}
+    means = {name: float(errors.steps[errors.known].mean()) for name, errors in demonstrations.baselines.items()}
     own = demonstrations.errors
     return {
         "episodes": demonstrations.episodes,
-        "questions": len(demonstrations.given),
+        "questions": len(demonstrations.answers),
         "error": round(float(own.steps[own.known].mean()), 4),
         **{f"error of {name}": round(value, 4) for name, value in means.items()},
         "changes": outcome.tried,
-        "told": ", ".join(outcome.told),
-        "untold": ", ".join(outcome.untold),
+        "told": ", ".join(outcome.determined),
+        "untold": ", ".join(outcome.undetermined),
         "unread": ", ".join(outcome.unread),
     }
 

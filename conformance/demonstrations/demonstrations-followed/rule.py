@@ -32,10 +32,10 @@ def demonstrations_followed(demonstrations: DemonstrationComparison) -> Iterator
     ## Fix safety
     No automatic fix.
     """
-    if demonstrations.refused:
-        raise NotRun(f"the adapter refuses {len(demonstrations.refused)} observations of the demonstrations")
-    name, still = next(iter(demonstrations.witnesses.items()))
-    beside = demonstrations.beside(still)
+    if demonstrations.refusals:
+        raise NotRun(f"the adapter refuses {len(demonstrations.refusals)} observations of the demonstrations")
+    name, still = next(iter(demonstrations.baselines.items()))
+    beside = demonstrations.margin_to(still)
     if beside is None or beside.least <= 1.0:
         return
     table = demonstrations.table()

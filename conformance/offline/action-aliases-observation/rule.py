@@ -14,7 +14,7 @@ _SHOWN = 4
 
 
 @rule(code="XPL227", requirement="XPL-OBS-5")
-def action_aliases_observation(rehearsal: InProcessRun) -> Iterator[Finding]:
+def action_aliases_observation(in_process_run: InProcessRun) -> Iterator[Finding]:
     """An action shares memory with an observation.
 
     ## What it does
@@ -35,13 +35,13 @@ def action_aliases_observation(rehearsal: InProcessRun) -> Iterator[Finding]:
     No automatic fix.
     """
     # One action step of each chunk and value will do.
-    distinct = {(note.method, note.beside): note for note in reversed(rehearsal.noted(SHARED))}
+    distinct = {(note.method, note.shared_with): note for note in reversed(in_process_run.notes_of(SHARED))}
     for note in list(distinct.values())[:_SHOWN]:
         yield blame(
-            f"{note.key} of the result of {note.method} shares memory with {note.beside} of the observation: "
+            f"{note.key} of the result of {note.method} shares memory with {note.shared_with} of the observation: "
             "changing one of them changes the other",
             expected="an array of its own",
-            got=f"a view of {note.beside}",
+            got=f"a view of {note.shared_with}",
             evidence={"operation": note.method, "key": note.key},
             fix=Fix("advice", "return copies of what is taken from an observation"),
         )

@@ -38,7 +38,7 @@ def damaged_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     names = probe.named_inputs()
     probe.ready()
     obs = probe.observation()
-    judged = (set(names) & set(present(obs))) - semantics.evidently_unseen()
+    judged = (set(names) & set(present(obs))) - semantics.known_ignored_inputs()
     with probe.session() as policy:
         yield from judge(
             policy,

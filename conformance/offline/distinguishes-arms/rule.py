@@ -34,7 +34,7 @@ def distinguishes_arms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
         raise NotApplicable("the manifest requires no state")
     if len(probe.embodiment.arms) == 1:
         raise NotApplicable("the robot has one arm")
-    unseen = semantics.unseen()
+    unseen = semantics.ignored_inputs()
     for change in semantics.ignored("sides"):
         if change.input not in unseen:
             yield blame(

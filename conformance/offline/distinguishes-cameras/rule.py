@@ -34,7 +34,7 @@ def distinguishes_cameras(probe: Probe, semantics: Semantics) -> Iterator[Findin
     cameras = [name for name in probe.named_inputs() if name.startswith(spec.Obs.VISION)]
     if len(cameras) < 2:
         raise NotApplicable("the manifest requires fewer than two cameras")
-    unseen = semantics.unseen()
+    unseen = semantics.ignored_inputs()
     for change in semantics.ignored("cameras"):
         if change.input not in unseen:
             yield blame(

@@ -32,7 +32,7 @@ def distinguishes_colours(probe: Probe, semantics: Semantics) -> Iterator[Findin
     """
     if not any(name.startswith(spec.Obs.VISION) for name in probe.named_inputs()):
         raise NotApplicable("the manifest requires no camera")
-    unseen = semantics.unseen()
+    unseen = semantics.ignored_inputs()
     for change in semantics.ignored("colours"):
         if change.input not in unseen:
             yield blame(

@@ -45,7 +45,7 @@ def golden_parity(parity: Parity) -> Iterator[Finding | Proof]:
     No automatic fix.
     """
     count, explained = parity.pairs.count, False
-    for compared in parity.compared:
+    for compared in parity.comparisons:
         for finding in _findings(parity, compared, explained=explained):
             explained = True
             yield finding
@@ -94,7 +94,7 @@ def _deviating(parity: Parity, compared: SessionComparison, *, explained: bool) 
         message,
         cause,
         expected=f"{found.part} = {found.golden:.6g} (reference.py)",
-        got=f"{found.given:.6g} at step {found.step} of {found.question.where}",
+        got=f"{found.answer:.6g} at step {found.step} of {found.question.where}",
         evidence={
             "embodiment": compared.session.embodiment,
             spec.Deploy.ACTION_TYPE: compared.session.action_type,
@@ -105,7 +105,7 @@ def _deviating(parity: Parity, compared: SessionComparison, *, explained: bool) 
             "observation": len(found.question.shown) - 1,
             "step": found.step,
             "golden": found.golden,
-            "given": found.given,
+            "given": found.answer,
             "share": found.share,
             "tolerance": found.allowed,
             "pairs": questions,
@@ -121,22 +121,22 @@ def _shifted(parity: Parity, compared: SessionComparison, *, explained: bool) ->
     cause = None if explained else parity.cause(compared)
     where = "over all" if found.step is None else f"at step {found.step} of question {found.question}"
     message = (
-        f"{found.part} has another distribution than the reference's ({compared.name}): its {found.what} is "
+        f"{found.part} has another distribution than the reference's ({compared.name}): its {found.statistic} is "
         f"{found.sigmas:.0f} standard errors away over {compared.session.takes} samples"
     )
     yield _blamed(
         message,
         cause,
-        expected=f"{found.what} of {found.part} = {found.golden:.4g} (reference.py)",
-        got=f"{found.given:.4g} {where}",
+        expected=f"{found.statistic} of {found.part} = {found.golden:.4g} (reference.py)",
+        got=f"{found.answer:.4g} {where}",
         evidence={
             "embodiment": compared.session.embodiment,
             spec.Deploy.ACTION_TYPE: compared.session.action_type,
             "part": found.part,
             "parts": ranges(found.parts),
-            "what": found.what,
+            "what": found.statistic,
             "golden": found.golden,
-            "given": found.given,
+            "given": found.answer,
             "sigmas": found.sigmas,
             "limit": found.limit,
         },

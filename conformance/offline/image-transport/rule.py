@@ -12,7 +12,7 @@ from xpl_cli.audit.served.transports import FORMS, LEGACY, decoded, encoded, err
 
 
 @rule(code="XPL225", requirement="XPL-IMG-2", compares=True)
-def image_transport(probe: Probe, rehearsal: InProcessRun) -> Iterator[Finding]:
+def image_transport(probe: Probe, in_process_run: InProcessRun) -> Iterator[Finding]:
     """Actions depend on how an image was encoded.
 
     ## What it does
@@ -46,7 +46,7 @@ def image_transport(probe: Probe, rehearsal: InProcessRun) -> Iterator[Finding]:
         error = error_of(raw, read)
         expected = probe.answer(read) if error else plain
         ways = [("sent through the server", expected, probe.answer(sent))]
-        known, undecoded = rehearsal.pictures[name]
+        known, undecoded = in_process_run.image_answers[name]
         # To refuse is right: an adapter never decodes. One of the field knows no more than the older kind.
         is_known = name == LEGACY or bool(probe.package.manifest)
         if is_known and probe.repeats_in_place and known.error is None and undecoded.error is None:

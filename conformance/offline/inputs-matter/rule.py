@@ -32,7 +32,7 @@ def inputs_matter(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     No automatic fix.
     """
     required = probe.named_inputs()
-    unseen = semantics.unseen()
+    unseen = semantics.ignored_inputs()
     for name in required:
         if name in unseen:
             yield Finding(

@@ -45,7 +45,7 @@ def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     names = probe.required or _used(semantics)
     obs = probe.observation()
     there = present(obs)
-    unseen = semantics.evidently_unseen()
+    unseen = semantics.known_ignored_inputs()
     with probe.session() as policy:
         for name in names:
             for finding in judge(

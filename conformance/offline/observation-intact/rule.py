@@ -14,7 +14,7 @@ _SHOWN = 4
 
 
 @rule(code="XPL226", requirement="XPL-OBS-5")
-def observation_intact(rehearsal: InProcessRun) -> Iterator[Finding]:
+def observation_intact(in_process_run: InProcessRun) -> Iterator[Finding]:
     """The adapter changes an observation that it got.
 
     ## What it does
@@ -34,7 +34,7 @@ def observation_intact(rehearsal: InProcessRun) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for note in rehearsal.noted(CHANGED)[:_SHOWN]:
+    for note in in_process_run.notes_of(CHANGED)[:_SHOWN]:
         yield blame(
             f"{note.method} changes {note.key} of an observation that it got: it fails on read-only arrays, and "
             "corrupts data of its caller",

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.probe import blame
 
 
 @rule(code="XPL224", requirement="XPL-EPI-4")
-def reset_fails_loudly(rehearsal: InProcessRun) -> Iterator[Finding]:
+def reset_fails_loudly(in_process_run: InProcessRun) -> Iterator[Finding]:
     """A failed reset is reported as successful.
 
     ## What it does
@@ -30,14 +30,14 @@ def reset_fails_loudly(rehearsal: InProcessRun) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    if not rehearsal.broken:
+    if not in_process_run.broken:
         raise NotApplicable("reset calls nothing that could be made to fail")
-    for note in rehearsal.noted(SWALLOWED):
+    for note in in_process_run.notes_of(SWALLOWED):
         yield blame(
             f"reset continues although {note.key} failed: the next episode starts with the state of the "
             "previous one, unnoticed",
             expected="an error from reset",
             got="no error",
-            evidence={"failed": note.key, "tried": list(rehearsal.broken)},
+            evidence={"failed": note.key, "tried": list(in_process_run.broken)},
             fix=Fix("advice", "let errors during reset pass"),
         )

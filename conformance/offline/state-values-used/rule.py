@@ -34,7 +34,7 @@ def state_values_used(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """
     if not any(name.startswith(spec.Obs.STATE) for name in probe.named_inputs()):
         raise NotApplicable("the manifest requires no state")
-    unseen = semantics.unseen()
+    unseen = semantics.ignored_inputs()
     ignored = [change for change in semantics.ignored("value") if change.input not in unseen]
     for name, changes in groupby(ignored, key=lambda change: change.input):
         what = ", ".join(change.what.removeprefix("another ") for change in changes)

@@ -25,13 +25,13 @@ def all_providers() -> Mapping[str, Provider]:
     audit = "xpl_cli.audit"
     return {
         "configurations": f"{audit}.offline.configurations:Configurations",
-        "demonstrations": f"{audit}.offline.demonstrations.fact:Demonstrated",
-        "motions": f"{audit}.offline.motion:Motions",
+        "demonstrations": f"{audit}.offline.demonstrations.fact:DemonstrationComparison",
+        "in_process_run": f"{audit}.offline.in_process_run:run_in_process",
+        "motions": f"{audit}.offline.motion:MotionEpisodes",
         "mypy": f"{audit}.static.advice:mypy",
         "parity": f"{audit}.offline.parity.fact:Parity",
         "probe": probe,
         "profile": profile,
-        "rehearsal": f"{audit}.offline.rehearsal:rehearse",
         "ruff": f"{audit}.static.advice:ruff",
         "semantics": f"{audit}.offline.semantics:Semantics",
         "service": f"{audit}.served.service:Service.of",
@@ -64,8 +64,8 @@ def stage(path: Path, options: Options) -> Iterator[Stage]:
     """An environment, played in a process of its own."""
     from xpl_cli.audit.environments.stage import Stage
 
-    opened = Stage(path, options)
+    env_probe = Stage(path, options)
     try:
-        yield opened
+        yield env_probe
     finally:
-        opened.close()
+        env_probe.close()

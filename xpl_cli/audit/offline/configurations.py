@@ -28,7 +28,7 @@ _STANDARD = frozenset(value for name, value in vars(sdk.Deploy).items() if name.
 
 
 @dataclass(frozen=True)
-class Played:
+class EpisodeResult:
     """An episode, or why there was none.
 
     Attributes:
@@ -39,14 +39,14 @@ class Played:
     chunks: tuple[Answer, ...] = ()
     refusal: str | None = None
 
-    def difference(self, other: Played) -> str | None:
+    def difference(self, other: EpisodeResult) -> str | None:
         """Return where two episodes first differ, in words, or None if they do not. Two refusals are alike."""
         if self.refusal is not None or other.refusal is not None:
             alike = (self.refusal is None) == (other.refusal is None)
-            return None if alike else f"{self._told()} against {other._told()}"
+            return None if alike else f"{self._describe()} against {other._describe()}"
         return difference(self.chunks, other.chunks)
 
-    def _told(self) -> str:
+    def _describe(self) -> str:
         return "an episode" if self.refusal is None else f"an error ({self.refusal})"
 
 
@@ -56,9 +56,9 @@ class Configurations:
     def __init__(self, probe: Probe, service: Service) -> None:
         probe.ready()
         self.probe = probe
-        self._played: dict[str, Played] = {}
+        self._played: dict[str, EpisodeResult] = {}
         if len(service.chunks) >= _STEPS:
-            self._played[_key({sdk.Deploy.SEED: USUAL_SEED})] = Played(tuple(service.chunks[:_STEPS]))
+            self._played[_key({sdk.Deploy.SEED: USUAL_SEED})] = EpisodeResult(tuple(service.chunks[:_STEPS]))
 
     @property
     def own(self) -> dict[str, object]:
@@ -77,12 +77,12 @@ class Configurations:
             raise NotApplicable("deploy.yml holds no key of the adapter's own")
         return self.own
 
-    def with_seed(self, seed: int, run: int = 0) -> Played:
+    def with_seed(self, seed: int, run: int = 0) -> EpisodeResult:
         """Return the episode with a seed; another run is another process."""
-        return self.played({sdk.Deploy.SEED: seed}, run=run)
+        return self.episode({sdk.Deploy.SEED: seed}, run=run)
 
     @property
-    def usual(self) -> Played:
+    def usual(self) -> EpisodeResult:
         """The episode with the usual seed and what deploy.yml says."""
         return self.with_seed(USUAL_SEED)
 
@@ -102,36 +102,36 @@ class Configurations:
         if not self.repeats:
             raise NotRun("the policy acts differently each time, and nothing can be compared: seed-repeats says how")
 
-    def changed(self, **overrides: object) -> Played:
+    def changed(self, **overrides: object) -> EpisodeResult:
         """Return the episode with the usual seed and other values of some keys."""
-        return self.played({sdk.Deploy.SEED: USUAL_SEED, **overrides})
+        return self.episode({sdk.Deploy.SEED: USUAL_SEED, **overrides})
 
-    def without(self, keys: Sequence[str], **overrides: object) -> Played:
+    def without(self, keys: Sequence[str], **overrides: object) -> EpisodeResult:
         """Return the episode with some keys left out of deploy.yml."""
         flags = [flag for key in keys for flag in ("--unset", key)]
-        return self.played({sdk.Deploy.SEED: USUAL_SEED, **overrides}, flags)
+        return self.episode({sdk.Deploy.SEED: USUAL_SEED, **overrides}, flags)
 
-    def from_elsewhere(self) -> Played:
+    def from_elsewhere(self) -> EpisodeResult:
         """Return the episode of a server whose adapter runs in another, empty folder."""
         with tempfile.TemporaryDirectory(prefix="xpl-elsewhere-") as folder:
-            return self.played({sdk.Deploy.SEED: USUAL_SEED}, ("--chdir", os.fspath(folder)))
+            return self.episode({sdk.Deploy.SEED: USUAL_SEED}, ("--chdir", os.fspath(folder)))
 
-    def played(self, overrides: dict[str, object], flags: Sequence[str] = (), run: int = 0) -> Played:
+    def episode(self, overrides: dict[str, object], flags: Sequence[str] = (), run: int = 0) -> EpisodeResult:
         """Return the episode under other values of deploy.yml and options of `xpl serve`, played once."""
         key = _key(overrides, flags, run)
         if key not in self._played:
-            self._played[key] = self._play(overrides, flags)
+            self._played[key] = self._run_episode(overrides, flags)
         return self._played[key]
 
-    def _play(self, overrides: dict[str, object], flags: Sequence[str]) -> Played:
+    def _run_episode(self, overrides: dict[str, object], flags: Sequence[str]) -> EpisodeResult:
         try:
             with (
                 self.probe.fresh_server(overrides, flags) as server,
                 self.probe.connected(server.url) as policy,
             ):
-                return Played(tuple(self.probe.episode(policy, steps=_STEPS)))
+                return EpisodeResult(tuple(self.probe.episode(policy, steps=_STEPS)))
         except ServerStartError as error:
-            return Played(refusal=str(error))
+            return EpisodeResult(refusal=str(error))
 
 
 def _key(overrides: dict[str, object], flags: Sequence[str] = (), run: int = 0) -> str:

@@ -26,16 +26,16 @@ def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[Session], 
         "an observation without pictures": {key: value for key, value in whole.items() if key != sdk.Obs.VISION},
         "state and pictures of the wrong type": {**whole, sdk.Obs.STATE: "none", sdk.Obs.VISION: []},
     }.items():
-        yield name, partial(_shown, obs=obs)
+        yield name, partial(_update_and_act, obs=obs)
     batch = [whole, {sdk.Obs.ENV_IDX: 1}]
-    yield "a batch whose second observation is empty", partial(_shown_batch, observations=batch)
+    yield "a batch whose second observation is empty", partial(_update_and_act_batch, observations=batch)
     yield "an unknown environment", lambda policy: policy.get_action_batch([_UNKNOWN])
 
 
-def _shown(policy: Session, obs: ObservationDict) -> Answer:
+def _update_and_act(policy: Session, obs: ObservationDict) -> Answer:
     """Show an observation and ask; the first error counts, because an adapter may read it late."""
     return policy.update_obs(obs) or policy.get_action()
 
 
-def _shown_batch(policy: Session, observations: list[ObservationDict]) -> Answer:
+def _update_and_act_batch(policy: Session, observations: list[ObservationDict]) -> Answer:
     return policy.update_obs_batch(observations) or policy.get_action_batch([0, 1])

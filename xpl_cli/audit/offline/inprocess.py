@@ -34,21 +34,21 @@ def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> lis
         NotRun: if the adapter cannot be loaded there, or the process ends or hangs.
     """
     order = {
-        **loading(probe),
+        **load_request(probe),
         "script": [[method, list(arguments)] for method, arguments in script],
         "watch": watch,
     }
-    done = subprocess_task.run("xpl.worker.inprocess", order, place(probe))
-    found = loaded(done)
+    done = subprocess_task.run("xpl.worker.inprocess", order, process_options(probe))
+    found = answers_after_load(done)
     if done.problem is not None or len(found) < len(script):
-        raise NotRun(f"the adapter's process {done.ended} (call {len(found) + 1}, {script[len(found)][0]})")
+        raise NotRun(f"the adapter's process {done.failure} (call {len(found) + 1}, {script[len(found)][0]})")
     unreal = next((answer.error for answer in found if answer.unreal), None)
     if unreal is not None:
         raise NotRun(unreal)
     return found
 
 
-def loading(probe: Probe) -> dict[str, object]:
+def load_request(probe: Probe) -> dict[str, object]:
     """Return what a process that loads the adapter is told, as a server's worker is."""
     package = probe.package
     return {
@@ -70,7 +70,7 @@ def python_of(probe: Probe) -> str:
     return interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=env)
 
 
-def place(probe: Probe, limit_s: float = LIMIT_S) -> subprocess_task.TaskSettings:
+def process_options(probe: Probe, limit_s: float = LIMIT_S) -> subprocess_task.TaskSettings:
     """Return where the adapter runs: in its interpreter and its folder, within the bounds of the audit."""
     options = probe.options
     return subprocess_task.TaskSettings(
@@ -82,14 +82,14 @@ def place(probe: Probe, limit_s: float = LIMIT_S) -> subprocess_task.TaskSetting
     )
 
 
-def loaded(done: subprocess_task.TaskResult) -> list[Answer]:
+def answers_after_load(done: subprocess_task.TaskResult) -> list[Answer]:
     """Return the answers of a process after that of loading the adapter.
 
     Raises:
         NotRun: if it could not be loaded.
     """
     if not done.answers:
-        raise NotRun(f"the adapter's process {done.ended} (loading)")
+        raise NotRun(f"the adapter's process {done.failure} (loading)")
     first, *others = done.answers
     if first.error is not None:
         raise NotRun(f"the model could not be loaded without the server: {first.error}")

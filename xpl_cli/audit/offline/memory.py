@@ -62,21 +62,21 @@ def long_episode(probe: Probe) -> LongEpisode | None:
         # Through shared memory what an adapter keeps would lie in the client's memory for a while. Off the record: how
         # many steps are played depends on the machine.
         with Client(server.url, config=probe.config | bounds(probe.config) | PATIENCE, shared_memory=False) as policy:
-            return _stretched(probe, policy, server.pid)
+            return _measure_stretches(probe, policy, server.pid)
     except ClientError as error:
         raise NotRun(f"a long episode does not come to its end: {error}") from None
 
 
-def _stretched(probe: Probe, policy: Client, pid: int) -> LongEpisode:
+def _measure_stretches(probe: Probe, policy: Client, pid: int) -> LongEpisode:
     """Play stretches of one episode until one of them adds nothing."""
     history = probe.package.manifest.temporal.history
     size = _size(_enlarged(probe.observation()))
     stretches: list[tuple[int, int]] = []
     policy.reset()
-    step = _play(probe, policy, 0, max(_STEPS, _WARM * history))
+    step = _run_stretch(probe, policy, 0, max(_STEPS, _WARM * history))
     before = private_memory(pid) or 0
     for _ in range(_STRETCHES):
-        played = _play(probe, policy, step, _STEPS)
+        played = _run_stretch(probe, policy, step, _STEPS)
         step += played
         now = private_memory(pid) or 0
         stretches.append((played, now - before))
@@ -88,12 +88,12 @@ def _stretched(probe: Probe, policy: Client, pid: int) -> LongEpisode:
 
 def private_memory(pid: int) -> int | None:
     """Return the memory that the children of a process, and theirs, have for themselves, bytes; None if unknown."""
-    found = [processes.private(member.pid) for member in processes.descendants(pid)]
+    found = [processes.private_bytes(member.pid) for member in processes.descendants(pid)]
     known = [size for size in found if size is not None]
     return sum(known) if known else None
 
 
-def _play(probe: Probe, policy: Client, first: int, most: int) -> int:
+def _run_stretch(probe: Probe, policy: Client, first: int, most: int) -> int:
     """Go on with an episode for one stretch and return how many steps that were."""
     deadline = time.monotonic() + _SECONDS
     for played in range(1, most + 1):

@@ -28,7 +28,7 @@ _MARGIN = 0.02
 
 
 @dataclass(frozen=True)
-class Answer:
+class MotionAnswer:
     """A chunk, with what it answers.
 
     Attributes:
@@ -51,7 +51,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionEpisode:
     """What an adapter answered as the policy of one robot and action type.
 
     Attributes:
@@ -64,25 +64,25 @@ class Motion:
 
     embodiment: Embodiment
     action_type: str
-    answers: tuple[Answer, ...]
-    near_limits: tuple[Answer, ...] = ()
+    answers: tuple[MotionAnswer, ...]
+    near_limits: tuple[MotionAnswer, ...] = ()
 
-    def problem(self, answer: Answer) -> str | None:
+    def problem(self, answer: MotionAnswer) -> str | None:
         """Return what is wrong with the form of an answer, or None."""
         return structure_problem(answer.chunk, self.embodiment, self.action_type)
 
     @property
-    def sound(self) -> list[Answer]:
+    def sound(self) -> list[MotionAnswer]:
         """The answers whose values can be judged, because their form is right."""
         return [answer for answer in self.answers if self.problem(answer) is None]
 
     @property
-    def sound_near_limits(self) -> list[Answer]:
+    def sound_near_limits(self) -> list[MotionAnswer]:
         """Those near the limits whose values can be judged."""
         return [answer for answer in self.near_limits if self.problem(answer) is None]
 
 
-class Motions:
+class MotionEpisodes:
     """All motions of one adapter.
 
     Args:
@@ -100,19 +100,19 @@ class Motions:
         return float(declared or self._scenario.FREQUENCY)
 
     @cached_property
-    def all(self) -> tuple[Motion, ...]:
+    def all(self) -> tuple[MotionEpisode, ...]:
         """One motion of every robot and action type that the manifest declares, the configured pair first."""
         played = []
         for name, action_type in self._probe.combinations():
             embodiment = get_embodiment(name)
             with self._probe.served_as(name, action_type) as policy:
-                answers = tuple(self._play(policy, embodiment, action_type))
-                near_limits = tuple(self._play_near_limits(policy, embodiment, action_type))
-            played.append(Motion(embodiment, action_type, answers, near_limits))
+                answers = tuple(self._run_episode(policy, embodiment, action_type))
+                near_limits = tuple(self._run_near_limits(policy, embodiment, action_type))
+            played.append(MotionEpisode(embodiment, action_type, answers, near_limits))
         return tuple(played)
 
     @property
-    def sound(self) -> list[Motion]:
+    def sound(self) -> list[MotionEpisode]:
         """The motions in which there are values to judge.
 
         Raises:
@@ -123,35 +123,38 @@ class Motions:
             raise NotApplicable("no action has the form that the embodiment asks for")
         return found
 
-    def _play(self, policy: Session, embodiment: Embodiment, action_type: str) -> Iterator[Answer]:
+    def _run_episode(self, policy: Session, embodiment: Embodiment, action_type: str) -> Iterator[MotionAnswer]:
         obs = self._probe.observation(embodiment=embodiment)
         chunk = policy.act(obs)
-        yield Answer(obs, 0, chunk, batched=False)
+        yield MotionAnswer(obs, 0, chunk, batched=False)
         for step in range(1, _STEPS):
             if structure_problem(chunk, embodiment, action_type) is not None:
                 return
             obs = self._scenario.advance(obs, chunk[0], step)
             problem = policy.update_obs(obs)
             chunk = problem if isinstance(problem, PolicyServerError) else policy.get_action()
-            yield Answer(obs, step, chunk, batched=False)
+            yield MotionAnswer(obs, step, chunk, batched=False)
         observations = [self._probe.observation(env, embodiment=embodiment) for env in _BATCH]
         policy.reset()
         policy.update_obs_batch(observations)
         chunks = policy.get_action_batch(list(_BATCH))
         if isinstance(chunks, (list, tuple)):  # whether a batch is answered at all, other rules ask
             for obs, chunk in zip(observations, chunks, strict=False):
-                yield Answer(obs, 0, chunk, batched=True)
+                yield MotionAnswer(obs, 0, chunk, batched=True)
 
-    def _play_near_limits(self, policy: Session, embodiment: Embodiment, action_type: str) -> Iterator[Answer]:
+    def _run_near_limits(self, policy: Session, embodiment: Embodiment, action_type: str) -> Iterator[MotionAnswer]:
         if sdk.ACTION_KEYS[action_type][0] != sdk.State.ARM_JOINT_STATE:
             return
         for first_is_high in (False, True) if any(arm.lower is not None for arm in embodiment.arms) else ():
             plain = self._probe.observation(embodiment=embodiment)
-            obs = {**plain, sdk.Obs.STATE: {**plain[sdk.Obs.STATE], **_near(embodiment, first_is_high=first_is_high)}}
-            yield Answer(obs, 0, policy.act(obs), batched=False)
+            obs = {
+                **plain,
+                sdk.Obs.STATE: {**plain[sdk.Obs.STATE], **_joints_near_limits(embodiment, first_is_high=first_is_high)},
+            }
+            yield MotionAnswer(obs, 0, policy.act(obs), batched=False)
 
 
-def _near(embodiment: Embodiment, *, first_is_high: bool) -> dict[str, np.ndarray]:
+def _joints_near_limits(embodiment: Embodiment, *, first_is_high: bool) -> dict[str, np.ndarray]:
     """Return joints near their limits, by turns the lower and the upper one."""
     found = {}
     for arm in embodiment.arms:

@@ -70,7 +70,7 @@ def first_turns(obs: ObservationDict, chunk: Sequence[Action]) -> list[Turn]:
     return turns
 
 
-def told_as_they_come(model_io: ModelIO) -> list[str]:
+def sign_sensitive_rotations(model_io: ModelIO) -> list[str]:
     """Return the rotations of a model_io block in which q and -q are two things, by what to call them.
 
     Those are quaternions that the model is told with the sign that they happen to have (`sign: any`), and those to

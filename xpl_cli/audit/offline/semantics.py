@@ -28,7 +28,7 @@ Episode = tuple[ObservationDict, ...]
 
 
 @dataclass(frozen=True)
-class Change:
+class InputChange:
     """An observation changed in one respect.
 
     Attributes:
@@ -56,7 +56,7 @@ class Semantics:
         self._probe = probe
         self._steady = bool(probe.package.manifest.deterministic)
 
-    def ignored(self, *kinds: Kind) -> list[Change]:
+    def ignored(self, *kinds: Kind) -> list[InputChange]:
         """Return the changes of some kinds that change no action.
 
         Raises:
@@ -65,19 +65,19 @@ class Semantics:
         """
         return [change for change, found in self.effects if change.kind in kinds and found is None]
 
-    def unseen(self) -> set[str]:
+    def ignored_inputs(self) -> set[str]:
         """Return the inputs that have no effect at all; what is part of them needs no finding of its own."""
         return {change.input for change in self.ignored("input")}
 
-    def evidently_unseen(self) -> set[str]:
+    def known_ignored_inputs(self) -> set[str]:
         """Return the inputs that have no effect at all; none where the actions cannot be compared."""
         try:
-            return self.unseen()
+            return self.ignored_inputs()
         except (NotApplicable, NotRun):
             return set()
 
     @cached_property
-    def effects(self) -> list[tuple[Change, str | None]]:
+    def effects(self) -> list[tuple[InputChange, str | None]]:
         """Every change of the plain observation, with how the action then differs, or None if it does not."""
         probe = self._probe
         probe.ready()
@@ -104,8 +104,10 @@ class Semantics:
         probe = self._probe
         chosen = combination or (probe.embodiment.name, probe.action_type)
         control = (pairs[0][0], pairs[0][0])
-        with self._lanes(*chosen) as (first, second):
-            before, *answers = [(_play(first, one), _play(second, other)) for one, other in (control, *pairs)]
+        with self._session_pair(*chosen) as (first, second):
+            before, *answers = [
+                (_run_episode(first, one), _run_episode(second, other)) for one, other in (control, *pairs)
+            ]
         self._steady = self._steady and same(*before)
         return answers
 
@@ -119,7 +121,7 @@ class Semantics:
         return difference(*(answer if isinstance(answer, PolicyServerError) else None for answer in (first, second)))
 
     @contextlib.contextmanager
-    def _lanes(self, embodiment: str, action_type: str) -> Iterator[tuple[Session, Session]]:
+    def _session_pair(self, embodiment: str, action_type: str) -> Iterator[tuple[Session, Session]]:
         probe = self._probe
         if not self._steady or probe.repeats_in_place:
             with probe.served_as(embodiment, action_type) as session:
@@ -151,34 +153,36 @@ def answers_poses(action_type: str) -> bool:
     return sdk.ACTION_KEYS[action_type][0] == sdk.State.EE_POSE
 
 
-def _changes(obs: ObservationDict, required: Sequence[str]) -> Iterator[Change]:
+def _changes(obs: ObservationDict, required: Sequence[str]) -> Iterator[InputChange]:
     present = inputs.present(obs)
     for name in present:
-        yield Change("input", name, f"another {name}", inputs.varied(obs, name))
+        yield InputChange("input", name, f"another {name}", inputs.varied(obs, name))
     needed = [name for name in present if name in required]
     cameras = [name for name in needed if name.startswith(sdk.Obs.VISION)]
     for name in cameras:
-        yield Change("colours", name, f"red and blue of {name} exchanged", inputs.red_and_blue_exchanged(obs, name))
+        yield InputChange(
+            "colours", name, f"red and blue of {name} exchanged", inputs.red_and_blue_exchanged(obs, name)
+        )
     for first, second in itertools.combinations(cameras, 2):
         exchanged = inputs.cameras_exchanged(obs, first, second)
-        yield Change("cameras", first, f"the pictures of {first} and {second} exchanged", exchanged)
+        yield InputChange("cameras", first, f"the pictures of {first} and {second} exchanged", exchanged)
     for name in needed:
         if name.startswith(sdk.Obs.STATE):
             yield from _state_changes(obs, name)
 
 
-def _state_changes(obs: ObservationDict, name: str) -> Iterator[Change]:
+def _state_changes(obs: ObservationDict, name: str) -> Iterator[InputChange]:
     keys = inputs.state_keys(obs, name.partition(".")[2])
     if len(keys) > 1:
-        yield Change("sides", name, f"{' and '.join(keys)} exchanged", inputs.sides_exchanged(obs, name))
+        yield InputChange("sides", name, f"{' and '.join(keys)} exchanged", inputs.sides_exchanged(obs, name))
         for key in keys:
-            yield Change("sides", name, f"another {key}", inputs.one_side_varied(obs, key))
+            yield InputChange("sides", name, f"another {key}", inputs.one_side_varied(obs, key))
     for key in keys:
         for index, changed in inputs.values_nudged(obs, key):
-            yield Change("value", name, f"another {key}[{index}]", changed)
+            yield InputChange("value", name, f"another {key}[{index}]", changed)
 
 
-def _play(policy: Session, episode: Episode) -> Answer:
+def _run_episode(policy: Session, episode: Episode) -> Answer:
     """Play an episode and return the last answer, or the first error."""
     answer = policy.act(episode[0])
     for obs in episode[1:]:

@@ -16,7 +16,7 @@ from xpl_cli.audit.served import choosing
 from xpl_cli.audit.served.hanging import Hangs, bounds
 from xpl_cli.audit.served.session import Recorder, Session
 from xpl_cli.isolation.hang_detector import HUNG
-from xpl_cli.isolation.stacks import where
+from xpl_cli.isolation.stacks import innermost_frame
 from xpl_cli.packages import package
 from xpl_cli.serving.launch import MissingRequirement, RunningServer, ServerStartError, running_server
 
@@ -164,13 +164,13 @@ class Servers(ABC):
     @property
     def ended(self) -> str | None:
         """Why the server ended after it had started; None as long as it runs."""
-        if self._server is None or self._server.ended is None:
+        if self._server is None or self._server.exit_code is None:
             return None
         return self.told(self._server.last_error or "it printed no reason", self._server.log)
 
     def told(self, reason: str, log: Sequence[str]) -> str:
         """Return why a server ended, with the place where the adapter stood if it hung."""
-        place = where(log, self.package.path.resolve()) if any(words in reason for words in HUNG) else None
+        place = innermost_frame(log, self.package.path.resolve()) if any(words in reason for words in HUNG) else None
         return reason if place is None else f"{reason}; it stood at {place}"
 
     @property
@@ -231,7 +231,7 @@ class Servers(ABC):
                 try:
                     yield server
                 finally:
-                    self._hangs.note(None if server.ended is None else server.last_error)
+                    self._hangs.note(None if server.exit_code is None else server.last_error)
         except ServerStartError as error:
             self._hangs.note(error.reason)
             raise
@@ -251,6 +251,6 @@ class Servers(ABC):
                 try:
                     client.infer(self.observation())
                 except PolicyServerError as error:
-                    if lacks := MissingRequirement.read(error.details.get("lacks")):
+                    if lacks := MissingRequirement.parse(error.details.get("lacks")):
                         raise ServerStartError(str(error), list(server.log), lacks) from None
             yield server

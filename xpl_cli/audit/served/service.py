@@ -75,8 +75,8 @@ class Service:
                     seen._look_around(server.pid, kept_apart=bool(probe.options.bounds.flags))
         except ServerStartError as error:
             raise NotRun(f"the server did not start: {error}") from None
-        seen.code, seen.stop_seconds = server.ended, server.stop_seconds or 0.0
-        seen.survivors = [member for member in seen.processes if member.lives]
+        seen.code, seen.stop_seconds = server.exit_code, server.stop_seconds or 0.0
+        seen.survivors = [member for member in seen.processes if member.is_alive]
         seen.log = list(server.log)
         if seen.trouble is not None:
             seen.trouble = probe.told(server.last_error or seen.trouble, server.log)
@@ -132,7 +132,7 @@ class Service:
 
     def _look_around(self, front_end: int, *, kept_apart: bool) -> None:
         started = [member.pid for member in self.processes if member.parent == front_end and member.group == member.pid]
-        own = {pid for one in started for pid in (processes.behind_launcher(one) if kept_apart else [one])}
+        own = {pid for one in started for pid in (processes.launcher_chain(one) if kept_apart else [one])}
         groups = {member.group for member in self.processes if member.pid in own}
         for member in self.processes:
             # The worker leads its group; a child that leads one, or that the front end had to adopt, has left.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
-from xpl_cli.audit.rules.clock import Clock
+from xpl_cli.audit.rules.clock import TimeLimit
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.served.choosing import sentence
 from xpl_cli.audit.served.compare import error_code
@@ -35,8 +35,8 @@ class Recorder:
         clock: stops a rule that asks on when its time is over.
     """
 
-    def __init__(self, clock: Clock | None = None) -> None:
-        self._clock = clock or Clock()
+    def __init__(self, clock: TimeLimit | None = None) -> None:
+        self._clock = clock or TimeLimit()
         self._hash = hashlib.sha256()
 
     def ask(self, name: str, ask: Callable[[], Answer]) -> Answer:
@@ -58,7 +58,7 @@ class Recorder:
         self._hash.update(name.encode())
         # Texts of errors may hold addresses and paths; that there was one is what counts.
         self._value(error_code(answer) if isinstance(answer, PolicyServerError) else answer)
-        if isinstance(answer, PolicyServerError) and (lacks := MissingRequirement.read(answer.details.get("lacks"))):
+        if isinstance(answer, PolicyServerError) and (lacks := MissingRequirement.parse(answer.details.get("lacks"))):
             raise NotRun(sentence(lacks))
         return answer
 

@@ -19,7 +19,7 @@ from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl import get_embodiment
 from xpl.catalogue import Case
-from xpl_cli.audit.engine import subjects
+from xpl_cli.audit.engine import fixtures
 from xpl_cli.audit.rules.registry import find
 from xpl_cli.model_io.mistakes import in_block
 
@@ -98,10 +98,10 @@ def test_variances_that_are_taken_for_deviations_are_known() -> None:
 @pytest.mark.slow
 def test_a_camera_that_does_not_reach_the_model_is_said(tmp_path: Path) -> None:
     """Where dark pictures change nothing at all; and of the policy as it was trained nothing is said."""
-    known = {subject.name: subject for subject in subjects.subjects(find("demonstrations-fit"))}
+    known = {subject.name: subject for subject in fixtures.fixtures(find("demonstrations-fit"))}
     found = {}
     for name in ("bad/unread", "good/as-trained"):
-        package = subjects.build(known[name], tmp_path / Path(name).name.title().replace("-", ""))
+        package = fixtures.build(known[name], tmp_path / Path(name).name.title().replace("-", ""))
         found[name] = Judged(package, package / "demonstrations").fit
     (finding,) = found["bad/unread"].findings
     assert finding.message.startswith("cam_head does not reach the model")

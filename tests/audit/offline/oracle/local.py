@@ -20,8 +20,8 @@ from xpl.wire import packed
 from xpl.worker.changes import Asked
 from xpl.worker.loading import load_model_class
 from xpl_cli.audit.engine.checks import Checks
-from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
-from xpl_cli.audit.offline.search.loaded import LoadedAdapter
+from xpl_cli.audit.offline.demonstrations.fact import DemonstrationComparison
+from xpl_cli.audit.offline.search.loaded_adapter import LoadedAdapter
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
@@ -108,9 +108,9 @@ class Judged:
         return Local(self.package, self.demos)
 
     @cached_property
-    def fact(self) -> Demonstrated:
+    def fact(self) -> DemonstrationComparison:
         """What it answers in the episodes."""
-        return Demonstrated(self.probe)  # type: ignore[arg-type]
+        return DemonstrationComparison(self.probe)  # type: ignore[arg-type]
 
     @cached_property
     def fit(self) -> Result:
@@ -129,4 +129,4 @@ class Judged:
             return self.probe.blocks(again, tried, wanted, seconds)
 
         with mock.patch.object(LoadedAdapter, "blocks", blocks):
-            return Checks(Facts(facts, {}))._checked(find(slug))  # type: ignore[arg-type]
+            return Checks(Facts(facts, {}))._run_check(find(slug))  # type: ignore[arg-type]

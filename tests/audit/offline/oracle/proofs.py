@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.audit.offline.demonstrations import measure
+from xpl_cli.audit.offline.demonstrations import action_errors
 from xpl_cli.audit.rules.model import NotRun
 
 if TYPE_CHECKING:
@@ -58,38 +58,46 @@ def _tried(planted: Judged) -> dict[str, Any]:
     """Return how every change fits that was tried."""
     outcome = planted.fact.outcome
     steps = planted.fact.errors
-    still = planted.fact.witnesses["holding the pose"]
-    moved = planted.fact.ruler.moved
-    asked = range(len(planted.fact.given))
+    still = planted.fact.baselines["holding the pose"]
+    moved = planted.fact.metric.motion_share
+    asked = range(len(planted.fact.answers))
     return {
         "error": float(steps.steps[steps.known].mean()),
         "still": float(still.steps[still.known].mean()),
         "complete": outcome.complete,
-        "first": [[words, convention, round(share, 4)] for words, convention, share in outcome.first],
+        "first": [[words, convention, round(share, 4)] for words, convention, share in outcome.first_round],
         "held": [
-            [one.words, one.convention, round(one.margin.share, 4), round(one.margin.most, 4), moved(one.given, asked)]
-            for one in outcome.held
+            [
+                one.words,
+                one.convention,
+                round(one.margin.share, 4),
+                round(one.margin.most, 4),
+                moved(one.answers, asked),
+            ]
+            for one in outcome.final_round
         ],
     }
 
 
 def _apart(planted: Judged, right: Judged) -> tuple[float, float]:
     """Return how far the answers are from the right ones, and how far these are from what was done, both as shares."""
-    ruler, own = right.fact.ruler, right.fact.errors
+    ruler, own = right.fact.metric, right.fact.errors
     if planted is right:
         return 0.0, float(own.steps[own.known].mean())
-    there, here = right.fact.given, planted.fact.given
-    other = _Beside(ruler, there).errors(dict(enumerate(here)), range(len(here)), planted.fact.refused)
+    there, here = right.fact.answers, planted.fact.answers
+    other = _Beside(ruler, there).errors(dict(enumerate(here)), range(len(here)), planted.fact.refusals)
     return float(other.steps[other.known].mean()), float(own.steps[own.known].mean())
 
 
-class _Beside(measure.Ruler):
+class _Beside(action_errors.ErrorMetric):
     """Measures against other answers than what was done, in the same spreads."""
 
-    def __init__(self, ruler: measure.Ruler, answers: Any) -> None:
+    def __init__(self, ruler: action_errors.ErrorMetric, answers: Any) -> None:
         super().__init__(ruler.session)
         self.__dict__["_spread"] = ruler._spread
-        self._done = [list(answer)[: len(done)] for answer, done in zip(answers, ruler._done, strict=True)]
+        self._demonstrated = [
+            list(answer)[: len(done)] for answer, done in zip(answers, ruler._demonstrated, strict=True)
+        ]
 
 
 def audited(package: Path, python: str, seconds: float, codes: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.audit.offline.demonstrations.measure import Errors
+    from xpl_cli.audit.offline.demonstrations.action_errors import ActionErrors
 
 LEAST_EPISODES: Final = 5
 """Fewer say nothing: with four, one of sixteen useless changes is better in all of them."""
@@ -50,7 +50,7 @@ class Margin:
         return self.is_better and self.most <= CERTAIN
 
 
-def margin(declared: Errors, changed: Errors, episodes: Sequence[int]) -> Margin | None:
+def margin(declared: ActionErrors, changed: ActionErrors, episodes: Sequence[int]) -> Margin | None:
     """Return how much better a change fits, None where too little of what it would command is known.
 
     Args:

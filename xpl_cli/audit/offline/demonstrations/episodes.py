@@ -14,7 +14,7 @@ from xpl import poses
 from xpl.conventions.frame import mount
 from xpl.convert import ConversionError
 from xpl.kinematics import Chain, KinematicsError
-from xpl_cli.audit.offline.search.course import Course
+from xpl_cli.audit.offline.search.session_replay import SessionReplay
 from xpl_cli.model_io.pairs import Session
 from xpl_cli.model_io.script import Call
 
@@ -35,12 +35,12 @@ _MEMORY: Final = 64
 """Observations of an episode that are shown to a policy with a memory before its first question, at most."""
 
 
-class LackingError(ValueError):
+class MissingDataError(ValueError):
     """The episodes lack what the policy commands, or are of another robot."""
 
 
 @dataclass(frozen=True)
-class Recording:
+class EpisodeRecording:
     """One episode.
 
     Attributes:
@@ -58,17 +58,17 @@ class Recording:
         """How many control steps it has."""
         return len(next(iter(self.commanded.values())))
 
-    def done(self, step: int, horizon: int) -> list[dict[str, np.ndarray]]:
+    def commanded_from(self, step: int, horizon: int) -> list[dict[str, np.ndarray]]:
         """Return what was commanded from a step on, until the horizon or the end."""
         until = min(step + horizon, self.steps)
         return [{key: rows[at] for key, rows in self.commanded.items()} for at in range(step, until)]
 
 
 @dataclass(frozen=True)
-class _Scene:
+class _RecordedScene:
     """Makes observations of recipes, as `xpl_cli.model_io.script.Scene` does of scripted ones."""
 
-    recordings: Sequence[Recording]
+    recordings: Sequence[EpisodeRecording]
 
     def observation(self, env: int, place: int) -> ObservationDict:
         """Return an observation as a policy gets it."""
@@ -77,7 +77,7 @@ class _Scene:
 
 
 @dataclass(frozen=True)
-class Played(Session):
+class RecordedSession(Session):
     """A session of recorded episodes; the answers are what was commanded.
 
     Attributes:
@@ -85,22 +85,22 @@ class Played(Session):
         asked: of each question the number of its episode and its step there.
     """
 
-    recordings: tuple[Recording, ...] = field(default=(), repr=False)
-    asked: tuple[tuple[int, int], ...] = ()
+    recordings: tuple[EpisodeRecording, ...] = field(default=(), repr=False)
+    question_steps: tuple[tuple[int, int], ...] = ()
 
     @cached_property
     def scene(self) -> Any:
         """What makes its observations."""
-        return _Scene(self.recordings)
+        return _RecordedScene(self.recordings)
 
 
-class Asking(Course):
+class BatchedReplay(SessionReplay):
     """The questions of a session in which each is an episode of its own, so that any may be asked without the others.
 
     Several are asked in batches, as environments beside each other.
     """
 
-    def calls(self, wanted: Sequence[int]) -> list[Call]:
+    def calls_for(self, wanted: Sequence[int]) -> list[Call]:
         """Return the calls that ask some questions."""
         found = []
         for start in range(0, len(wanted), _BATCH):
@@ -115,7 +115,7 @@ class Asking(Course):
         return found
 
 
-def recording(trajectory: Trajectory, robot: Embodiment, action_type: str) -> Recording:
+def load_recording(trajectory: Trajectory, robot: Embodiment, action_type: str) -> EpisodeRecording:
     """Return an episode with what was commanded in the keys of an action type.
 
     Poses that were commanded by joints follow from the robot's kinematics.
@@ -126,7 +126,7 @@ def recording(trajectory: Trajectory, robot: Embodiment, action_type: str) -> Re
     """
     made_by = trajectory.episode.get("robot")
     if made_by not in {None, robot.name}:
-        raise LackingError(
+        raise MissingDataError(
             f"{trajectory.key} was recorded with {made_by}, and the policy is served for {robot.name}: "
             f"--set {sdk.Deploy.ENV_CFG_TYPE}={made_by}, if it was trained for that"
         )
@@ -140,18 +140,20 @@ def recording(trajectory: Trajectory, robot: Embodiment, action_type: str) -> Re
             values = _by_kinematics(steps, key, robot)
         if values is None or values.shape[1:] != (width,):
             got = "nothing" if values is None else f"{values.shape[1:]} numbers"
-            raise LackingError(f"{trajectory.key} holds {got} of action/{key}, and the policy commands ({width},)")
+            raise MissingDataError(f"{trajectory.key} holds {got} of action/{key}, and the policy commands ({width},)")
         commanded[key] = values
     lacking = sorted(key for key in dims if any(key not in one for one in seen))
     if lacking:
-        raise LackingError(f"{trajectory.key} lacks state/{', state/'.join(lacking)}: holding the pose is the witness")
+        raise MissingDataError(
+            f"{trajectory.key} lacks state/{', state/'.join(lacking)}: holding the pose is the witness"
+        )
     state = {key: _states(trajectory, key) for key in dims}
-    return Recording(trajectory, commanded, state)
+    return EpisodeRecording(trajectory, commanded, state)
 
 
-def session(  # noqa: PLR0913, PLR0917 - what is served, and how far it looks
-    recordings: Sequence[Recording], robot: Embodiment, action_type: str, seed: int, horizon: int, span: int
-) -> Played:
+def make_session(  # noqa: PLR0913, PLR0917 - what is served, and how far it looks
+    recordings: Sequence[EpisodeRecording], robot: Embodiment, action_type: str, seed: int, horizon: int, span: int
+) -> RecordedSession:
     """Return questions over episodes, each after a reset and the observations that its history reaches over.
 
     Args:
@@ -173,10 +175,10 @@ def session(  # noqa: PLR0913, PLR0917 - what is served, and how far it looks
             calls.append(Call(reset=True))
             calls += [Call(show=((0, number * _EPISODE + at),)) for at in range(first, step + 1)]
             calls.append(Call(ask=(0,)))
-            done = episode.done(step, horizon)
+            done = episode.commanded_from(step, horizon)
             answers.append(({key: np.stack([one[key] for one in done])[None] for key in done[0]},))
             asked.append((number, step))
-    return Played(
+    return RecordedSession(
         embodiment=robot.name,
         action_type=action_type,
         seed=seed,
@@ -185,11 +187,11 @@ def session(  # noqa: PLR0913, PLR0917 - what is served, and how far it looks
         calls=tuple(calls),
         answers=tuple(answers),
         recordings=tuple(recordings),
-        asked=tuple(asked),
+        question_steps=tuple(asked),
     )
 
 
-def few(asked: Sequence[tuple[int, int]]) -> list[int]:
+def select_few(asked: Sequence[tuple[int, int]]) -> list[int]:
     """Return questions on which changes are tried first: of each episode one, elsewhere in each; 12 of all at most.
 
     Of few episodes there are eight, so that all phases of an episode are among them.

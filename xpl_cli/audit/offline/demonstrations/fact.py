@@ -11,12 +11,18 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl.trajectory import TrajectoryError, open_folder
-from xpl_cli.audit.offline.demonstrations import declared
+from xpl_cli.audit.offline.demonstrations import declaration
+from xpl_cli.audit.offline.demonstrations.action_errors import ActionErrors, ActionPart, ErrorMetric
 from xpl_cli.audit.offline.demonstrations.certainty import LEAST_EPISODES, Margin, margin
-from xpl_cli.audit.offline.demonstrations.episodes import Asking, LackingError, Recording, recording, session
-from xpl_cli.audit.offline.demonstrations.measure import Errors, Part, Ruler
-from xpl_cli.audit.offline.demonstrations.search import Outcome, Search
-from xpl_cli.audit.offline.search.played import RefusedError, replay
+from xpl_cli.audit.offline.demonstrations.episodes import (
+    BatchedReplay,
+    EpisodeRecording,
+    MissingDataError,
+    load_recording,
+    make_session,
+)
+from xpl_cli.audit.offline.demonstrations.search import ConventionSearch, ConventionSearchResult
+from xpl_cli.audit.offline.search.replay import QuestionRefusedError, replay_calls
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics.atomic import write_file
@@ -24,8 +30,8 @@ from xpl_cli.basics.words import amount, listed
 
 if TYPE_CHECKING:
     from xpl.trajectory import Folder, Trajectory
-    from xpl_cli.audit.offline.demonstrations.episodes import Played
-    from xpl_cli.audit.offline.demonstrations.measure import Chunks
+    from xpl_cli.audit.offline.demonstrations.action_errors import Chunks
+    from xpl_cli.audit.offline.demonstrations.episodes import RecordedSession
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.model_io.pairs import Chunk
 
@@ -36,7 +42,7 @@ _MOST_BYTES: Final = 256 << 20
 """What the images of all questions may take."""
 
 
-class Demonstrated:
+class DemonstrationComparison:
     """Recorded episodes and the adapter that they are held against.
 
     Args:
@@ -47,7 +53,7 @@ class Demonstrated:
         self.probe = probe
 
     @cached_property
-    def recordings(self) -> list[Recording]:
+    def recordings(self) -> list[EpisodeRecording]:
         """The episodes that are looked at.
 
         Raises:
@@ -61,12 +67,14 @@ class Demonstrated:
             )
         places = np.unique(np.linspace(0, len(found) - 1, min(len(found), _MOST_EPISODES)).astype(int))
         try:
-            return [recording(found[int(place)], self.probe.embodiment, self.probe.action_type) for place in places]
-        except (LackingError, TrajectoryError) as error:
+            return [
+                load_recording(found[int(place)], self.probe.embodiment, self.probe.action_type) for place in places
+            ]
+        except (MissingDataError, TrajectoryError) as error:
             raise NotRun(str(error)) from None
 
     @cached_property
-    def session(self) -> Played:
+    def session(self) -> RecordedSession:
         """The questions.
 
         Raises:
@@ -76,7 +84,7 @@ class Demonstrated:
             raise NotRun("what a policy does with demonstrations only the real model can tell, and it is not here")
         recordings = self.recordings
         shown = recordings[0].trajectory.observation(0)
-        lacking = [name for name in self.probe.required if not _is_in(shown, name)]
+        lacking = [name for name in self.probe.required if not _has_input(shown, name)]
         if lacking:
             raise NotRun(f"the policy requires {', '.join(lacking)}, which the demonstrations do not have")
         manifest = self.probe.package.manifest
@@ -85,53 +93,53 @@ class Demonstrated:
         reach = 0 if is_recurrent or temporal.kind == "memory" else manifest.reach
         horizon = min(_MOST_HORIZON, temporal.chunk or 1)
         seed = int(self.probe.config.get(sdk.Deploy.SEED) or 0)
-        made = session(recordings, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)
+        made = make_session(recordings, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)
         size = sum(entry[sdk.Camera.COLOR].nbytes for entry in shown.get(sdk.Obs.VISION, {}).values())
         steps = sum(len(call.show) for call in made.calls)
         if size * steps > _MOST_BYTES:
             fewer = max(LEAST_EPISODES, int(len(recordings) * _MOST_BYTES / (size * steps)))
             chosen = recordings[:: -(-len(recordings) // fewer)]
-            made = session(chosen, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)
+            made = make_session(chosen, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)
         return made
 
     @cached_property
-    def ruler(self) -> Ruler:
+    def metric(self) -> ErrorMetric:
         """What measures answers."""
-        return Ruler(self.session)
+        return ErrorMetric(self.session)
 
     @cached_property
-    def _heard(self) -> tuple[list[Chunk], dict[int, str]]:
+    def _answers_and_refusals(self) -> tuple[list[Chunk], dict[int, str]]:
         """The served adapter's answers to all questions, empty where it refused one, and how it refused them.
 
         Raises:
             NotRun: if it refuses all.
         """
         self.probe.options.clock.check()
-        course = Asking(self.session)
+        course = BatchedReplay(self.session)
         answers: list[Chunk] = []
         refused: dict[int, str] = {}
         with self.probe.session() as client:
             for question in self.session.questions:
                 number = [question.number]
                 try:
-                    calls = course.calls(number)
+                    calls = course.calls_for(number)
                     answers += [
-                        takes[0] for takes in replay(client, self.session, calls, [question], course.observation)
+                        takes[0] for takes in replay_calls(client, self.session, calls, [question], course.observation)
                     ]
-                except RefusedError as refusal:
+                except QuestionRefusedError as refusal:
                     answers.append([])
                     refused[question.number] = str(refusal)
         return answers, refused
 
     @property
-    def given(self) -> list[Chunk]:
+    def answers(self) -> list[Chunk]:
         """The served adapter's answers to all questions, empty where it refused one."""
-        return self._heard[0]
+        return self._answers_and_refusals[0]
 
     @property
-    def refused(self) -> dict[int, str]:
+    def refusals(self) -> dict[int, str]:
         """How it refused questions, by their numbers."""
-        return self._heard[1]
+        return self._answers_and_refusals[1]
 
     @property
     def episodes(self) -> int:
@@ -139,45 +147,45 @@ class Demonstrated:
         return len(self.session.recordings)
 
     @cached_property
-    def errors(self) -> Errors:
+    def errors(self) -> ActionErrors:
         """Of the adapter's answers."""
-        return self.ruler.errors(dict(enumerate(self.given)), self._everything, self.refused)
+        return self.metric.errors(dict(enumerate(self.answers)), self._all_questions, self.refusals)
 
     @cached_property
-    def witnesses(self) -> Mapping[str, Errors]:
+    def baselines(self) -> Mapping[str, ActionErrors]:
         """Errors of holding the pose, and of repeating the action before."""
         witnesses: dict[str, Chunks] = {
-            "holding the pose": self.ruler.still(),
-            "the action before": self.ruler.before(),
+            "holding the pose": self.metric.hold_pose(),
+            "the action before": self.metric.repeat_action(),
         }
-        return {name: self.ruler.errors(said, self._everything) for name, said in witnesses.items()}
+        return {name: self.metric.errors(said, self._all_questions) for name, said in witnesses.items()}
 
     @cached_property
-    def outcome(self) -> Outcome:
+    def outcome(self) -> ConventionSearchResult:
         """What the search for a better convention came to.
 
         Raises:
             NotRun: the adapter refuses some of the observations, and no convention explains that.
         """
-        found = Search(self.probe, self.ruler, self.given, self.refused).run()
-        if found.best is None and self.refused:
-            number, why = next(iter(self.refused.items()))
-            some = f"{len(self.refused)} of {len(self.given)} observations"
-            episode, step = self.session.asked[number]
+        found = ConventionSearch(self.probe, self.metric, self.answers, self.refusals).run()
+        if found.best is None and self.refusals:
+            number, why = next(iter(self.refusals.items()))
+            some = f"{len(self.refusals)} of {len(self.answers)} observations"
+            episode, step = self.session.question_steps[number]
             where = f"{self.session.recordings[episode].trajectory.key}, step {step}"
             raise NotRun(f"the adapter refuses {some} of the demonstrations, and nothing explains it: {where}: {why}")
         return found
 
-    def beside(self, witness: Errors) -> Margin | None:
+    def margin_to(self, witness: ActionErrors) -> Margin | None:
         """Return how the adapter fits beside a witness."""
-        return margin(witness, self.errors, [episode for episode, _ in self.session.asked])
+        return margin(witness, self.errors, [episode for episode, _ in self.session.question_steps])
 
-    def table(self, changed: Errors | None = None) -> dict[str, dict[str, float]]:
+    def table(self, changed: ActionErrors | None = None) -> dict[str, dict[str, float]]:
         """Return the errors of each part in its unit: of the adapter, of a change, and of the witnesses."""
-        rows = {"declared": self.errors, **({} if changed is None else {"changed": changed}), **self.witnesses}
-        return {name: _told(errors.units(self.errors)) for name, errors in rows.items()}
+        rows = {"declared": self.errors, **({} if changed is None else {"changed": changed}), **self.baselines}
+        return {name: _round_units(errors.units(self.errors)) for name, errors in rows.items()}
 
-    def saved(self, picture: str, name: str) -> str | None:
+    def save_plot(self, picture: str, name: str) -> str | None:
         """Write a picture where the audit was asked to, and return its file; None where it was not."""
         folder = self.probe.options.pictures
         if folder is None:
@@ -188,31 +196,31 @@ class Demonstrated:
         return str(path)
 
     @property
-    def _everything(self) -> Sequence[int]:
+    def _all_questions(self) -> Sequence[int]:
         return range(len(self.session.questions))
 
     def _episodes(self) -> Sequence[Trajectory]:
         options, package = self.probe.options, self.probe.package.path
         if options.demos is not None:
-            return _opened(options.demos)
-        if not declared.is_there(package):
+            return _open_folder(options.demos)
+        if not declaration.exists(package):
             raise NotApplicable("no demonstrations were given: --demos PATH")
         try:
-            path, digests = declared.read(package)
-        except declared.DeclarationError as error:
+            path, digests = declaration.read(package)
+        except declaration.DeclarationError as error:
             raise NotRun(str(error)) from None
         root = path if path.is_dir() else path.parent
         if not root.is_dir():
-            raise NotRun(f"the demonstrations that {declared.FILE} names are not here: {path}")
-        others = [name for name, digest in digests.items() if not _is(root / name, root, digest)]
+            raise NotRun(f"the demonstrations that {declaration.FILE} names are not here: {path}")
+        others = [name for name, digest in digests.items() if not _has_digest(root / name, root, digest)]
         if others:
-            raise NotRun(f"the demonstrations are not those that {declared.FILE} names: {listed(others, 1)} differ")
+            raise NotRun(f"the demonstrations are not those that {declaration.FILE} names: {listed(others, 1)} differ")
         from xpl.trajectory import Trajectory
 
         return [Trajectory(str(root / name)) for name in sorted(digests)]
 
 
-def _opened(path: Path) -> Folder:
+def _open_folder(path: Path) -> Folder:
     try:
         return open_folder(path)
     except TrajectoryError as error:
@@ -221,13 +229,13 @@ def _opened(path: Path) -> Folder:
         raise NotRun(f"demonstrations need h5py: pip install 'xpolicylab[data]' ({error})") from None
 
 
-def _is(path: Path, root: Path, digest: str) -> bool:
+def _has_digest(path: Path, root: Path, digest: str) -> bool:
     if not path.resolve().is_relative_to(root.resolve()) or not path.is_file():
         return False
-    return declared.digest(path) == digest
+    return declaration.digest(path) == digest
 
 
-def _is_in(shown: Mapping[str, object], name: str) -> bool:
+def _has_input(shown: Mapping[str, object], name: str) -> bool:
     """Tell whether an observation has an input, a field of the state of any arm."""
     group, _, field = name.partition(".")
     inner = shown.get(group)
@@ -236,5 +244,5 @@ def _is_in(shown: Mapping[str, object], name: str) -> bool:
     return isinstance(inner, Mapping) and any(one == field or one.endswith(f"_{field}") for one in inner)
 
 
-def _told(units: Mapping[Part, float]) -> dict[str, float]:
+def _round_units(units: Mapping[ActionPart, float]) -> dict[str, float]:
     return {f"{part.name} ({part.unit})": float(f"{value:.3g}") for part, value in units.items()}

@@ -12,7 +12,7 @@ import numpy as np
 from xpl import _spec as sdk
 from xpl import get_embodiment
 from xpl.trajectory import Writer
-from xpl_cli.audit.offline.demonstrations import declared
+from xpl_cli.audit.offline.demonstrations import declaration
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,14 +41,14 @@ def write(package: Path, robot: str, episodes: int, seed: int = 0) -> Path:
         path = folder / f"episode_{number:07d}.hdf5"
         told = {"robot": robot, sdk.Deploy.ACTION_TYPE: sdk.ACTION_TYPES[0]}
         with Writer(path, images="png", frequency=25.0, episode=told) as episode:
-            for obs, action in _played(robot, rng):
+            for obs, action in _episode(robot, rng):
                 episode.add(obs, action)
-    digests = {path.name: declared.digest(path) for path in sorted(folder.glob("*.hdf5"))}
-    (package / declared.FILE).write_text(declared.written(folder.name, digests), encoding="utf-8")
+    digests = {path.name: declaration.digest(path) for path in sorted(folder.glob("*.hdf5"))}
+    (package / declaration.FILE).write_text(declaration.render(folder.name, digests), encoding="utf-8")
     return folder
 
 
-def _played(robot: str, rng: np.random.Generator) -> Iterator[tuple[ObservationDict, dict[str, np.ndarray]]]:
+def _episode(robot: str, rng: np.random.Generator) -> Iterator[tuple[ObservationDict, dict[str, np.ndarray]]]:
     (arm,) = get_embodiment(robot).arms
     joints, goal = rng.uniform(-0.5, 0.5, arm.dof), rng.uniform(-0.5, 0.5, arm.dof)
     colour = rng.uniform(0.1, 0.9, 3)

@@ -19,18 +19,18 @@ from xpl.catalogue.pictures import dark
 from xpl.client import ClientError
 from xpl.conventions.chunk import rates
 from xpl.conventions.instruction import blank
-from xpl_cli.audit.offline.demonstrations.demonstrated import Demonstrated
-from xpl_cli.audit.offline.demonstrations.episodes import Asking
-from xpl_cli.audit.offline.search.around import Around
-from xpl_cli.audit.offline.search.contest import Family, held
-from xpl_cli.audit.offline.search.loaded import Answered
-from xpl_cli.audit.offline.search.ways import Read, Ways
+from xpl_cli.audit.offline.demonstrations.demonstration_scorer import DemonstrationScorer
+from xpl_cli.audit.offline.demonstrations.episodes import BatchedReplay
+from xpl_cli.audit.offline.search.loaded_adapter import MistakeAnswers
+from xpl_cli.audit.offline.search.mistake_families import MistakeFamilies, ReadInputs
+from xpl_cli.audit.offline.search.perturbed_adapter import PerturbedAdapter
+from xpl_cli.audit.offline.search.ranking import MistakeFamily, rank
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.packages import conventions
 
 if TYPE_CHECKING:
+    from xpl_cli.audit.offline.demonstrations.action_errors import ActionErrors, Chunks, ErrorMetric
     from xpl_cli.audit.offline.demonstrations.certainty import Margin
-    from xpl_cli.audit.offline.demonstrations.measure import Chunks, Errors, Ruler
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.model_io.pairs import Chunk
 
@@ -49,7 +49,7 @@ _ALL_ADAPTERS: Final = frozenset((*conventions.HISTORY, "chunk", sdk.Obs.INSTRUC
 
 
 @dataclass(frozen=True)
-class Change:
+class ScoredChange:
     """A change that was tried.
 
     Attributes:
@@ -64,11 +64,11 @@ class Change:
     convention: str
     in_block: bool
     margin: Margin
-    given: Chunks
+    answers: Chunks
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ConventionSearchResult:
     """What a search came to.
 
     Attributes:
@@ -88,18 +88,18 @@ class Outcome:
 
     tried: int
     complete: bool
-    best: Change | None
-    ties: tuple[Change, ...]
-    told: tuple[str, ...]
-    untold: tuple[str, ...]
+    best: ScoredChange | None
+    ties: tuple[ScoredChange, ...]
+    determined: tuple[str, ...]
+    undetermined: tuple[str, ...]
     unread: tuple[str, ...]
     far: tuple[str, ...]
-    deaf: tuple[tuple[str, str], ...] = ()
-    first: tuple[tuple[str, str, float], ...] = ()
-    held: tuple[Change, ...] = ()
+    unconnected: tuple[tuple[str, str], ...] = ()
+    first_round: tuple[tuple[str, str, float], ...] = ()
+    final_round: tuple[ScoredChange, ...] = ()
 
 
-class Search:
+class ConventionSearch:
     """The search for one adapter.
 
     Args:
@@ -111,86 +111,91 @@ class Search:
     """
 
     def __init__(
-        self, probe: Probe, ruler: Ruler, given: Sequence[Chunk], refused: Collection[int], seconds: float = SEARCH_S
+        self,
+        probe: Probe,
+        ruler: ErrorMetric,
+        given: Sequence[Chunk],
+        refused: Collection[int],
+        seconds: float = SEARCH_S,
     ) -> None:
         self._probe, self._ruler, self._given, self._refused = probe, ruler, given, frozenset(refused)
         self._session = ruler.session
-        self._course = Asking(self._session)
+        self._course = BatchedReplay(self._session)
         until = time.monotonic() + min(seconds, probe.options.clock.left)
-        self._ways = Ways(probe, self._course, {}, until, self._read)
-        self._demonstrated = Demonstrated(ruler, given, self._refused)
+        self._ways = MistakeFamilies(probe, self._course, {}, until, self._read)
+        self._demonstrated = DemonstrationScorer(ruler, given, self._refused)
         self._complete = True
 
-    def run(self) -> Outcome:
+    def run(self) -> ConventionSearchResult:
         """Try all mistakes."""
-        with self._ways.loaded, self._around() as around:
-            by_block = self._by_block()
-            found = [*(by_block or ()), *self._by_signals(around, all_of_them=by_block is None)]
-        with self._around(once=False) as around:
-            unread = tuple(self._unread(around))
+        with self._ways.loaded, self._perturb_server() as around:
+            by_block = self._search_block()
+            found = [*(by_block or ()), *self._search_outer_changes(around, all_of_them=by_block is None)]
+        with self._perturb_server(once=False) as around:
+            unread = tuple(self._find_unread(around))
         better = [one for one in found if one.given and one.margin.is_better]
-        alike = _alike([one for one in better if self._is_near(one)])
-        first = self._demonstrated.first
+        alike = _best_and_ties([one for one in better if self._is_near(one)])
+        first = self._demonstrated.first_round
         told = {convention for _, convention, share in first if not 1 / _TOLD < share < _TOLD}
-        return Outcome(
+        return ConventionSearchResult(
             tried=self._demonstrated.count,
             complete=self._complete,
             best=alike[0] if alike else None,
             ties=tuple(alike[1:]),
-            told=tuple(sorted(told)),
-            untold=tuple(sorted({convention for _, convention, _ in first} - told)),
+            determined=tuple(sorted(told)),
+            undetermined=tuple(sorted({convention for _, convention, _ in first} - told)),
             unread=unread,
-            deaf=tuple(self._deaf(unread)),
+            unconnected=tuple(self._find_unconnected(unread)),
             far=tuple(one.words for one in better) if not alike else (),
-            first=tuple(first),
-            held=tuple(found),
+            first_round=tuple(first),
+            final_round=tuple(found),
         )
 
     # -- families ------------------------------------------------------------------------------------------------------
 
-    def _by_block(self) -> list[Change] | None:
+    def _search_block(self) -> list[ScoredChange] | None:
         """Return what other words of the block come to; None where the adapter does not convert by it alone."""
-        family = self._ways.block(_can_be_told)
+        family = self._ways.block_family(_is_decidable)
         if family is None:
             return None
         ways, block = self._ways, self._ways.case.block
 
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Answered]:
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
             if not self._refused:
                 # What is drawn depends on how it is asked, so that changes are held against answers asked alike.
-                own = ways.loaded.blocks([block], wanted, ways.left)
-                self._demonstrated.begin(own[0] if own else None, wanted)
-            yield from family.ask(chosen, wanted)
+                own = ways.loaded.answers_by_block([block], wanted, ways.seconds_left)
+                self._demonstrated.set_baseline(own[0] if own else None, wanted)
+            yield from family.answers(chosen, wanted)
 
-        changes = self._held(replace(family, ask=ask), in_block=True)
+        changes = self._rank_changes(replace(family, answers=ask), in_block=True)
         if not ways.by_block:  # what the block alone does not say is no question of time
             self._complete = True
             return None
         return changes
 
-    def _by_signals(self, around: Around, *, all_of_them: bool) -> list[Change]:
+    def _search_outer_changes(self, around: PerturbedAdapter, *, all_of_them: bool) -> list[ScoredChange]:
         """Return what changes around the adapter come to."""
         found, chunks = [], set[str]()
-        for one in (*rates(), *self._ways.around_it):
+        for one in (*rates(), *self._ways.outer_mistakes):
             # Of those of equal words the first orders the steps. The others order their changes, from the state: that
             # takes away how far a prediction begins from there, which brings any policy nearer.
             again, is_chunk = one.words in chunks, one.convention == "chunk"
             chunks |= {one.words} if is_chunk else set()
-            wanted = _can_be_told(one) and not (is_chunk and again)
+            wanted = _is_decidable(one) and not (is_chunk and again)
             if wanted and (all_of_them or one.convention in _ALL_ADAPTERS):
                 found.append(one)
 
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Answered]:
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
             for number in chosen:
-                if self._ways.left <= 0:
+                if self._ways.seconds_left <= 0:
                     return
                 one = found[number]
-                yield Answered(one.words, one.convention, self._answers(around, one, wanted))
+                yield MistakeAnswers(one.words, one.convention, self._answers(around, one, wanted))
 
-        self._demonstrated.begin(None, ())
-        return self._held(Family(found, ask), in_block=False)
+        self._demonstrated.set_baseline(None, ())
+        return self._rank_changes(MistakeFamily(found, ask), in_block=False)
 
-    def _unread(self, around: Around) -> Iterator[str]:
+    def _find_unread(self, around: PerturbedAdapter) -> Iterator[str]:
         """Yield the cameras and texts of which an answer does not depend."""
         shown = [(camera, Mistake(0, camera, "camera", shown=dark(camera))) for camera in self._ways.case.cameras]
         if self._ways.case.instructions:
@@ -202,7 +207,7 @@ class Search:
         later = [
             number
             for number in self._demonstrated.rounds[0]
-            if number not in self._refused and self._session.asked[number][1] > 0
+            if number not in self._refused and self._session.question_steps[number][1] > 0
         ]
         if not (numbers := later[:_UNREAD]):
             return
@@ -215,10 +220,10 @@ class Search:
         own = self._ruler.errors(same, numbers)
         for name, mistake in shown:
             given = self._answers(around, mistake, numbers)
-            if given is not None and _same(own, self._ruler.errors(given, numbers)):
+            if given is not None and _are_equal(own, self._ruler.errors(given, numbers)):
                 yield name
 
-    def _deaf(self, unread: Sequence[str]) -> Iterator[tuple[str, str]]:
+    def _find_unconnected(self, unread: Sequence[str]) -> Iterator[tuple[str, str]]:
         """Yield what is unread although the model_io block hands it over, with its convention."""
         handed = {camera for entry in self._ways.model_io.images for camera in entry["cameras"]}
         said = {one.trajectory.instructions[:1] for one in self._session.recordings}
@@ -230,33 +235,33 @@ class Search:
             elif name in self._ways.model_io.data and len(said) > 1:
                 yield name, name
 
-    def _held(self, family: Family, *, in_block: bool) -> list[Change]:
+    def _rank_changes(self, family: MistakeFamily, *, in_block: bool) -> list[ScoredChange]:
         """Return the mistakes whose undoing fits better on a few questions, tried on all."""
-        tried = held(family, self._demonstrated)
-        self._complete = self._complete and len(tried.first) == len(family.mistakes)
+        tried = rank(family, self._demonstrated)
+        self._complete = self._complete and len(tried.first_round) == len(family.mistakes)
         changes = []
-        for _, one in tried.last:
+        for _, one in tried.final_round:
             found = self._demonstrated.margin(one, self._demonstrated.everything)
-            if found is not None and one.given is not None and not self._demonstrated.hardly_moves(one.given):
-                changes.append(Change(one.words, one.convention, in_block, found, one.given))
+            if found is not None and one.answers is not None and not self._demonstrated.hardly_moves(one.answers):
+                changes.append(ScoredChange(one.words, one.convention, in_block, found, one.answers))
         return changes
 
-    def _is_near(self, change: Change) -> bool:
+    def _is_near(self, change: ScoredChange) -> bool:
         """Tell whether a change brings the policy about as near as holding the pose, or nearer."""
-        found = self._ruler.errors(change.given, self._demonstrated.everything)
-        still = self._ruler.errors(self._ruler.still(), self._demonstrated.everything)
+        found = self._ruler.errors(change.answers, self._demonstrated.everything)
+        still = self._ruler.errors(self._ruler.hold_pose(), self._demonstrated.everything)
         known = found.known & still.known
         return bool(found.steps[known].mean() <= _FAR * still.steps[known].mean())
 
-    def _answers(self, around: Around, mistake: Mistake, wanted: Sequence[int]) -> Chunks | None:
+    def _answers(self, around: PerturbedAdapter, mistake: Mistake, wanted: Sequence[int]) -> Chunks | None:
         try:
             return around.answers(mistake, [number for number in wanted if number not in self._refused])
         except (NotRun, ClientError, ValueError):
             return None
 
-    def _around(self, *, once: bool = True) -> Around:
+    def _perturb_server(self, *, once: bool = True) -> PerturbedAdapter:
         connect = partial(self._probe.connected, self._probe.server().url)
-        return Around(self._course, dict(enumerate(self._given)), connect, once=once)
+        return PerturbedAdapter(self._course, dict(enumerate(self._given)), connect, once=once)
 
     @property
     def _history(self) -> int:
@@ -265,17 +270,17 @@ class Search:
         return 1 if history is None else history.length
 
     @cached_property
-    def _read(self) -> Read:
+    def _read(self) -> ReadInputs:
         """What the adapter reads of the demonstrations, everything if it does not say that."""
         read = list(self._probe.package.manifest.read)
         there = self._session.recordings[0].trajectory.cameras
         reads = [name.partition(".")[2] for name in read if name.startswith(f"{sdk.Obs.STATE}.")]
         texts = {text for one in self._session.recordings for text in one.trajectory.instructions}
         cameras = [name for name in there if not read or f"{sdk.Obs.VISION}.{name}" in read]
-        return Read(cameras, reads or None, sorted(texts) if not read or sdk.Obs.INSTRUCTION in read else [])
+        return ReadInputs(cameras, reads or None, sorted(texts) if not read or sdk.Obs.INSTRUCTION in read else [])
 
 
-def _can_be_told(mistake: Mistake) -> bool:
+def _is_decidable(mistake: Mistake) -> bool:
     """Tell whether demonstrations may decide about a mistake.
 
     Filters change less than any policy's own error. Demonstrated grippers are closed or open, and a threshold brings
@@ -284,17 +289,17 @@ def _can_be_told(mistake: Mistake) -> bool:
     return mistake.convention != "image_filter" and "threshold" not in mistake.words
 
 
-def _alike(changes: Sequence[Change]) -> list[Change]:
+def _best_and_ties(changes: Sequence[ScoredChange]) -> list[ScoredChange]:
     """Return the change that fits best, and those that fit as well, the likeliest first; equal words count once."""
     if not changes:
         return []
     least = min(one.margin.share for one in changes)
-    found: dict[str, Change] = {}
+    found: dict[str, ScoredChange] = {}
     for one in changes:
         if one.margin.share - least <= _LIKE * (1 - least):
             found.setdefault(one.words, one)
     return list(found.values())
 
 
-def _same(one: Errors, other: Errors) -> bool:
+def _are_equal(one: ActionErrors, other: ActionErrors) -> bool:
     return bool(((one.values == other.values) | ~one.known[..., None]).all())

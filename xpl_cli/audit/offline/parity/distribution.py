@@ -47,14 +47,14 @@ class Shift:
     question: int
     step: int | None
     golden: float
-    given: float
-    what: str
+    answer: float
+    statistic: str
     sigmas: float
     limit: float
     parts: tuple[str, ...]
 
 
-def shift(session: Session, given: Sequence[Sequence[Chunk]], share: float) -> Shift | None:
+def find_shift(session: Session, given: Sequence[Sequence[Chunk]], share: float) -> Shift | None:
     """Return what is distributed otherwise most clearly, None if nothing is.
 
     Args:
@@ -72,7 +72,7 @@ def shift(session: Session, given: Sequence[Sequence[Chunk]], share: float) -> S
     return Shift(**{**vars(found[0]), "parts": parts})
 
 
-def centre(session: Session, given: Sequence[Sequence[Chunk]]) -> tuple[Session, list[Chunk], float]:
+def average_takes(session: Session, given: Sequence[Sequence[Chunk]]) -> tuple[Session, list[Chunk], float]:
     """Return a session of one take, with the means of the golden answers, the adapter's means, and the noise.
 
     Returns:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl.manifest import ModelIO
 from xpl_cli.audit.offline.parity import distribution, margins
-from xpl_cli.audit.offline.parity.beside import unrounded
+from xpl_cli.audit.offline.parity.batch_rounding import unbatched_answers
 from xpl_cli.audit.offline.parity.judgement import Judgement
-from xpl_cli.audit.offline.parity.search import Found, Search
-from xpl_cli.audit.offline.search.played import RefusedError, overrides, play
+from xpl_cli.audit.offline.parity.search import ParitySearch, ParitySearchResult
+from xpl_cli.audit.offline.search.replay import QuestionRefusedError, overrides, replay_session
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.basics.errors import UserError
 from xpl_cli.model_io import names, reading
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Compared:
+class SessionComparison:
     """A session beside its golden answers.
 
     Attributes:
@@ -39,8 +39,8 @@ class Compared:
     """
 
     session: Session
-    given: list[list[Chunk]]
-    refusal: RefusedError | None = None
+    answers: list[list[Chunk]]
+    refusal: QuestionRefusedError | None = None
 
     @property
     def name(self) -> str:
@@ -50,7 +50,7 @@ class Compared:
     @property
     def too_long(self) -> tuple[int, int] | None:
         """Steps of a chunk that the golden one does not have, and of the golden one; None if there are none."""
-        for question, takes in zip(self.session.questions, self.given, strict=False):
+        for question, takes in zip(self.session.questions, self.answers, strict=False):
             golden = len(self.session.chunk(question))
             longest = max(map(len, takes))
             if longest > golden:
@@ -125,7 +125,7 @@ class Parity:
         return settings
 
     @cached_property
-    def compared(self) -> list[Compared]:
+    def comparisons(self) -> list[SessionComparison]:
         """All sessions, each played by a server of its own.
 
         Raises:
@@ -133,43 +133,43 @@ class Parity:
         """
         return [self._compare(session) for session in self.pairs.sessions]
 
-    def judge(self, compared: Compared) -> Judgement:
+    def judge(self, compared: SessionComparison) -> Judgement:
         """Return the judgement of a session with one take of each question."""
-        given = [takes[0] for takes in compared.given]
+        given = [takes[0] for takes in compared.answers]
         return Judgement(compared.session, given, self.tolerance, self.pairs.noise)
 
-    def shift(self, compared: Compared) -> Shift | None:
+    def shift(self, compared: SessionComparison) -> Shift | None:
         """Return what of a session with many takes is distributed otherwise."""
-        return distribution.shift(compared.session, compared.given, self.tolerance)
+        return distribution.find_shift(compared.session, compared.answers, self.tolerance)
 
-    def cause(self, compared: Compared) -> Found | None:
+    def cause(self, compared: SessionComparison) -> ParitySearchResult | None:
         """Return the single change that explains best how a session differs, None if none does."""
         if compared.session.takes == 1:
-            return Search(self.probe, self.judge(compared), self.settings).run()
-        means, given, noise = distribution.centre(compared.session, compared.given)
+            return ParitySearch(self.probe, self.judge(compared), self.settings).run()
+        means, given, noise = distribution.average_takes(compared.session, compared.answers)
         judged = Judgement(means, given, max(self.tolerance, 4 * noise), {})  # one answer of a change is as noisy
-        return None if judged.deviation is None else Search(self.probe, judged, self.settings).run()
+        return None if judged.deviation is None else ParitySearch(self.probe, judged, self.settings).run()
 
     @cached_property
     def margins(self) -> dict[str, Any]:
         """How clearly known mistakes would show in the first session, if all answers are the golden ones."""
-        first = self.compared[0]
+        first = self.comparisons[0]
         if first.session.takes > 1:
             return {}
-        shown = margins.margins(self.probe, self.judge(first), self.settings)
-        return margins.told(shown, len(first.session.questions)) if shown else {}
+        shown = margins.measure_margins(self.probe, self.judge(first), self.settings)
+        return margins.summarize_margins(shown, len(first.session.questions)) if shown else {}
 
-    def _compare(self, session: Session) -> Compared:
+    def _compare(self, session: Session) -> SessionComparison:
         self.probe.options.clock.check()
         # What was asked of this audit counts for more than what was recorded with; the session is what it is.
         settings = {**self.settings, **self.probe.options.overrides}
         serving = partial(self.probe.fresh_session, **overrides(session, settings))
         try:
             with serving() as client:
-                compared = Compared(session, play(client, session))
-        except RefusedError as refusal:
-            return Compared(session, [], refusal)
+                compared = SessionComparison(session, replay_session(client, session))
+        except QuestionRefusedError as refusal:
+            return SessionComparison(session, [], refusal)
         if session.takes == 1 and compared.too_long is None:
-            for number, chunk in unrounded(self.judge(compared), serving).items():
-                compared.given[number] = [chunk]
+            for number, chunk in unbatched_answers(self.judge(compared), serving).items():
+                compared.answers[number] = [chunk]
         return compared

@@ -40,7 +40,7 @@ class Deviation:
     question: Question
     step: int
     golden: float
-    given: float
+    answer: float
     share: float
     span: float
     allowed: float
@@ -60,7 +60,7 @@ class Judgement:
     """
 
     session: Session
-    given: Sequence[Chunk]
+    answers: Sequence[Chunk]
     share: float
     noise: Mapping[str, float]
 
@@ -68,7 +68,7 @@ class Judgement:
     def golden(self) -> list[Chunk]:
         """The golden chunks; of one that is longer than the adapter's, which hands on the beginning, as much."""
         chunks = [self.session.chunk(question) for question in self.session.questions]
-        return [chunk[: len(other)] for chunk, other in zip(chunks, self.given, strict=True)]
+        return [chunk[: len(other)] for chunk, other in zip(chunks, self.answers, strict=True)]
 
     @cached_property
     def spread(self) -> dict[str, float]:
@@ -97,12 +97,12 @@ class Judgement:
     @cached_property
     def shares(self) -> dict[str, float]:
         """By number, how far the adapter's answers are from the golden ones."""
-        return differences(self.golden, self.given, self.spread)
+        return differences(self.golden, self.answers, self.spread)
 
     @cached_property
-    def off(self) -> list[bool]:
+    def differs(self) -> list[bool]:
         """For each question, whether a number of its answer differs."""
-        return [self.differ(*chunks) for chunks in zip(self.golden, self.given, strict=True)]
+        return [self.differ(*chunks) for chunks in zip(self.golden, self.answers, strict=True)]
 
     def differ(self, one: Chunk, other: Chunk) -> bool:
         """Whether a number of two answers to a question differs."""
@@ -122,24 +122,24 @@ class Judgement:
         number, step = self._first(part)
         key, _, rest = part.partition("[")
         index = int(rest[:-1])
-        chunk, other = self.golden[number], self.given[number]
+        chunk, other = self.golden[number], self.answers[number]
         there = step < min(len(chunk), len(other))
         return Deviation(
             part=part,
             question=self.session.questions[number],
             step=step,
             golden=float(chunk[step][key][index]) if there else float("nan"),
-            given=float(other[step][key][index]) if there else float("nan"),
+            answer=float(other[step][key][index]) if there else float("nan"),
             share=self.shares[part],
             span=self.spread[part],
             allowed=self.allowed[part],
             parts=tuple(parts),
-            pairs=sum(self.off),
+            pairs=sum(self.differs),
         )
 
     def _first(self, part: str) -> tuple[int, int]:
         """Return the first question and step in which a number differs."""
-        for number, (chunk, other) in enumerate(zip(self.golden, self.given, strict=True)):
+        for number, (chunk, other) in enumerate(zip(self.golden, self.answers, strict=True)):
             for step, (one, two) in enumerate(zip(chunk, other, strict=False)):
                 if differences([[one]], [[two]], self.spread)[part] > self.allowed[part]:
                     return number, step

@@ -11,16 +11,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl_cli.audit.offline.search.course import Course
-from xpl_cli.audit.offline.search.played import overrides
-from xpl_cli.audit.offline.search.ways import Ways
+from xpl_cli.audit.offline.search.mistake_families import MistakeFamilies
+from xpl_cli.audit.offline.search.replay import overrides
+from xpl_cli.audit.offline.search.session_replay import SessionReplay
 from xpl_cli.model_io.difference import differences
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl_cli.audit.offline.parity.judgement import Judgement
-    from xpl_cli.audit.offline.search.contest import Family
+    from xpl_cli.audit.offline.search.ranking import MistakeFamily
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.model_io.difference import Step
 
@@ -31,7 +31,7 @@ _MOST: Final = 120
 
 
 @dataclass(frozen=True)
-class Shown:
+class MistakeMargin:
     """How clearly one mistake would show.
 
     Attributes:
@@ -46,7 +46,7 @@ class Shown:
     pairs: int
 
 
-def margins(probe: Probe, judged: Judgement, settings: Mapping[str, object]) -> list[Shown]:
+def measure_margins(probe: Probe, judged: Judgement, settings: Mapping[str, object]) -> list[MistakeMargin]:
     """Return how clearly known mistakes would show in the pairs of one session, in the order of their likelihood.
 
     Args:
@@ -54,26 +54,30 @@ def margins(probe: Probe, judged: Judgement, settings: Mapping[str, object]) -> 
         judged: these answers.
         settings: keys of deploy.yml that the pairs were recorded with.
     """
-    course = Course(judged.session)
-    ways = Ways(probe, course, overrides(judged.session, settings), time.monotonic() + MARGIN_S)
+    course = SessionReplay(judged.session)
+    ways = MistakeFamilies(probe, course, overrides(judged.session, settings), time.monotonic() + MARGIN_S)
     with ways.loaded:
-        family = ways.block()
-        found = [] if family is None else list(_under(family, judged, course))
+        family = ways.block_family()
+        found = [] if family is None else list(_margins_of_family(family, judged, course))
     if found:
         return found
-    commands = ways.commands(dict(enumerate(judged.given)), lambda _answered: False)
-    return list(_under(replace(commands, mistakes=[one for one in commands.mistakes if one.rank <= 1]), judged, course))
+    commands = ways.action_family(dict(enumerate(judged.answers)), lambda _answered: False)
+    return list(
+        _margins_of_family(
+            replace(commands, mistakes=[one for one in commands.mistakes if one.rank <= 1]), judged, course
+        )
+    )
 
 
-def _under(family: Family, judged: Judgement, course: Course) -> Iterator[Shown]:
+def _margins_of_family(family: MistakeFamily, judged: Judgement, course: SessionReplay) -> Iterator[MistakeMargin]:
     """Yield how clearly each mistake of a family would show."""
     chosen = range(min(_MOST, len(family.mistakes)))
-    for answered in family.ask(chosen, course.everything):
-        if answered.given is not None:
-            yield _shown(judged, answered.words, answered.convention, answered.given)
+    for answered in family.answers(chosen, course.all_questions):
+        if answered.answers is not None:
+            yield _measure_margin(judged, answered.words, answered.convention, answered.answers)
 
 
-def told(shown: Sequence[Shown], pairs: int) -> dict[str, Any]:
+def summarize_margins(shown: Sequence[MistakeMargin], pairs: int) -> dict[str, Any]:
     """Return what a verdict says of that: undetermined conventions, and the smallest margin of the others.
 
     Args:
@@ -97,10 +101,12 @@ def told(shown: Sequence[Shown], pairs: int) -> dict[str, Any]:
     return found
 
 
-def _shown(judged: Judgement, words: str, convention: str, given: Mapping[int, Sequence[Step | None]]) -> Shown:
+def _measure_margin(
+    judged: Judgement, words: str, convention: str, given: Mapping[int, Sequence[Step | None]]
+) -> MistakeMargin:
     def times(numbers: Sequence[int]) -> float:
         shares = differences([judged.golden[one] for one in numbers], [given[one] for one in numbers], judged.spread)
         return max(share / judged.allowed[part] for part, share in shares.items())
 
     numbers = sorted(given)
-    return Shown(words, convention, times(numbers), sum(times([number]) > 1 for number in numbers))
+    return MistakeMargin(words, convention, times(numbers), sum(times([number]) > 1 for number in numbers))

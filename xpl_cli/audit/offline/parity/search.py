@@ -19,12 +19,12 @@ from xpl import _spec as sdk
 from xpl.client import ClientError
 from xpl.conventions.point import tool
 from xpl.convert import ConversionError
-from xpl_cli.audit.offline.parity.golden import GoldenRuler
-from xpl_cli.audit.offline.parity.shown import Shown
-from xpl_cli.audit.offline.search.contest import Family, held
-from xpl_cli.audit.offline.search.course import Course
-from xpl_cli.audit.offline.search.played import overrides
-from xpl_cli.audit.offline.search.ways import Enough, Read, Ways
+from xpl_cli.audit.offline.parity.golden_scorer import GoldenPairScorer
+from xpl_cli.audit.offline.parity.observation_search import ObservationSearch
+from xpl_cli.audit.offline.search.mistake_families import ExplainsAll, MistakeFamilies, ReadInputs
+from xpl_cli.audit.offline.search.ranking import MistakeFamily, rank
+from xpl_cli.audit.offline.search.replay import overrides
+from xpl_cli.audit.offline.search.session_replay import SessionReplay
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.served.rounding import OF_SPAN
 from xpl_cli.basics.errors import UserError
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from xpl_cli.audit.offline.parity.judgement import Judgement
-    from xpl_cli.audit.offline.search.contest import Held
-    from xpl_cli.audit.offline.search.loaded import Answered
+    from xpl_cli.audit.offline.search.loaded_adapter import MistakeAnswers
+    from xpl_cli.audit.offline.search.ranking import RankingResult
     from xpl_cli.audit.served.probe import Probe
 
 
@@ -57,7 +57,7 @@ _EASED: Final = 60
 
 
 @dataclass(frozen=True)
-class Found:
+class ParitySearchResult:
     """What a search came to.
 
     Attributes:
@@ -69,7 +69,7 @@ class Found:
     in_block: bool
 
 
-class Search:
+class ParitySearch:
     """The search for one session.
 
     Args:
@@ -83,17 +83,17 @@ class Search:
         self, probe: Probe, judgement: Judgement, settings: Mapping[str, object], seconds: float = SEARCH_S
     ) -> None:
         self._probe, self._judgement = probe, judgement
-        self._course = Course(judgement.session)
+        self._course = SessionReplay(judgement.session)
         self._config = overrides(judgement.session, settings)
         until = time.monotonic() + min(seconds, probe.options.clock.left)
-        self._ways = Ways(probe, self._course, self._config, until, self._read)
+        self._ways = MistakeFamilies(probe, self._course, self._config, until, self._read)
         self._until = until
-        self._ruler = GoldenRuler(self._course, judgement, self._course.everything)
-        self._tried: list[tuple[Family, Held]] = []
+        self._ruler = GoldenPairScorer(self._course, judgement, self._course.all_questions)
+        self._tried: list[tuple[MistakeFamily, RankingResult]] = []
         self._unseen: list[Pattern] = []
-        self._known: dict[tuple[int, int], Answered | None] = {}
+        self._known: dict[tuple[int, int], MistakeAnswers | None] = {}
 
-    def run(self) -> Found | None:
+    def run(self) -> ParitySearchResult | None:
         """Return the mistake that explains the difference best, or the two, None if none lowers it.
 
         A word of the block is preferred to a change around the adapter that does the same.
@@ -101,16 +101,16 @@ class Search:
         with self._ways.loaded:
             return self._run()
 
-    def _run(self) -> Found | None:
-        found: list[Found] = []
+    def _run(self) -> ParitySearchResult | None:
+        found: list[ParitySearchResult] = []
         for way in (self._by_block, self._by_commands, self._by_inputs, self._by_shown):
             explanation = way()
             if explanation is None:
                 continue
-            found.append(Found(explanation, in_block=way == self._by_block))
+            found.append(ParitySearchResult(explanation, in_block=way == self._by_block))
             if explanation.cause is not None:
                 return found[-1]
-        self._ways.halve()
+        self._ways.halve_time()
         # Two of many mistakes explain what is as small as what kernels round.
         two = next(self._two(), None) if max(self._ruler.before.values()) > OF_SPAN else None
         if two is not None:
@@ -124,7 +124,7 @@ class Search:
             *patterns(self._threads, judgement.spread, judgement.tolerance, self._kind),
         )
         explanation = replace(best.explanation, patterns=told)
-        return Found(explanation, best.in_block) if explanation.text else None
+        return ParitySearchResult(explanation, best.in_block) if explanation.text else None
 
     # -- one mistake ---------------------------------------------------------------------------------------------------
 
@@ -134,69 +134,69 @@ class Search:
         if found is None or found.cause is not None:
             return found
         ((family, tried),) = self._tried
-        if len(tried.first) == len(family.mistakes) or self._ways.left <= 0:
+        if len(tried.first_round) == len(family.mistakes) or self._ways.seconds_left <= 0:
             return found
         # What leaves nothing of one question leaves something of others: then all are tried.
         return self._by_words(lambda _answered: False)
 
-    def _by_words(self, enough: Enough) -> Explanation | None:
-        family = self._ways.block(enough=enough)
-        tried = None if family is None else held(family, self._ruler)
+    def _by_words(self, enough: ExplainsAll) -> Explanation | None:
+        family = self._ways.block_family(enough=enough)
+        tried = None if family is None else rank(family, self._ruler)
         if family is None or tried is None or not self._ways.by_block:
             return None
         self._tried = [(family, tried)]
-        found = self._ruler.explained_by(tried)
+        found = self._ruler.explain_ranking(tried)
         if found.cause is None:
             return found
         # What is less likely was not tried; what of the same convention these pairs do not tell from it is to be said.
-        later = range(len(tried.first), len(family.mistakes))
+        later = range(len(tried.first_round), len(family.mistakes))
         alike = [number for number in later if family.mistakes[number].convention == found.cause.convention]
-        others = Family(
+        others = MistakeFamily(
             [family.mistakes[number] for number in alike],
-            lambda chosen, wanted: family.ask([alike[place] for place in chosen], wanted),
+            lambda chosen, wanted: family.answers([alike[place] for place in chosen], wanted),
         )
-        last = [*tried.last, *held(others, self._ruler).last]
-        return self._ruler.explained([self._ruler.tried(answered) for _, answered in last])
+        last = [*tried.final_round, *rank(others, self._ruler).final_round]
+        return self._ruler.explain_tried([self._ruler.score(answered) for _, answered in last])
 
     def _by_commands(self) -> Explanation:
         """Return what changes of the answers that are known explain."""
-        family = self._ways.commands(dict(enumerate(self._judgement.given)), self._ruler.leaves_nothing)
-        tried = held(family, self._ruler)
+        family = self._ways.action_family(dict(enumerate(self._judgement.answers)), self._ruler.leaves_nothing)
+        tried = rank(family, self._ruler)
         self._tried.append((family, tried))
-        found = self._ruler.explained_by(tried)
+        found = self._ruler.explain_ranking(tried)
         if found.cause is not None:
             return found
         judgement = self._judgement
         line = fitted(self._threads, judgement.shares, judgement.spread, judgement.tolerance)
         fits = [] if line is None else [line]
         fits += rigid(self._threads, judgement.shares, judgement.spread, judgement.tolerance, self._tool)
-        fit = self._ruler.explained(fits)
+        fit = self._ruler.explain_tried(fits)
         return fit if fit.cause is not None or (fit.partial and not found.partial) else found
 
     def _by_inputs(self) -> Explanation | None:
         """Return what changes of encoded inputs explain; None if there is no time for them."""
-        if self._ways.left <= 0:
+        if self._ways.seconds_left <= 0:
             return None
-        family = self._ways.inputs()
-        tried = held(family, self._ruler)
+        family = self._ways.input_family()
+        tried = rank(family, self._ruler)
         self._tried.append((family, tried))
-        found = self._ruler.explained([self._both_ways(answered) for _, answered in tried.last])
+        found = self._ruler.explain_tried([self._both_ways(answered) for _, answered in tried.final_round])
         if found.cause is None and self._ways.loaded.draws == 0 and self._kind.draws:
             self._unseen.append(Pattern("the adapter draws no number, and the model samples", "sampling"))
         return found
 
-    def _both_ways(self, answered: Answered) -> Tried:
+    def _both_ways(self, answered: MistakeAnswers) -> Tried:
         """Return a change of what goes in, with the line that what comes out is then of the golden answers, if any."""
-        tried = self._ruler.tried(answered)
+        tried = self._ruler.score(answered)
         line = self._line(answered, tried)
         return tried if line is None else Tried(f"{tried.words}, both ways", tried.convention, line.remaining)
 
     def _by_shown(self) -> Explanation | None:
         """Return what changes of what is shown explain; None if the adapter cannot be served for it."""
-        shown = Shown(self._probe, self._course, self._judgement, self._config, repeats=self._repeats)
-        found = [one for one in self._ways.around_it if one.shown is not None]
+        shown = ObservationSearch(self._probe, self._course, self._judgement, self._config, repeats=self._repeats)
+        found = [one for one in self._ways.outer_mistakes if one.shown is not None]
         try:
-            explanation = shown.explained(found, self._ways, self._until)
+            explanation = shown.explain(found, self._ways, self._until)
         except (NotRun, ClientError):
             return None
         finally:
@@ -205,74 +205,76 @@ class Search:
 
     # -- two mistakes --------------------------------------------------------------------------------------------------
 
-    def _two(self) -> Iterator[Found]:
+    def _two(self) -> Iterator[ParitySearchResult]:
         """Yield what explains the difference by two mistakes of which each eases it.
 
         Both are undone in one way, all pairs in one contest; or the second is one of commands, or a line, of the
         answers with the first one undone.
         """
-        eased = [(family, tried, self._ruler.eased(tried.first, _EASED)) for family, tried in self._tried]
+        eased = [(family, tried, self._ruler.improving(tried.first_round, _EASED)) for family, tried in self._tried]
         for family, _, good in eased:
             yield from self._found(family, [one for place in good[:_FIRSTS] for one in self._with_line(family, place)])
         for family, tried, good in eased:
             # Those first that ease it most: the time may not reach over all.
             ordered = sorted(itertools.combinations(range(len(good)), 2), key=lambda pair: (sum(pair), pair))
             some = [(good[one], good[other]) for one, other in ordered if one < _FIRSTS]
-            every = [(one, other) for one in good[:_LIKELIEST] for other in range(len(tried.first)) if other != one]
+            every = [
+                (one, other) for one in good[:_LIKELIEST] for other in range(len(tried.first_round)) if other != one
+            ]
             yield from self._found(family, self._pairs(family, tried, list(dict.fromkeys([*some, *every]))))
         for family, _, good in eased:
             for place in good[:_FIRSTS]:
-                if self._ways.left > 0:
+                if self._ways.seconds_left > 0:
                     yield from self._found(family, self._with_commands(family, place))
 
-    def _pairs(self, family: Family, tried: Held, pairs: Sequence[tuple[int, int]]) -> list[Tried]:
+    def _pairs(self, family: MistakeFamily, tried: RankingResult, pairs: Sequence[tuple[int, int]]) -> list[Tried]:
         """Return what is left where both of each pair are undone, of those that are worth all questions."""
-        both = family.both(pairs) if pairs and self._ways.left > 0 else None
+        both = family.combine(pairs) if pairs and self._ways.seconds_left > 0 else None
         if both is None:
             return []
-        named = [(tried.first[one], tried.first[other]) for one, other in both.numbers]
-        return [self._ruler.both(*named[at], one.given) for at, one in held(both, self._ruler).last]
+        named = [(tried.first_round[one], tried.first_round[other]) for one, other in both.pairs]
+        return [self._ruler.score_pair(*named[at], one.answers) for at, one in rank(both, self._ruler).final_round]
 
-    def _found(self, family: Family, tried: Sequence[Tried]) -> Iterator[Found]:
-        explanation = self._ruler.explained(tried)
+    def _found(self, family: MistakeFamily, tried: Sequence[Tried]) -> Iterator[ParitySearchResult]:
+        explanation = self._ruler.explain_tried(tried)
         if explanation.cause is not None:
-            yield Found(explanation, in_block=self._ways.by_block and family is self._tried[0][0])
+            yield ParitySearchResult(explanation, in_block=self._ways.by_block and family is self._tried[0][0])
 
-    def _with_line(self, family: Family, place: int) -> list[Tried]:
+    def _with_line(self, family: MistakeFamily, place: int) -> list[Tried]:
         """Return what is left where one mistake is undone, and commands are a line of the golden ones, if they are."""
         first = self._undone(family, place)
-        line = None if first is None else self._line(first, self._ruler.tried(first))
+        line = None if first is None else self._line(first, self._ruler.score(first))
         if first is None or line is None:
             return []
         return [Tried(first.words, first.convention, line.remaining, (line.words, line.convention))]
 
-    def _with_commands(self, family: Family, place: int) -> list[Tried]:
+    def _with_commands(self, family: MistakeFamily, place: int) -> list[Tried]:
         """Return what is left where one mistake is undone, and one of commands besides."""
         first = self._undone(family, place)
-        if first is None or first.given is None:
+        if first is None or first.answers is None:
             return []
-        commands = held(self._ways.commands(first.given, self._ruler.leaves_nothing), self._ruler).last
-        return [self._ruler.both(first, one, one.given) for _, one in commands]
+        commands = rank(self._ways.action_family(first.answers, self._ruler.leaves_nothing), self._ruler).final_round
+        return [self._ruler.score_pair(first, one, one.answers) for _, one in commands]
 
-    def _undone(self, family: Family, place: int) -> Answered | None:
+    def _undone(self, family: MistakeFamily, place: int) -> MistakeAnswers | None:
         """Return the answers to all questions where one mistake is undone, None where they are not all known."""
         key = (id(family), place)
         if key not in self._known:
-            first = next(family.ask([place], self._ruler.everything), None) if self._ways.left > 0 else None
-            is_known = first is not None and first.given is not None and _is_known(first.given)
+            first = next(family.answers([place], self._ruler.everything), None) if self._ways.seconds_left > 0 else None
+            is_known = first is not None and first.answers is not None and _is_known(first.answers)
             self._known[key] = first if is_known else None
         return self._known[key]
 
     # -- what is known -------------------------------------------------------------------------------------------------
 
-    def _line(self, answered: Answered, tried: Tried) -> Tried | None:
+    def _line(self, answered: MistakeAnswers, tried: Tried) -> Tried | None:
         """Return the line that answers under a mistake are of the golden ones, if any is."""
         judgement = self._judgement
-        if answered.given is None or max(tried.remaining.values()) <= judgement.tolerance:
+        if answered.answers is None or max(tried.remaining.values()) <= judgement.tolerance:
             return None
-        if not _is_known(answered.given) or len(answered.given) != len(self._course.everything):
+        if not _is_known(answered.answers) or len(answered.answers) != len(self._course.all_questions):
             return None
-        threads = self._threads_of([answered.given[number] for number in self._course.everything])
+        threads = self._threads_of([answered.answers[number] for number in self._course.all_questions])
         return fitted(threads, tried.remaining, judgement.spread, judgement.tolerance)
 
     @property
@@ -301,34 +303,34 @@ class Search:
 
     @cached_property
     def _threads(self) -> list[Thread]:
-        return self._threads_of(self._judgement.given)
+        return self._threads_of(self._judgement.answers)
 
     def _threads_of(self, given: Sequence[Any]) -> list[Thread]:
         """Return the episodes of each environment, with some answers."""
         questions, judgement = self._judgement.session.questions, self._judgement
         return [
             Thread(
-                self._course.seen(questions[episode[-1]]),
+                self._course.observations_of(questions[episode[-1]]),
                 [questions[number].asked[-1] for number in episode],
                 [judgement.golden[number] for number in episode],
                 [given[number] for number in episode],
             )
-            for episode in self._course.episodes(self._course.everything)
+            for episode in self._course.group_by_episode(self._course.all_questions)
         ]
 
     @cached_property
-    def _read(self) -> Read:
+    def _read(self) -> ReadInputs:
         """What the adapter reads, everything if it does not say that."""
         read, session = list(self._probe.package.manifest.read), self._judgement.session
         shown = [self._course.observation(*question.shown[-1]) for question in session.questions]
         texts = sorted({obs[sdk.Obs.INSTRUCTION] for obs in shown})
         if not read:
-            return Read(list(session.cameras), None, texts)
+            return ReadInputs(list(session.cameras), None, texts)
         cameras, fields = (
             [name.partition(".")[2] for name in read if name.startswith(f"{group}.")]
             for group in (sdk.Obs.VISION, sdk.Obs.STATE)
         )
-        return Read(cameras, fields, texts if sdk.Obs.INSTRUCTION in read else [])
+        return ReadInputs(cameras, fields, texts if sdk.Obs.INSTRUCTION in read else [])
 
     @property
     def _repeats(self) -> bool:

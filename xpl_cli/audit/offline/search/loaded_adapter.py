@@ -145,7 +145,7 @@ class LoadedAdapter:
             return None
         self._standing = standing
         order = {**what, **self._course.worker_request(self._course.calls_for(wanted), self._sent), "seconds": seconds}
-        done = standing.ask(order, seconds + _MORE_S)
+        done = standing.request(order, seconds + _MORE_S)
         if done.problem is not None or not done.answers:  # the next order begins with a new process
             self.__exit__()
         if not done.answers or done.answers[0].result is not None:
@@ -154,12 +154,12 @@ class LoadedAdapter:
 
     def _start_process(self, seconds: float) -> subprocess_task.PersistentTask | None:
         self._sent.clear()
-        order = {**inprocess.loading(self._probe), "config": self._config, "block": dict(self._block)}
+        order = {**inprocess.load_request(self._probe), "config": self._config, "block": dict(self._block)}
         standing = subprocess_task.PersistentTask(
-            "xpl.worker.changes", order, inprocess.place(self._probe, seconds + _MORE_S)
+            "xpl.worker.changes", order, inprocess.process_options(self._probe, seconds + _MORE_S)
         )
         try:
-            inprocess.loaded(standing.loaded)
+            inprocess.answers_after_load(standing.loaded)
         except NotRun:
             standing.close()
             return None

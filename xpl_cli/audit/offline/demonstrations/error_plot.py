@@ -10,14 +10,14 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.audit.offline.demonstrations.measure import Chunks, Ruler
+    from xpl_cli.audit.offline.demonstrations.action_errors import Chunks, ErrorMetric
 
 _WIDTH, _HEIGHT, _EDGE = 480, 180, 28
 _MOST_POINTS: Final = 64
 _COLOURS = ("#333333", "#d62728", "#1f77b4")
 
 
-def drawn(ruler: Ruler, declared: Chunks, changed: Chunks, words: str) -> tuple[str, str]:
+def plot_errors(ruler: ErrorMetric, declared: Chunks, changed: Chunks, words: str) -> tuple[str, str]:
     """Return a picture and the number of an action that it shows: the one that the change mends most.
 
     Args:
@@ -26,13 +26,13 @@ def drawn(ruler: Ruler, declared: Chunks, changed: Chunks, words: str) -> tuple[
         changed: what it would with the change.
         words: of the change.
     """
-    episode = ruler.session.asked[0][0]
-    chosen = [number for number, (one, _) in enumerate(ruler.session.asked) if one == episode]
-    key, index = _mended(ruler, declared, changed, chosen)
+    episode = ruler.session.question_steps[0][0]
+    chosen = [number for number, (one, _) in enumerate(ruler.session.question_steps) if one == episode]
+    key, index = _most_improved(ruler, declared, changed, chosen)
     rows = ruler.session.recordings[episode].commanded[key][:, index]
     every = max(1, len(rows) // _MOST_POINTS)
     lines = [[(float(at), float(rows[at])) for at in range(0, len(rows), every)]]
-    chunks = [[_traced(ruler, given, number, key, index) for number in chosen] for given in (declared, changed)]
+    chunks = [[_trace(ruler, given, number, key, index) for number in chosen] for given in (declared, changed)]
     values = [value for _, value in lines[0]] + [
         value for traces in chunks for trace in traces for _, value in trace if np.isfinite(value)
     ]
@@ -71,25 +71,25 @@ def _line(points: str, colour: str) -> str:
     return f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.5"/>'
 
 
-def _traced(ruler: Ruler, given: Chunks, number: int, key: str, index: int) -> list[tuple[float, float]]:
-    step = ruler.session.asked[number][1]
+def _trace(ruler: ErrorMetric, given: Chunks, number: int, key: str, index: int) -> list[tuple[float, float]]:
+    step = ruler.session.question_steps[number][1]
     said = given.get(number) or ()
     return [
         (float(step + place), float(one[key][index]))
         for place, one in enumerate(said[: ruler.horizon])
-        if one is not None and step + place < ruler.session.recordings[ruler.session.asked[number][0]].steps
+        if one is not None and step + place < ruler.session.recordings[ruler.session.question_steps[number][0]].steps
     ]
 
 
-def _mended(ruler: Ruler, declared: Chunks, changed: Chunks, chosen: Sequence[int]) -> tuple[str, int]:
+def _most_improved(ruler: ErrorMetric, declared: Chunks, changed: Chunks, chosen: Sequence[int]) -> tuple[str, int]:
     """Return key and index of the number whose error falls most, in what it spreads over."""
     best, found = -np.inf, next(iter((key, 0) for key in ruler.session.recordings[0].commanded))
-    for key, rows in ruler.session.recordings[ruler.session.asked[chosen[0]][0]].commanded.items():
+    for key, rows in ruler.session.recordings[ruler.session.question_steps[chosen[0]][0]].commanded.items():
         for index in range(rows.shape[1]):
             far = [
                 np.nanmean([abs(value - rows[int(at), index]) for at, value in trace] or [np.nan])
                 for given in (declared, changed)
-                if (trace := [point for number in chosen for point in _traced(ruler, given, number, key, index)])
+                if (trace := [point for number in chosen for point in _trace(ruler, given, number, key, index)])
             ]
             if len(far) == 2 and (gain := (far[0] - far[1]) / (np.ptp(rows[:, index]) or 1.0)) > best:
                 best, found = gain, (key, index)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Observation = Mapping[str, Any]
 
 
-class RefusedError(Exception):
+class QuestionRefusedError(Exception):
     """The adapter answers a question by an error, or by what is no chunk."""
 
     def __init__(self, question: Question, answer: object) -> None:
@@ -37,7 +37,7 @@ def overrides(session: Session, settings: Mapping[str, object]) -> dict[str, obj
     }
 
 
-def play(client: Client, session: Session) -> list[list[Chunk]]:
+def replay_session(client: Client, session: Session) -> list[list[Chunk]]:
     """Return the answers to all questions of a session, as many takes of each as it has.
 
     One environment is shown and asked about as a client of one environment does it, several as a batch.
@@ -45,10 +45,10 @@ def play(client: Client, session: Session) -> list[list[Chunk]]:
     Raises:
         RefusedError: if an answer is an error or no chunk.
     """
-    return replay(client, session, session.calls, session.questions, session.scene.observation)
+    return replay_calls(client, session, session.calls, session.questions, session.scene.observation)
 
 
-def replay(
+def replay_calls(
     client: Client,
     session: Session,
     calls: Sequence[Call],
@@ -78,15 +78,15 @@ def replay(
             observations = [observation(env, place) for env, place in call.show]
             told = client.update_obs(observations[0]) if len(newest) == 1 else client.update_obs_batch(observations)
             if isinstance(told, PolicyServerError):
-                raise RefusedError(next(questions), told)
+                raise QuestionRefusedError(next(questions), told)
         else:
             now = [next(questions) for _ in call.ask]
-            takes = [_asked(client, session, now, alone=call.ask == newest) for _ in range(session.takes)]
+            takes = [_get_chunks(client, session, now, alone=call.ask == newest) for _ in range(session.takes)]
             found += [list(chunks) for chunks in zip(*takes, strict=True)]
     return found
 
 
-def by_number(
+def replay_by_question(
     client: Client,
     session: Session,
     calls: Sequence[Call],
@@ -94,30 +94,30 @@ def by_number(
     observation: Callable[[int, int], Observation],
 ) -> dict[int, Chunk]:
     """Return what `replay` does of the first takes, by the numbers of the questions."""
-    answers = replay(client, session, calls, asked, observation)
+    answers = replay_calls(client, session, calls, asked, observation)
     return {question.number: takes[0] for question, takes in zip(asked, answers, strict=True)}
 
 
-def _asked(client: Client, session: Session, asked: Sequence[Question], *, alone: bool) -> list[Chunk]:
+def _get_chunks(client: Client, session: Session, asked: Sequence[Question], *, alone: bool) -> list[Chunk]:
     if len(asked) == 1 and alone:
-        return [checked(client.get_action(), asked[0], session)]
+        return [check_answer(client.get_action(), asked[0], session)]
     answer = client.get_action_batch([question.env for question in asked])
     if isinstance(answer, PolicyServerError) or not isinstance(answer, (list, tuple)) or len(answer) != len(asked):
-        raise RefusedError(asked[0], answer)
-    return [checked(chunk, question, session) for chunk, question in zip(answer, asked, strict=True)]
+        raise QuestionRefusedError(asked[0], answer)
+    return [check_answer(chunk, question, session) for chunk, question in zip(answer, asked, strict=True)]
 
 
-def checked(chunk: Answer, question: Question, session: Session) -> Chunk:
+def check_answer(chunk: Answer, question: Question, session: Session) -> Chunk:
     """Return a chunk that is one.
 
     Raises:
         RefusedError: if it is none.
     """
     if isinstance(chunk, PolicyServerError):
-        raise RefusedError(question, chunk)
+        raise QuestionRefusedError(question, chunk)
     try:
         check_chunk(chunk, session.robot, session.action_type)
     except ActionError as error:
-        raise RefusedError(question, error) from None
+        raise QuestionRefusedError(question, error) from None
     kept: Chunk = list(chunk)
     return kept

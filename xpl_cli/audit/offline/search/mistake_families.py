@@ -18,15 +18,15 @@ from xpl.catalogue import Case, Mistake
 from xpl.catalogue import convention as catalogue
 from xpl.convert import ConversionError
 from xpl.manifest import ModelIO
-from xpl_cli.audit.offline.search.around import Around
-from xpl_cli.audit.offline.search.contest import Ask, Family
-from xpl_cli.audit.offline.search.loaded import Answered, LoadedAdapter
+from xpl_cli.audit.offline.search.loaded_adapter import LoadedAdapter, MistakeAnswers
+from xpl_cli.audit.offline.search.perturbed_adapter import PerturbedAdapter
+from xpl_cli.audit.offline.search.ranking import AnswerFunction, MistakeFamily
 from xpl_cli.model_io import mistakes
 from xpl_cli.model_io.prompts import templates
 
 if TYPE_CHECKING:
     from xpl.contract import Config
-    from xpl_cli.audit.offline.search.course import Course
+    from xpl_cli.audit.offline.search.session_replay import SessionReplay
     from xpl_cli.audit.served.probe import Probe
 
 _MANY: Final = 0.45
@@ -38,12 +38,12 @@ _ALONE: Final = frozenset(("drawn", "once"))
 _LITTLE_S: Final = 15.0
 """What the search for two mistakes may take at least."""
 
-Enough = Callable[[Answered], bool]
+ExplainsAll = Callable[[MistakeAnswers], bool]
 """Tells whether answers leave nothing to explain, so that what is less likely need not be tried."""
 
 
 @dataclass(frozen=True)
-class Read:
+class ReadInputs:
     """What an adapter reads, of what the questions show.
 
     Attributes:
@@ -57,10 +57,10 @@ class Read:
     texts: Sequence[str]
 
 
-_NOTHING: Final = Read((), None, ())
+_NOTHING: Final = ReadInputs((), None, ())
 
 
-class Ways:
+class MistakeFamilies:
     """One adapter and the questions that it is asked under mistakes.
 
     Args:
@@ -72,7 +72,12 @@ class Ways:
     """
 
     def __init__(
-        self, probe: Probe, course: Course, settings: Mapping[str, object], until: float, read: Read = _NOTHING
+        self,
+        probe: Probe,
+        course: SessionReplay,
+        settings: Mapping[str, object],
+        until: float,
+        read: ReadInputs = _NOTHING,
     ) -> None:
         self._course, self._until = course, until
         self._began = time.monotonic()
@@ -98,32 +103,32 @@ class Ways:
         """Whether the block says how the adapter converts, as far as that is known."""
 
     @property
-    def left(self) -> float:
+    def seconds_left(self) -> float:
         """Seconds that are left."""
         return max(0.0, self._until - time.monotonic())
 
-    def halve(self) -> None:
+    def halve_time(self) -> None:
         """Leave no more time than was used, and a little for what is quick."""
         now = time.monotonic()
         self._until = min(self._until, now + max(_LITTLE_S, now - self._began))
 
     # -- the block -----------------------------------------------------------------------------------------------------
 
-    def block(
-        self, wanted: Callable[[Mistake], bool] = lambda _one: True, enough: Enough = lambda _answered: False
-    ) -> Family | None:
+    def block_family(
+        self, wanted: Callable[[Mistake], bool] = lambda _one: True, enough: ExplainsAll = lambda _answered: False
+    ) -> MistakeFamily | None:
         """Return other words of the block; None where there is none that fits.
 
         Args:
             wanted: tells which are tried.
             enough: of all of them, what is less likely than one for which this holds is not asked.
         """
-        if self._in_block is None:
+        if self._block_mistakes is None:
             return None
-        return self._of_blocks([pair for pair in self._in_block if wanted(pair[0])], enough=enough)
+        return self._family_of_blocks([pair for pair in self._block_mistakes if wanted(pair[0])], enough=enough)
 
     @functools.cached_property
-    def _in_block(self) -> list[tuple[Mistake, dict[str, Any]]] | None:
+    def _block_mistakes(self) -> list[tuple[Mistake, dict[str, Any]]] | None:
         """The mistakes as other words of the block, each with the block that it makes; each was compiled once."""
         if not self.case.block:
             return None
@@ -132,19 +137,19 @@ class Ways:
         except ConversionError:
             return None
 
-    def _of_blocks(
+    def _family_of_blocks(
         self,
         found: Sequence[tuple[Mistake, Mapping[str, Any]]],
         numbers: Sequence[tuple[int, int]] = (),
-        enough: Enough = lambda _answered: False,
-    ) -> Family:
-        def asked(chosen: Sequence[int], wanted: Sequence[int]) -> list[Answered]:
-            answers = self.loaded.blocks([found[number][1] for number in chosen], wanted, self.left)
+        enough: ExplainsAll = lambda _answered: False,
+    ) -> MistakeFamily:
+        def asked(chosen: Sequence[int], wanted: Sequence[int]) -> list[MistakeAnswers]:
+            answers = self.loaded.answers_by_block([found[number][1] for number in chosen], wanted, self.seconds_left)
             self.by_block = self.by_block and answers is not None
             named = [(found[number][0].words, found[number][0].convention) for number in chosen]
-            return [Answered(*one, given) for one, given in zip(named, answers or [], strict=False)]
+            return [MistakeAnswers(*one, given) for one, given in zip(named, answers or [], strict=False)]
 
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Answered]:
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
             if len(chosen) < len(found):
                 yield from asked(chosen, wanted)
                 return
@@ -155,7 +160,7 @@ class Ways:
                 if len(told) < len(numbers) or any(map(enough, told)):
                     return
 
-        def both(pairs: Sequence[tuple[int, int]]) -> Family:
+        def both(pairs: Sequence[tuple[int, int]]) -> MistakeFamily:
             named, made = [], []
             for one, other in pairs:
                 edits = {**(found[one][0].edits or {}), **(found[other][0].edits or {})}
@@ -164,33 +169,37 @@ class Ways:
                     made.append(replace(found[one][0], edits=edits))
             fit = dict(mistakes.placed(self.case, made, self.manifest.temporal.chunk))
             kept = sorted(fit)
-            return self._of_blocks([(made[place], fit[place]) for place in kept], [named[place] for place in kept])
+            return self._family_of_blocks(
+                [(made[place], fit[place]) for place in kept], [named[place] for place in kept]
+            )
 
-        return Family([mistake for mistake, _ in found], ask, both, numbers)
+        return MistakeFamily([mistake for mistake, _ in found], ask, both, numbers)
 
     # -- around the adapter --------------------------------------------------------------------------------------------
 
     @functools.cached_property
-    def around_it(self) -> list[Mistake]:
+    def outer_mistakes(self) -> list[Mistake]:
         """The mistakes as changes around the adapter."""
         return list(catalogue.around(self.case))
 
-    def commands(self, given: Mapping[int, Sequence[Any]], enough: Enough) -> Family:
+    def action_family(self, given: Mapping[int, Sequence[Any]], enough: ExplainsAll) -> MistakeFamily:
         """Return changes of answers that are known."""
-        found = [one for one in self.around_it if one.shown is None]
-        around = Around(self._course, given)
-        return Family(found, self.asking(around, found, enough))
+        found = [one for one in self.outer_mistakes if one.shown is None]
+        around = PerturbedAdapter(self._course, given)
+        return MistakeFamily(found, self.answer_function(around, found, enough))
 
-    def asking(self, around: Around, found: Sequence[Mistake], enough: Enough) -> Ask:
+    def answer_function(
+        self, around: PerturbedAdapter, found: Sequence[Mistake], enough: ExplainsAll
+    ) -> AnswerFunction:
         """Return what asks under changes around an adapter, until what is less likely need not be tried."""
 
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Answered]:
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
             explained: int | None = None
             for number in chosen:
                 one = found[number]
-                if self.left <= 0 or (explained is not None and one.rank > explained):
+                if self.seconds_left <= 0 or (explained is not None and one.rank > explained):
                     return
-                answered = Answered(one.words, one.convention, around.answers(one, wanted))
+                answered = MistakeAnswers(one.words, one.convention, around.answers(one, wanted))
                 if explained is None and enough(answered):
                     explained = one.rank
                 yield answered
@@ -199,23 +208,25 @@ class Ways:
 
     # -- encoded inputs ------------------------------------------------------------------------------------------------
 
-    def inputs(self) -> Family:
+    def input_family(self) -> MistakeFamily:
         """Return changes of what the adapter's own `encode` makes."""
-        return self._of_inputs(list(catalogue.in_inputs(self.case)))
+        return self._family_of_inputs(list(catalogue.in_inputs(self.case)))
 
-    def _of_inputs(self, found: Sequence[Mistake], numbers: Sequence[tuple[int, int]] = ()) -> Family:
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Answered]:
+    def _family_of_inputs(self, found: Sequence[Mistake], numbers: Sequence[tuple[int, int]] = ()) -> MistakeFamily:
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
             # The last family needs time, too; but those that are left of many are near the mistake.
             share = _MANY if len(chosen) == len(found) else _FEW
-            yield from self.loaded.inputs([found[number] for number in chosen], wanted, share * self.left)
+            yield from self.loaded.answers_by_input_change(
+                [found[number] for number in chosen], wanted, share * self.seconds_left
+            )
 
-        def both(pairs: Sequence[tuple[int, int]]) -> Family:
+        def both(pairs: Sequence[tuple[int, int]]) -> MistakeFamily:
             kept, made = [], []
             for one, other in pairs:
                 hows = [found[place].encoded or {} for place in (one, other)]
                 if len({how["kind"] for how in hows}) == len(hows) and not _ALONE & {how["kind"] for how in hows}:
                     kept.append((one, other))
                     made.append(replace(found[one], encoded={"kind": "several", "of": hows}, geometry=""))
-            return self._of_inputs(made, kept)
+            return self._family_of_inputs(made, kept)
 
-        return Family(found, ask, both, numbers)
+        return MistakeFamily(found, ask, both, numbers)

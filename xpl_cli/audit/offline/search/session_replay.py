@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from xpl.contract import ObservationDict
     from xpl_cli.model_io.pairs import Question, Session
 
-Key = tuple[int, int]
+EpisodeKey = tuple[int, int]
 """Number of an episode, and an environment."""
 
 
-def _name(env: int, place: int) -> str:
+def _observation_name(env: int, place: int) -> str:
     return f"{env} {place}"
 
 
-class Course:
+class SessionReplay:
     """A session whose questions are asked again, some at a time. Observations are made once.
 
     Args:
@@ -33,7 +33,7 @@ class Course:
         self._made: dict[tuple[int, int], ObservationDict] = {}
 
     @cached_property
-    def everything(self) -> list[int]:
+    def all_questions(self) -> list[int]:
         """The numbers of all questions."""
         return [question.number for question in self.session.questions]
 
@@ -44,13 +44,13 @@ class Course:
             self._made[key] = self.session.scene.observation(env, place)
         return self._made[key]
 
-    def seen(self, question: Question) -> list[ObservationDict]:
+    def observations_of(self, question: Question) -> list[ObservationDict]:
         """Return what was shown in a question's episode up to it."""
         return [self.observation(env, place) for env, place in question.shown]
 
-    def episodes(self, wanted: Iterable[int]) -> list[list[int]]:
+    def group_by_episode(self, wanted: Iterable[int]) -> list[list[int]]:
         """Return questions by their episodes, each in its order."""
-        found: dict[Key, list[int]] = {}
+        found: dict[EpisodeKey, list[int]] = {}
         for number in sorted(wanted):
             found.setdefault(self._key(number), []).append(number)
         return list(found.values())
@@ -58,9 +58,9 @@ class Course:
     def with_earlier(self, wanted: Iterable[int]) -> list[int]:
         """Return questions with those that are asked before them in their episodes: an adapter may remember them."""
         last = self._last(wanted)
-        return [number for number in self.everything if number <= last.get(self._key(number), -1)]
+        return [number for number in self.all_questions if number <= last.get(self._key(number), -1)]
 
-    def calls(self, wanted: Sequence[int]) -> list[Call]:
+    def calls_for(self, wanted: Sequence[int]) -> list[Call]:
         """Return the calls that ask some questions, and those before them, as the whole session does.
 
         Of an episode that is only passed something is shown: what is drawn in the next one depends on its number.
@@ -79,14 +79,19 @@ class Course:
                 found.append(Call(call.reset, show, ask))
         return found
 
-    def told(self, calls: Sequence[Call], known: set[str]) -> dict[str, Any]:
+    def worker_request(self, calls: Sequence[Call], known: set[str]) -> dict[str, Any]:
         """Return calls as a process in the adapter's interpreter takes them (`xpl.worker.changes`).
 
         Args:
             calls: of this session.
             known: names of the observations that the process has; those that are sent are added.
         """
-        new = {_name(*recipe): recipe for call in calls for recipe in call.show if _name(*recipe) not in known}
+        new = {
+            _observation_name(*recipe): recipe
+            for call in calls
+            for recipe in call.show
+            if _observation_name(*recipe) not in known
+        }
         known.update(new)
         return {
             "observations": {name: self.observation(*recipe) for name, recipe in new.items()},
@@ -95,15 +100,15 @@ class Course:
                 if call.reset
                 else {"ask": list(call.ask)}
                 if call.ask
-                else {"show": [[env, _name(env, place)] for env, place in call.show]}
+                else {"show": [[env, _observation_name(env, place)] for env, place in call.show]}
                 for call in calls
             ],
         }
 
-    def _last(self, wanted: Iterable[int]) -> dict[Key, int]:
+    def _last(self, wanted: Iterable[int]) -> dict[EpisodeKey, int]:
         """Return the last of some questions in each episode."""
         return {self._key(number): number for number in sorted(wanted)}
 
-    def _key(self, number: int) -> Key:
+    def _key(self, number: int) -> EpisodeKey:
         question = self.session.questions[number]
         return question.episode, question.env

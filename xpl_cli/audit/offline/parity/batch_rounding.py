@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
-from xpl_cli.audit.offline.search.course import Course
-from xpl_cli.audit.offline.search.played import RefusedError, by_number
+from xpl_cli.audit.offline.search.replay import QuestionRefusedError, replay_by_question
+from xpl_cli.audit.offline.search.session_replay import SessionReplay
 from xpl_cli.audit.served.rounding import OF_SPAN
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     """Connects to a new server of the adapter."""
 
 
-def unrounded(judged: Judgement, serving: Serving) -> dict[int, Chunk]:
+def unbatched_answers(judged: Judgement, serving: Serving) -> dict[int, Chunk]:
     """Return the answers of environments by themselves, where those of batches differ from the golden ones by rounding.
 
     Args:
@@ -38,17 +38,17 @@ def unrounded(judged: Judgement, serving: Serving) -> dict[int, Chunk]:
         By the question's number, for all whose answers differ; empty if any of them differs for another reason, or by
         more than batches round.
     """
-    off = [question for question, differs in zip(judged.session.questions, judged.off, strict=True) if differs]
+    off = [question for question, differs in zip(judged.session.questions, judged.differs, strict=True) if differs]
     if not off or max(judged.shares.values()) > OF_SPAN:
         return {}
-    course, found = Course(judged.session), {}
+    course, found = SessionReplay(judged.session), {}
     for env in sorted({question.env for question in off}):
         try:
-            alone, among_others = _by_itself(course, env, serving), _among_others(course, env, serving)
-        except RefusedError:
+            alone, among_others = _answers_alone(course, env, serving), _answers_among_copies(course, env, serving)
+        except QuestionRefusedError:
             return {}
         for number in (question.number for question in off if question.env == env):
-            if judged.differ(judged.given[number], among_others[number]):
+            if judged.differ(judged.answers[number], among_others[number]):
                 return {}
             if judged.differ(judged.golden[number], alone[number]):
                 return {}
@@ -56,15 +56,15 @@ def unrounded(judged: Judgement, serving: Serving) -> dict[int, Chunk]:
     return found
 
 
-def _by_itself(course: Course, env: int, serving: Serving) -> dict[int, Chunk]:
+def _answers_alone(course: SessionReplay, env: int, serving: Serving) -> dict[int, Chunk]:
     """Return the answers to all questions of an environment that nothing is beside."""
     own = [question for question in course.session.questions if question.env == env]
-    calls = course.calls([question.number for question in own])
+    calls = course.calls_for([question.number for question in own])
     with serving() as client:
-        return by_number(client, course.session, calls, own, course.observation)
+        return replay_by_question(client, course.session, calls, own, course.observation)
 
 
-def _among_others(course: Course, env: int, serving: Serving) -> dict[int, Chunk]:
+def _answers_among_copies(course: SessionReplay, env: int, serving: Serving) -> dict[int, Chunk]:
     """Return the answers to all questions where every environment shows what this one does at its places."""
     session = course.session
 
@@ -72,4 +72,4 @@ def _among_others(course: Course, env: int, serving: Serving) -> dict[int, Chunk
         return {**course.observation(env, place), sdk.Obs.ENV_IDX: other}
 
     with serving() as client:
-        return by_number(client, session, session.calls, session.questions, observation)
+        return replay_by_question(client, session, session.calls, session.questions, observation)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Case:
+class FaultyInput:
     """An observation with one fault.
 
     Attributes:
@@ -36,46 +36,46 @@ class Case:
     obs: ObservationDict
     names: tuple[str, ...]
 
-    def is_told_by(self, error: PolicyServerError) -> bool:
+    def is_named_by(self, error: PolicyServerError) -> bool:
         """Tell whether an error names what is at fault."""
         return any(name in str(error) for name in self.names)
 
 
-def missing(obs: ObservationDict, name: str) -> Iterator[Case]:
+def missing(obs: ObservationDict, name: str) -> Iterator[FaultyInput]:
     """Yield the observation without one input: all of it, one arm's share, a camera's picture, the whole group."""
     group, _, leaf = name.partition(".")
     if not leaf:
-        yield Case(name, f"without {name}", _without(obs, group), (group,))
+        yield FaultyInput(name, f"without {name}", _without(obs, group), (group,))
         return
     entries = obs[group]
     keys = state_keys(obs, leaf) if group == sdk.Obs.STATE else [leaf]
-    yield Case(name, f"without {name}", {**obs, group: _without(entries, *keys)}, (leaf,))
+    yield FaultyInput(name, f"without {name}", {**obs, group: _without(entries, *keys)}, (leaf,))
     if len(keys) > 1:
         for key in keys:
-            yield Case(name, f"without {key}", {**obs, group: _without(entries, key)}, (key,))
+            yield FaultyInput(name, f"without {key}", {**obs, group: _without(entries, key)}, (key,))
     if group == sdk.Obs.VISION:
         blind = _without(entries[leaf], sdk.Camera.COLOR)
-        yield Case(name, f"with {name} that has no picture", {**obs, group: {**entries, leaf: blind}}, (leaf,))
-    yield Case(name, f"without any {group}", _without(obs, group), (group, *entries))
+        yield FaultyInput(name, f"with {name} that has no picture", {**obs, group: {**entries, leaf: blind}}, (leaf,))
+    yield FaultyInput(name, f"without any {group}", _without(obs, group), (group, *entries))
 
 
-def damaged(obs: ObservationDict, name: str) -> Iterator[Case]:
+def damaged(obs: ObservationDict, name: str) -> Iterator[FaultyInput]:
     """Yield the observation with one input damaged in different ways."""
     group, _, leaf = name.partition(".")
     if group == sdk.Obs.INSTRUCTION:
-        yield Case(name, "a number", {**obs, group: 2.5}, (group,))
+        yield FaultyInput(name, "a number", {**obs, group: 2.5}, (group,))
     elif group == sdk.Obs.VISION:
         camera = obs[group][leaf]
         for fault, picture in _pictures(camera[sdk.Camera.COLOR]):
             vision = {**obs[group], leaf: {**camera, sdk.Camera.COLOR: picture}}
-            yield Case(name, fault, {**obs, group: vision}, (leaf,))
+            yield FaultyInput(name, fault, {**obs, group: vision}, (leaf,))
     else:
         key = state_keys(obs, leaf)[-1]
         for fault, values in _vectors(obs[group][key]):
-            yield Case(name, fault, {**obs, group: {**obs[group], key: values}}, (leaf,))
+            yield FaultyInput(name, fault, {**obs, group: {**obs[group], key: values}}, (leaf,))
 
 
-def judge(policy: Session, cases: Iterable[Case], *, goes_on: str, unclear: str, fix: Fix) -> Iterator[Finding]:
+def judge(policy: Session, cases: Iterable[FaultyInput], *, goes_on: str, unclear: str, fix: Fix) -> Iterator[Finding]:
     """Show an adapter faulty observations, and yield what it does instead of refusing them with a clear error.
 
     Args:
@@ -86,11 +86,11 @@ def judge(policy: Session, cases: Iterable[Case], *, goes_on: str, unclear: str,
         unclear: what to say where it refuses with an error that does not name the input.
         fix: advice.
     """
-    found: dict[tuple[str, str], list[tuple[Case, Answer]]] = {}
+    found: dict[tuple[str, str], list[tuple[FaultyInput, Answer]]] = {}
     for case in cases:
         answer = policy.act(case.obs)
         refused = isinstance(answer, PolicyServerError)
-        if not (refused and case.is_told_by(answer)):
+        if not (refused and case.is_named_by(answer)):
             found.setdefault((case.name, unclear if refused else goes_on), []).append((case, answer))
     for (name, message), entries in found.items():
         case, answer = entries[0]

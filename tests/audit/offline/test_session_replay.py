@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from xpl.catalogue import Mistake
-from xpl_cli.audit.offline.search.around import Around
-from xpl_cli.audit.offline.search.course import Course
+from xpl_cli.audit.offline.search.perturbed_adapter import PerturbedAdapter
+from xpl_cli.audit.offline.search.session_replay import SessionReplay
 from xpl_cli.model_io.pairs import Session
 from xpl_cli.model_io.script import played, whole
 
@@ -21,14 +21,14 @@ UNCHANGED = Mistake(0, "", "camera", shown=lambda seen: [{**obs, "told": len(see
 
 def test_episodes_that_are_passed_are_begun() -> None:
     """What is drawn depends on the number of the episode, so that each shows something."""
-    course = Course(SESSION)
+    course = SessionReplay(SESSION)
     last = SESSION.questions[-1]
-    calls = course.calls([last.number])
+    calls = course.calls_for([last.number])
     asked = [(call, episode) for call, episode in played(calls) if call.ask]
     assert {episode for _, episode in asked} == {last.episode} == {2}
     shown = [episode for call, episode in played(calls) if call.show]
     assert shown.count(0) == shown.count(1) == 1
-    assert len(course.calls([0])) < len(calls)
+    assert len(course.calls_for([0])) < len(calls)
 
 
 class Client:
@@ -63,17 +63,17 @@ class Client:
 
 def test_all_environments_are_played_together() -> None:
     """With what is shown instead, in the session's own calls, by a client that was just connected."""
-    course, clients = Course(SESSION), list[Client]()
+    course, clients = SessionReplay(SESSION), list[Client]()
 
     def connect() -> Any:
         clients.append(Client())
         return contextlib.nullcontext(clients[-1])
 
-    with Around(course, {}, connect, once=False, together=True) as around:
+    with PerturbedAdapter(course, {}, connect, once=False, together=True) as around:
         for _ in range(2):
-            answers = around.answers(UNCHANGED, course.everything)
+            answers = around.answers(UNCHANGED, course.all_questions)
         assert answers is not None
-        assert list(answers) == course.everything
+        assert list(answers) == course.all_questions
         assert around.answers(UNCHANGED, [0]) is not None
     assert len(clients) == 2  # equal plays are one
     asked = [one for one in clients[0].done if isinstance(one, tuple)]

@@ -13,12 +13,25 @@ from xpl import get_embodiment
 from xpl.conventions.chunk import rates
 from xpl.manifest import Manifest
 from xpl.trajectory import open_folder
-from xpl_cli.audit.offline.demonstrations import declared, scripted
+from xpl_cli.audit.offline.demonstrations import declaration, scripted
+from xpl_cli.audit.offline.demonstrations.action_errors import (
+    GRIPPER,
+    JOINTS,
+    POSITION,
+    ROTATION,
+    ActionErrors,
+    ErrorMetric,
+)
 from xpl_cli.audit.offline.demonstrations.certainty import LEAST_EPISODES, margin
-from xpl_cli.audit.offline.demonstrations.episodes import Asking, LackingError, few, recording, session
-from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
-from xpl_cli.audit.offline.demonstrations.measure import GRIPPER, JOINTS, POSITION, ROTATION, Errors, Ruler
-from xpl_cli.audit.offline.demonstrations.picture import drawn
+from xpl_cli.audit.offline.demonstrations.episodes import (
+    BatchedReplay,
+    MissingDataError,
+    load_recording,
+    make_session,
+    select_few,
+)
+from xpl_cli.audit.offline.demonstrations.error_plot import plot_errors
+from xpl_cli.audit.offline.demonstrations.fact import DemonstrationComparison
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.rules.profiles import Profile
@@ -38,33 +51,33 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def ruler(package: Path) -> Ruler:
+def ruler(package: Path) -> ErrorMetric:
     """Measures against them."""
     robot = get_embodiment(ROBOT)
-    recordings = [recording(one, robot, "joint") for one in open_folder(package / "demonstrations")]
-    return Ruler(session(recordings, robot, "joint", 0, HORIZON, 1))
+    recordings = [load_recording(one, robot, "joint") for one in open_folder(package / "demonstrations")]
+    return ErrorMetric(make_session(recordings, robot, "joint", 0, HORIZON, 1))
 
 
-def _done(ruler: Ruler) -> dict[int, Any]:
+def _done(ruler: ErrorMetric) -> dict[int, Any]:
     return {question.number: ruler.session.chunk(question) for question in ruler.session.questions}
 
 
-def _everything(ruler: Ruler) -> range:
+def _everything(ruler: ErrorMetric) -> range:
     return range(len(ruler.session.questions))
 
 
 # -- measuring ---------------------------------------------------------------------------------------------------------
 
 
-def test_what_was_done_is_no_error_and_standing_still_is_one(ruler: Ruler) -> None:
+def test_what_was_done_is_no_error_and_standing_still_is_one(ruler: ErrorMetric) -> None:
     own = ruler.errors(_done(ruler), _everything(ruler))
     assert own.units() == {JOINTS: 0.0, GRIPPER: 0.0}
-    still, before = (ruler.errors(said, _everything(ruler)) for said in (ruler.still(), ruler.before()))
+    still, before = (ruler.errors(said, _everything(ruler)) for said in (ruler.hold_pose(), ruler.repeat_action()))
     assert 0.02 < still.units()[JOINTS] < 0.5
     assert before.units()[JOINTS] == pytest.approx(still.units()[JOINTS])  # the expert's arm is where it was sent
 
 
-def test_a_refused_question_is_as_wrong_as_can_be_and_one_without_answer_is_unknown(ruler: Ruler) -> None:
+def test_a_refused_question_is_as_wrong_as_can_be_and_one_without_answer_is_unknown(ruler: ErrorMetric) -> None:
     """So that a convention under which nothing is refused fits better."""
     given = {**_done(ruler), 0: [], 1: []}
     found = ruler.errors(given, _everything(ruler), {0})
@@ -73,35 +86,35 @@ def test_a_refused_question_is_as_wrong_as_can_be_and_one_without_answer_is_unkn
     assert found.units()[JOINTS] == 0.0
 
 
-def test_who_stands_still_is_told_from_who_moves(ruler: Ruler) -> None:
+def test_who_stands_still_is_told_from_who_moves(ruler: ErrorMetric) -> None:
     """A change that takes all motion away is no convention."""
-    assert ruler.moved(_done(ruler), _everything(ruler)) == pytest.approx(1.0)
-    assert ruler.moved(ruler.still(), _everything(ruler)) == 0.0
-    assert np.isnan(ruler.moved({}, _everything(ruler)))
+    assert ruler.motion_share(_done(ruler), _everything(ruler)) == pytest.approx(1.0)
+    assert ruler.motion_share(ruler.hold_pose(), _everything(ruler)) == 0.0
+    assert np.isnan(ruler.motion_share({}, _everything(ruler)))
 
 
 def test_poses_are_not_made_up_where_none_were_observed(package: Path) -> None:
     """What was commanded follows from kinematics; where the flange was is a witness that has to be recorded."""
     episode = next(iter(open_folder(package / "demonstrations")))
-    with pytest.raises(LackingError, match="ee_pose"):
-        recording(episode, get_embodiment(ROBOT), "ee")
+    with pytest.raises(MissingDataError, match="ee_pose"):
+        load_recording(episode, get_embodiment(ROBOT), "ee")
 
 
 def test_errors_of_poses_know_no_sign() -> None:
-    from xpl_cli.audit.offline.demonstrations.measure import _apart
+    from xpl_cli.audit.offline.demonstrations.action_errors import _distances
 
     pose = np.array([[0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0]])
     other = np.array([[0.1, 0.2, 0.4, 0.0, -1.0, 0.0, 0.0]])
-    assert np.allclose(_apart("ee_pose", pose, other), [[0.0, 0.0, 0.1, np.pi]])
-    assert np.allclose(_apart("ee_pose", pose, pose * [1, 1, 1, -1, -1, -1, -1]), 0.0)
+    assert np.allclose(_distances("ee_pose", pose, other), [[0.0, 0.0, 0.1, np.pi]])
+    assert np.allclose(_distances("ee_pose", pose, pose * [1, 1, 1, -1, -1, -1, -1]), 0.0)
     assert {POSITION.unit, ROTATION.unit} == {"m", "rad"}
 
 
 # -- certainty ---------------------------------------------------------------------------------------------------------
 
 
-def _errors(steps: np.ndarray) -> Errors:
-    return Errors((JOINTS,), steps[..., None], steps[..., None])
+def _errors(steps: np.ndarray) -> ActionErrors:
+    return ActionErrors((JOINTS,), steps[..., None], steps[..., None])
 
 
 def test_a_gain_in_all_episodes_is_certain_and_one_in_half_of_them_is_not() -> None:
@@ -138,22 +151,22 @@ def test_nothing_is_better_than_no_error() -> None:
 # -- asking ------------------------------------------------------------------------------------------------------------
 
 
-def test_questions_are_asked_beside_each_other_with_their_histories(ruler: Ruler) -> None:
+def test_questions_are_asked_beside_each_other_with_their_histories(ruler: ErrorMetric) -> None:
     """An environment whose history is shorter joins later; all are asked about in the end."""
-    made = session(ruler.session.recordings, get_embodiment(ROBOT), "joint", 0, HORIZON, 3)
-    early = next(number for number, (_, step) in enumerate(made.asked) if step == 0)
-    late = next(number for number, (_, step) in enumerate(made.asked) if step > 3)
+    made = make_session(ruler.session.recordings, get_embodiment(ROBOT), "joint", 0, HORIZON, 3)
+    early = next(number for number, (_, step) in enumerate(made.question_steps) if step == 0)
+    late = next(number for number, (_, step) in enumerate(made.question_steps) if step > 3)
     wanted = sorted((early, late))
-    reset, *shown, ask = Asking(made).calls(wanted)
+    reset, *shown, ask = BatchedReplay(made).calls_for(wanted)
     assert reset.reset
     assert [len(call.show) for call in shown] == [1, 1, 2]
     assert ask.ask == (0, 1)
     assert {made.questions[number].shown[-1][1] for number in wanted} == {place for _, place in shown[-1].show}
 
 
-def test_the_first_tries_are_of_all_episodes(ruler: Ruler) -> None:
-    chosen = few(ruler.session.asked)
-    assert {ruler.session.asked[number][0] for number in chosen} == set(range(6))
+def test_the_first_tries_are_of_all_episodes(ruler: ErrorMetric) -> None:
+    chosen = select_few(ruler.session.question_steps)
+    assert {ruler.session.question_steps[number][0] for number in chosen} == set(range(6))
     assert len(chosen) <= 12
 
 
@@ -169,12 +182,12 @@ def test_rates_stretch_and_shorten_a_chunk() -> None:
     assert values["rate: twice the control rate"] == [2.0, 4.0, None, None]
 
 
-def test_a_picture_shows_the_number_that_is_mended(ruler: Ruler) -> None:
+def test_a_picture_shows_the_number_that_is_mended(ruler: ErrorMetric) -> None:
     """As SVG, small, with nothing of a name read as markup."""
     done = _done(ruler)
     key = "ee_joint_state"
     wrong = {number: [{**step, key: 1.0 - step[key]} for step in chunk] for number, chunk in done.items()}
-    picture, part = drawn(ruler, wrong, done, "a < b")
+    picture, part = plot_errors(ruler, wrong, done, "a < b")
     assert part == f"{key}[0]"
     assert picture.startswith("<svg ")
     assert "a &lt; b" in picture
@@ -196,40 +209,40 @@ def _probe(package: Path, demos: Path | None = None, robot: str = ROBOT) -> Any:
 
 
 def test_a_package_names_its_demonstrations(package: Path) -> None:
-    assert len(Demonstrated(_probe(package)).recordings) == 6
+    assert len(DemonstrationComparison(_probe(package)).recordings) == 6
     with pytest.raises(NotApplicable, match="--demos"):
-        Demonstrated(_probe(package / "demonstrations")).recordings  # noqa: B018 - what is asked for
+        DemonstrationComparison(_probe(package / "demonstrations")).recordings  # noqa: B018 - what is asked for
 
 
 def test_other_files_than_were_declared_are_not_held_against_it(package: Path, tmp_path: Path) -> None:
     """A digest that differs, a file that is gone, one outside, and a file that is none."""
-    path, digests = declared.read(package)
+    path, digests = declaration.read(package)
     for named in ({**digests, "episode_0000000.hdf5": "0" * 64}, {"gone.hdf5": "0" * 64}, {"../x": "0" * 64}):
-        (tmp_path / declared.FILE).write_text(declared.written(str(path), named))
+        (tmp_path / declaration.FILE).write_text(declaration.render(str(path), named))
         with pytest.raises(NotRun, match="are not those that"):
-            Demonstrated(_probe(tmp_path)).recordings  # noqa: B018 - what is asked for
-    (tmp_path / declared.FILE).write_text("demonstrations: [1]\n")
+            DemonstrationComparison(_probe(tmp_path)).recordings  # noqa: B018 - what is asked for
+    (tmp_path / declaration.FILE).write_text("demonstrations: [1]\n")
     with pytest.raises(NotRun, match="demonstrations"):
-        Demonstrated(_probe(tmp_path)).recordings  # noqa: B018 - what is asked for
+        DemonstrationComparison(_probe(tmp_path)).recordings  # noqa: B018 - what is asked for
 
 
 def test_too_few_episodes_and_another_robot_tell_nothing(package: Path, tmp_path: Path) -> None:
     with pytest.raises(NotRun, match=f"at least {LEAST_EPISODES}"):
-        Demonstrated(_probe(package, package / "demonstrations" / "episode_0000000.hdf5")).recordings  # noqa: B018
+        DemonstrationComparison(_probe(package, package / "demonstrations" / "episode_0000000.hdf5")).recordings  # noqa: B018
     with pytest.raises(NotRun, match=f"env_cfg_type={ROBOT}"):
-        Demonstrated(_probe(package, package / "demonstrations", "piper_single")).recordings  # noqa: B018
+        DemonstrationComparison(_probe(package, package / "demonstrations", "piper_single")).recordings  # noqa: B018
 
 
 def test_without_the_weights_nothing_is_told(package: Path) -> None:
     with pytest.raises(NotRun, match="only the real model"):
-        Demonstrated(_probe(package)).session  # noqa: B018 - what is asked for
+        DemonstrationComparison(_probe(package)).session  # noqa: B018 - what is asked for
 
 
 def test_declaring_writes_what_is_read(package: Path, tmp_path: Path) -> None:
     (tmp_path / "policy.yml").write_text("spec: v1\n")
-    path, digests = declared.declare(tmp_path, package / "demonstrations")
-    assert path == tmp_path / declared.FILE
-    assert declared.read(tmp_path) == ((package / "demonstrations").resolve(), digests)
+    path, digests = declaration.declare(tmp_path, package / "demonstrations")
+    assert path == tmp_path / declaration.FILE
+    assert declaration.read(tmp_path) == ((package / "demonstrations").resolve(), digests)
     assert len(digests) == 6
     with pytest.raises(UserError, match=r"policy\.yml"):
-        declared.declare(tmp_path / "nowhere", package)
+        declaration.declare(tmp_path / "nowhere", package)

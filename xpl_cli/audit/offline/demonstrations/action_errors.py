@@ -14,7 +14,7 @@ from xpl import rotation
 
 if TYPE_CHECKING:
     from xpl.contract import Action, State
-    from xpl_cli.audit.offline.demonstrations.episodes import Played
+    from xpl_cli.audit.offline.demonstrations.episodes import RecordedSession
 
 Chunks = Mapping[int, "Sequence[Action | None]"]
 """Action steps by number of a question; None for steps that are not known."""
@@ -27,7 +27,7 @@ _TURN: Final = slice(sdk.POSITION_DIM, sdk.POSE_DIM)
 
 
 @dataclass(frozen=True)
-class Part:
+class ActionPart:
     """Numbers of an action that are measured together.
 
     Attributes:
@@ -39,15 +39,15 @@ class Part:
     unit: str
 
 
-JOINTS = Part("arm joints", "rad")
-POSITION = Part("position", "m")
-ROTATION = Part("rotation", "rad")
-GRIPPER = Part("gripper", "of its opening")
-HAND = Part("hand", "rad")
+JOINTS = ActionPart("arm joints", "rad")
+POSITION = ActionPart("position", "m")
+ROTATION = ActionPart("rotation", "rad")
+GRIPPER = ActionPart("gripper", "of its opening")
+HAND = ActionPart("hand", "rad")
 
 
 @dataclass(frozen=True)
-class Errors:
+class ActionErrors:
     """Errors of some questions, NaN where nothing is known.
 
     Attributes:
@@ -56,11 +56,11 @@ class Errors:
         shares: the same, as shares of what each column spreads over; at most `_MOST`.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[ActionPart, ...]
     values: np.ndarray
     shares: np.ndarray
 
-    def units(self, like: Errors | None = None) -> dict[Part, float]:
+    def units(self, like: ActionErrors | None = None) -> dict[ActionPart, float]:
         """Return the mean error of each part, in its unit; only where another's is known, too."""
         known = self.known if like is None else self.known & like.known
         found = {}
@@ -84,20 +84,20 @@ class Errors:
         return total
 
 
-class Ruler:
+class ErrorMetric:
     """Measures chunks against what was done in a session.
 
     Args:
         session: the recorded episodes with their questions.
     """
 
-    def __init__(self, session: Played) -> None:
+    def __init__(self, session: RecordedSession) -> None:
         self.session = session
-        self._done = [session.chunk(question) for question in session.questions]
-        self.horizon = max(map(len, self._done))
-        self._keys = list(self._done[0][0])
+        self._demonstrated = [session.chunk(question) for question in session.questions]
+        self.horizon = max(map(len, self._demonstrated))
+        self._keys = list(self._demonstrated[0][0])
 
-    def errors(self, given: Chunks, wanted: Sequence[int], refused: Collection[int] = ()) -> Errors:
+    def errors(self, given: Chunks, wanted: Sequence[int], refused: Collection[int] = ()) -> ActionErrors:
         """Return the errors of the answers to some questions.
 
         Args:
@@ -106,27 +106,29 @@ class Ruler:
             refused: ... or as far off as anything can be, if it is among these.
         """
         columns = [column for key in self._keys for column in self._columns(key)]
-        said = {key: np.full((len(wanted), self.horizon, len(self._done[0][0][key])), np.nan) for key in self._keys}
+        said = {
+            key: np.full((len(wanted), self.horizon, len(self._demonstrated[0][0][key])), np.nan) for key in self._keys
+        }
         done = {key: values[list(wanted)] for key, values in self._stacked.items()}
         for place, number in enumerate(wanted):
             for step, one in enumerate((given.get(number) or ())[: self.horizon]):
                 for key, values in said.items():
                     if one is not None and key in one and np.shape(one[key]) == values.shape[2:]:
                         values[place, step] = one[key]
-        values = np.concatenate([_apart(key, said[key], done[key]) for key in self._keys], axis=-1)
+        values = np.concatenate([_distances(key, said[key], done[key]) for key in self._keys], axis=-1)
         shares = np.minimum(values / self._spread, _MOST)
         for place, number in enumerate(wanted):
             if number in refused:
-                shares[place, : len(self._done[number])] = _MOST
-        return Errors(tuple(columns), values, shares)
+                shares[place, : len(self._demonstrated[number])] = _MOST
+        return ActionErrors(tuple(columns), values, shares)
 
     @cached_property
     def _stacked(self) -> dict[str, np.ndarray]:
         """By key (questions, horizon, width) what was done, NaN after an episode's end."""
         found = {}
         for key in self._keys:
-            found[key] = np.full((len(self._done), self.horizon, len(self._done[0][0][key])), np.nan)
-            for number, chunk in enumerate(self._done):
+            found[key] = np.full((len(self._demonstrated), self.horizon, len(self._demonstrated[0][0][key])), np.nan)
+            for number, chunk in enumerate(self._demonstrated):
                 found[key][number, : len(chunk)] = [one[key] for one in chunk]
         return found
 
@@ -139,7 +141,7 @@ class Ruler:
             middle = np.median(rows, axis=0)
             if key.endswith(sdk.State.EE_POSE):
                 middle[_TURN] = rotation.normalise(rows[len(rows) // 2, _TURN])
-            found.append(_apart(key, rows, np.broadcast_to(middle, rows.shape)).mean(0))
+            found.append(_distances(key, rows, np.broadcast_to(middle, rows.shape)).mean(0))
         spread = np.concatenate(found)
         columns = [column for key in self._keys for column in self._columns(key)]
         for part in set(columns):
@@ -147,8 +149,8 @@ class Ruler:
             spread[chosen] = np.maximum(spread[chosen], _FLOOR * spread[chosen].max() or 1.0)
         return spread
 
-    def _columns(self, key: str) -> list[Part]:
-        width = len(self._done[0][0][key])
+    def _columns(self, key: str) -> list[ActionPart]:
+        width = len(self._demonstrated[0][0][key])
         if key.endswith(sdk.State.EE_POSE):
             return [*[POSITION] * sdk.POSITION_DIM, ROTATION]
         if key.endswith(sdk.State.ARM_JOINT_STATE):
@@ -157,27 +159,29 @@ class Ruler:
 
     # -- witnesses -----------------------------------------------------------------------------------------------------
 
-    def still(self) -> Chunks:
+    def hold_pose(self) -> Chunks:
         """Return the witness that holds the pose of each question."""
-        return {number: [self._state(*at)] * self.horizon for number, at in enumerate(self.session.asked)}
+        return {number: [self._state(*at)] * self.horizon for number, at in enumerate(self.session.question_steps)}
 
-    def before(self) -> Chunks:
+    def repeat_action(self) -> Chunks:
         """Return the witness that repeats the action before each question; at the first step, it holds the pose."""
         found = {}
-        for number, (episode, step) in enumerate(self.session.asked):
+        for number, (episode, step) in enumerate(self.session.question_steps):
             rows = self.session.recordings[episode].commanded
             said = {key: values[step - 1] for key, values in rows.items()} if step else self._state(episode, step)
             found[number] = [said] * self.horizon
         return found
 
-    def moved(self, given: Chunks, wanted: Sequence[int]) -> float:
+    def motion_share(self, given: Chunks, wanted: Sequence[int]) -> float:
         """Return how far answers lead arms from where they are, as a share of how far they were led.
 
         NaN where nothing is known.
         """
-        still, led = self.still(), [0.0, 0.0]
+        still, led = self.hold_pose(), [0.0, 0.0]
         for number in wanted:
-            for said, done, held in zip(given.get(number) or (), self._done[number], still[number], strict=False):
+            for said, done, held in zip(
+                given.get(number) or (), self._demonstrated[number], still[number], strict=False
+            ):
                 if said is None or held is None:
                     continue
                 for key in (key for key in self._keys if not key.endswith(sdk.State.EE_JOINT_STATE)):
@@ -189,7 +193,7 @@ class Ruler:
         return {key: values[step] for key, values in self.session.recordings[episode].state.items()}
 
 
-def _apart(key: str, said: np.ndarray, done: np.ndarray) -> np.ndarray:
+def _distances(key: str, said: np.ndarray, done: np.ndarray) -> np.ndarray:
     """Return how far rows (..., width) of one key are apart: by number, of poses three positions and one angle."""
     if not key.endswith(sdk.State.EE_POSE):
         far: np.ndarray = np.abs(said - done)

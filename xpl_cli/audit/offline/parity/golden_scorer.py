@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from xpl_cli.audit.offline.search.contest import Ruler
+from xpl_cli.audit.offline.search.ranking import Scorer
 from xpl_cli.model_io.difference import differences
 from xpl_cli.model_io.explain import Explanation, Tried, explain
 
 if TYPE_CHECKING:
     from xpl_cli.audit.offline.parity.judgement import Judgement
-    from xpl_cli.audit.offline.search.contest import Held
-    from xpl_cli.audit.offline.search.course import Course
-    from xpl_cli.audit.offline.search.loaded import Answered, Given
+    from xpl_cli.audit.offline.search.loaded_adapter import AnswersByQuestion, MistakeAnswers
+    from xpl_cli.audit.offline.search.ranking import RankingResult
+    from xpl_cli.audit.offline.search.session_replay import SessionReplay
     from xpl_cli.model_io.difference import Step
 
 _FEW: Final = 3
@@ -28,7 +28,7 @@ _PROMISING: Final = 0.5
 _INFINITE: Final = float("inf")
 
 
-class GoldenRuler(Ruler):
+class GoldenPairScorer(Scorer):
     """Which of many mistakes explains a difference.
 
     Args:
@@ -37,34 +37,34 @@ class GoldenRuler(Ruler):
         among: numbers of the questions that are looked at; a difference has to be among them.
     """
 
-    def __init__(self, course: Course, judgement: Judgement, among: Sequence[int]) -> None:
+    def __init__(self, course: SessionReplay, judgement: Judgement, among: Sequence[int]) -> None:
         self._course = course
         self._judgement = judgement
         self.everything = among
-        self.before = self.remaining({number: judgement.given[number] for number in among})
+        self.before = self.remaining({number: judgement.answers[number] for number in among})
 
     @property
     def differs(self) -> bool:
         """Whether there is anything to explain."""
         return any(share > self._judgement.allowed[part] for part, share in self.before.items())
 
-    def leaves_nothing(self, answered: Answered) -> bool:
+    def leaves_nothing(self, answered: MistakeAnswers) -> bool:
         """Whether no difference is left under a mistake."""
-        return max(self.remaining(answered.given).values()) <= self._judgement.tolerance
+        return max(self.remaining(answered.answers).values()) <= self._judgement.tolerance
 
-    def tried(self, answered: Answered) -> Tried:
+    def score(self, answered: MistakeAnswers) -> Tried:
         """Return what is left under a mistake."""
-        return Tried(answered.words, answered.convention, self.remaining(answered.given))
+        return Tried(answered.words, answered.convention, self.remaining(answered.answers))
 
-    def both(self, first: Answered, second: Answered, given: Given | None) -> Tried:
+    def score_pair(self, first: MistakeAnswers, second: MistakeAnswers, given: AnswersByQuestion | None) -> Tried:
         """Return what is left under two mistakes, of the answers with both undone."""
         return Tried(first.words, first.convention, self.remaining(given), (second.words, second.convention))
 
-    def explained_by(self, held: Held) -> Explanation:
+    def explain_ranking(self, held: RankingResult) -> Explanation:
         """Return which mistake of a family explains the difference."""
-        return self.explained([self.tried(answered) for _, answered in held.last])
+        return self.explain_tried([self.score(answered) for _, answered in held.final_round])
 
-    def explained(self, tried: Sequence[Tried]) -> Explanation:
+    def explain_tried(self, tried: Sequence[Tried]) -> Explanation:
         """Return which of some mistakes, tried on all questions, explains the difference."""
         return explain(self.before, tried, self._judgement.tolerance)
 
@@ -79,20 +79,22 @@ class GoldenRuler(Ruler):
     def rounds(self) -> Sequence[Sequence[int]]:
         """One question, then a few: one that tells much, one that is right, another one."""
         judgement = self._judgement
-        worst = {number: max(self.remaining({number: judgement.given[number]}).values()) for number in self.everything}
-        wrong = [number for number in self.everything if judgement.off[number]]
-        right = [number for number in self.everything if not judgement.off[number]]
+        worst = {
+            number: max(self.remaining({number: judgement.answers[number]}).values()) for number in self.everything
+        }
+        wrong = [number for number in self.everything if judgement.differs[number]]
+        right = [number for number in self.everything if not judgement.differs[number]]
         largest = max(worst[number] for number in wrong)
         telling = [number for number in wrong if worst[number] >= _PROMISING * largest]
         chosen = list(dict.fromkeys([telling[0], *right[:1], *telling[1:], *wrong]))[:_FEW]
         return chosen[:1], chosen
 
-    def kept(self, answered: Sequence[Answered], wanted: Sequence[int], turn: int) -> list[int]:
+    def select(self, answered: Sequence[MistakeAnswers], wanted: Sequence[int], turn: int) -> list[int]:
         """Return the places of those that are worth more questions: that leave least, or mend most numbers."""
         judgement = self._judgement
         before = self._before(wanted)
         largest = max(before.values())
-        rests = [self.remaining(one.given) for one in answered]
+        rests = [self.remaining(one.answers) for one in answered]
         left = [max(one.values()) / largest if largest < _INFINITE else _INFINITE for one in rests]
         mended = [sum(value > judgement.allowed[part] >= one[part] for part, value in before.items()) for one in rests]
         worth = [place for place in range(len(answered)) if left[place] <= _PROMISING or mended[place]]
@@ -100,7 +102,7 @@ class GoldenRuler(Ruler):
         widest = sorted(worth, key=lambda place: -mended[place])[: _MOST[turn]]
         return sorted({*best, *widest})
 
-    def eased(self, answered: Sequence[Answered], most: int) -> list[int]:
+    def improving(self, answered: Sequence[MistakeAnswers], most: int) -> list[int]:
         """Return the places of those that may be one of two mistakes, best first: the mean of what is left falls.
 
         Args:
@@ -110,7 +112,7 @@ class GoldenRuler(Ruler):
         before = self._before(self.rounds[0])
         found: dict[tuple[float, str], int] = {}
         for place, one in enumerate(answered):
-            share = self._mean(self.remaining(one.given)) / self._mean(before)
+            share = self._mean(self.remaining(one.answers)) / self._mean(before)
             if share < 1.0:
                 found.setdefault((float(f"{share:.6g}"), one.convention), place)
         return [place for _, place in sorted(found.items())][:most]
@@ -121,4 +123,4 @@ class GoldenRuler(Ruler):
         return float(np.mean([max(0.0, value - allowed[part]) for part, value in rest.items()])) or 1e-12
 
     def _before(self, wanted: Sequence[int]) -> dict[str, float]:
-        return self.remaining({one: self._judgement.given[one] for one in self._course.with_earlier(wanted)})
+        return self.remaining({one: self._judgement.answers[one] for one in self._course.with_earlier(wanted)})

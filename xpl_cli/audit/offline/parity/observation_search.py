@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl import _spec as sdk
 from xpl.catalogue import Mistake
 from xpl.catalogue.pictures import dark
-from xpl_cli.audit.offline.parity.golden import GoldenRuler
-from xpl_cli.audit.offline.search.around import Around
-from xpl_cli.audit.offline.search.contest import Family, held
+from xpl_cli.audit.offline.parity.golden_scorer import GoldenPairScorer
+from xpl_cli.audit.offline.search.perturbed_adapter import PerturbedAdapter
+from xpl_cli.audit.offline.search.ranking import MistakeFamily, rank
 from xpl_cli.audit.served.rounding import OF_SPAN
 from xpl_cli.model_io.difference import differences
 from xpl_cli.model_io.explain import Explanation, Tried
@@ -27,9 +27,9 @@ from xpl_cli.model_io.patterns import Pattern
 if TYPE_CHECKING:
     from xpl.contract import Observation, ObservationDict
     from xpl_cli.audit.offline.parity.judgement import Judgement
-    from xpl_cli.audit.offline.search.contest import Held
-    from xpl_cli.audit.offline.search.course import Course
-    from xpl_cli.audit.offline.search.ways import Ways
+    from xpl_cli.audit.offline.search.mistake_families import MistakeFamilies
+    from xpl_cli.audit.offline.search.ranking import RankingResult
+    from xpl_cli.audit.offline.search.session_replay import SessionReplay
     from xpl_cli.audit.served.probe import Probe
 
 Answers = Mapping[int, Sequence[Any]]
@@ -42,7 +42,7 @@ _FIRSTS: Final = 4
 """Mistakes that are undone so that others are tried besides."""
 
 
-class Shown:
+class ObservationSearch:
     """The search among changes of what is shown.
 
     Args:
@@ -54,14 +54,14 @@ class Shown:
     """
 
     def __init__(
-        self, probe: Probe, course: Course, judgement: Judgement, config: Mapping[str, object], *, repeats: bool
+        self, probe: Probe, course: SessionReplay, judgement: Judgement, config: Mapping[str, object], *, repeats: bool
     ) -> None:
         self._probe, self._course, self._judgement = probe, course, judgement
         self._config, self._repeats = config, repeats
         self.patterns: list[Pattern] = []
         """What was seen besides."""
 
-    def explained(self, mistakes: Sequence[Mistake], ways: Ways, until: float) -> Explanation | None:
+    def explain(self, mistakes: Sequence[Mistake], ways: MistakeFamilies, until: float) -> Explanation | None:
         """Return what mistakes explain; None if nothing can be said so.
 
         Args:
@@ -70,59 +70,70 @@ class Shown:
             until: when to end, by the monotonic clock.
         """
         numbers = self._replayable
-        ruler = GoldenRuler(self._course, self._judgement, numbers)
+        ruler = GoldenPairScorer(self._course, self._judgement, numbers)
         alone: Explanation | None = None
         if ruler.differs:
-            with self._around(together=False) as around:
+            with self._serve_perturbed(together=False) as around:
                 apart = around.answers(_SAME, numbers)
                 if self._is_as_before(apart, numbers):
                     fit = [one for one in mistakes if not one.windowed or self._repeats]
-                    found = self._held(fit, around, ruler, ways)
+                    found = self._rank_mistakes(fit, around, ruler, ways)
                     if found.cause is None and time.monotonic() < until:
                         self.patterns += self._cameras_without_effect(around, ways.case.cameras)
                     return found
-                alone = ruler.explained([Tried(_SAME.words, _SAME.convention, ruler.remaining(apart))])
+                alone = ruler.explain_tried([Tried(_SAME.words, _SAME.convention, ruler.remaining(apart))])
                 if alone.cause is not None:
-                    crossed = self._crossed(around, numbers)
-                    return ruler.explained([crossed(ruler.remaining(apart))]) if crossed else alone
-        return self._all_together([one for one in mistakes if not one.windowed], ways) or alone
+                    crossed = self._find_shared_input(around, numbers)
+                    return ruler.explain_tried([crossed(ruler.remaining(apart))]) if crossed else alone
+        return self._explain_together([one for one in mistakes if not one.windowed], ways) or alone
 
-    def _all_together(self, mistakes: Sequence[Mistake], ways: Ways) -> Explanation | None:
-        everything = self._course.everything
-        with self._around(together=True) as around:
+    def _explain_together(self, mistakes: Sequence[Mistake], ways: MistakeFamilies) -> Explanation | None:
+        everything = self._course.all_questions
+        with self._serve_perturbed(together=True) as around:
             if not self._is_as_before(around.answers(_SAME, everything), everything):
                 self.patterns.append(
                     Pattern("the same questions, asked once more, have other answers: look at the seed", "sampling")
                 )
                 return None
-            return self._held(mistakes, around, GoldenRuler(self._course, self._judgement, everything), ways)
+            return self._rank_mistakes(
+                mistakes, around, GoldenPairScorer(self._course, self._judgement, everything), ways
+            )
 
-    def _held(self, mistakes: Sequence[Mistake], around: Around, ruler: GoldenRuler, ways: Ways) -> Explanation:
+    def _rank_mistakes(
+        self, mistakes: Sequence[Mistake], around: PerturbedAdapter, ruler: GoldenPairScorer, ways: MistakeFamilies
+    ) -> Explanation:
         """Return what mistakes explain, one by one; where none does, with a change of commands besides."""
-        tried = held(Family(mistakes, ways.asking(around, mistakes, ruler.leaves_nothing)), ruler)
-        found = ruler.explained_by(tried)
+        tried = rank(MistakeFamily(mistakes, ways.answer_function(around, mistakes, ruler.leaves_nothing)), ruler)
+        found = ruler.explain_ranking(tried)
         if found.cause is not None:
             return found
         is_large = max(ruler.before.values()) > OF_SPAN
-        return (self._besides(mistakes, tried, around, ruler, ways) if is_large else None) or found
+        return (self._explain_by_two(mistakes, tried, around, ruler, ways) if is_large else None) or found
 
-    def _besides(
-        self, mistakes: Sequence[Mistake], tried: Held, around: Around, ruler: GoldenRuler, ways: Ways
+    def _explain_by_two(
+        self,
+        mistakes: Sequence[Mistake],
+        tried: RankingResult,
+        around: PerturbedAdapter,
+        ruler: GoldenPairScorer,
+        ways: MistakeFamilies,
     ) -> Explanation | None:
         """Return what explains the difference by two mistakes: of what is shown, and another one."""
-        ways.halve()
-        for place in ruler.eased(tried.first, _FIRSTS):
-            given = around.answers(mistakes[place], ruler.everything) if ways.left > 0 else None
+        ways.halve_time()
+        for place in ruler.improving(tried.first_round, _FIRSTS):
+            given = around.answers(mistakes[place], ruler.everything) if ways.seconds_left > 0 else None
             if given is None:
                 continue
-            first = tried.first[place]
-            last = held(ways.commands(given, ruler.leaves_nothing), ruler).last
-            found = ruler.explained([ruler.both(first, one, one.given) for _, one in last])
+            first = tried.first_round[place]
+            last = rank(ways.action_family(given, ruler.leaves_nothing), ruler).final_round
+            found = ruler.explain_tried([ruler.score_pair(first, one, one.answers) for _, one in last])
             if found.cause is not None:
                 return found
         return None
 
-    def _crossed(self, apart: Around, numbers: Sequence[int]) -> Callable[[Mapping[str, float]], Tried] | None:
+    def _find_shared_input(
+        self, apart: PerturbedAdapter, numbers: Sequence[int]
+    ) -> Callable[[Mapping[str, float]], Tried] | None:
         """Return what to say if environments see only one input of each other: alike in all, it makes no difference."""
         first = self._course.observation(*self._judgement.session.questions[0].shown[0])
         for words, convention, keys in (
@@ -131,30 +142,30 @@ class Shown:
         ):
             same = {key: first[key] for key in keys if key in first}
             alike = Mistake(0, words, convention, shown=functools.partial(_with, same))
-            with self._around(together=True) as around:
+            with self._serve_perturbed(together=True) as around:
                 one, other = around.answers(alike, numbers), apart.answers(alike, numbers)
             if one is not None and other is not None and self._are_same(one, other):
                 return functools.partial(Tried, words, convention)
         return None
 
     @contextmanager
-    def _around(self, *, together: bool) -> Iterator[Around]:
+    def _serve_perturbed(self, *, together: bool) -> Iterator[PerturbedAdapter]:
         once = self._repeats and not together
         with self._probe.own_server(self._config, [] if once else ["--renew"]) as server:
             connect = functools.partial(self._probe.connected, server.url)
-            with Around(
-                self._course, dict(enumerate(self._judgement.given)), connect, once=once, together=together
+            with PerturbedAdapter(
+                self._course, dict(enumerate(self._judgement.answers)), connect, once=once, together=together
             ) as around:
                 yield around
 
-    def _cameras_without_effect(self, around: Around, cameras: Sequence[str]) -> Iterator[Pattern]:
+    def _cameras_without_effect(self, around: PerturbedAdapter, cameras: Sequence[str]) -> Iterator[Pattern]:
         """Tell which cameras may be exchanged for darkness."""
         judgement, number = self._judgement, self._replayable[-1]
         for camera in cameras:
             answers = around.answers(Mistake(0, camera, "camera", shown=dark(camera)), [number])
             if answers is None:
                 continue
-            far = differences([judgement.given[one] for one in answers], list(answers.values()), judgement.spread)
+            far = differences([judgement.answers[one] for one in answers], list(answers.values()), judgement.spread)
             if max(far.values()) == 0.0:
                 yield Pattern(f"a dark {camera} changes no answer: the model does not see it", "camera")
 
@@ -166,7 +177,7 @@ class Shown:
 
     def _is_as_before(self, answers: Answers | None, numbers: Sequence[int]) -> bool:
         """Tell whether answers to questions are those of the whole session."""
-        return answers is not None and self._are_same({one: self._judgement.given[one] for one in numbers}, answers)
+        return answers is not None and self._are_same({one: self._judgement.answers[one] for one in numbers}, answers)
 
     def _are_same(self, one: Answers, other: Answers) -> bool:
         found = differences([one[number] for number in other], list(other.values()), self._judgement.spread)

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from xpl.catalogue import Mistake
-    from xpl_cli.audit.offline.search.loaded import Answered
+    from xpl_cli.audit.offline.search.loaded_adapter import MistakeAnswers
 
-Ask = Callable[[Sequence[int], Sequence[int]], Iterator["Answered"]]
+AnswerFunction = Callable[[Sequence[int], Sequence[int]], Iterator["MistakeAnswers"]]
 """Yields the answers under mistakes by their numbers, the first, to questions by theirs, the second, as far as the time
 reaches."""
 
 
 @dataclass(frozen=True)
-class Family:
+class MistakeFamily:
     """Mistakes whose answers are had in one way.
 
     Attributes:
@@ -33,19 +33,19 @@ class Family:
     """
 
     mistakes: Sequence[Mistake]
-    ask: Ask
-    both: Callable[[Sequence[tuple[int, int]]], Family | None] = lambda _pairs: None
-    numbers: Sequence[tuple[int, int]] = ()
+    answers: AnswerFunction
+    combine: Callable[[Sequence[tuple[int, int]]], MistakeFamily | None] = lambda _pairs: None
+    pairs: Sequence[tuple[int, int]] = ()
 
 
-class Ruler(ABC):
+class Scorer(ABC):
     """Says how good the answers under a mistake are.
 
     Attributes:
         everything: the numbers of all questions.
     """
 
-    everything: Sequence[int]
+    all_questions: Sequence[int]
 
     @property
     @abstractmethod
@@ -53,7 +53,7 @@ class Ruler(ABC):
         """Questions on which mistakes are tried, round by round, before those that are left are tried on all."""
 
     @abstractmethod
-    def kept(self, answered: Sequence[Answered], wanted: Sequence[int], turn: int) -> list[int]:
+    def select(self, answered: Sequence[MistakeAnswers], wanted: Sequence[int], turn: int) -> list[int]:
         """Return the places of those that are worth the next round, sorted.
 
         Args:
@@ -64,7 +64,7 @@ class Ruler(ABC):
 
 
 @dataclass(frozen=True)
-class Held:
+class RankingResult:
     """What became of a family.
 
     Attributes:
@@ -72,17 +72,17 @@ class Held:
         last: numbers of the mistakes that were tried on all questions, and what was answered.
     """
 
-    first: Sequence[Answered]
-    last: Sequence[tuple[int, Answered]]
+    first_round: Sequence[MistakeAnswers]
+    final_round: Sequence[tuple[int, MistakeAnswers]]
 
 
-def held(family: Family, ruler: Ruler) -> Held:
+def rank(family: MistakeFamily, ruler: Scorer) -> RankingResult:
     """Try all mistakes of a family."""
     good: Sequence[int] = range(len(family.mistakes))
-    first: list[Answered] = []
+    first: list[MistakeAnswers] = []
     for turn, wanted in enumerate(ruler.rounds):
-        answered = list(family.ask(good, wanted)) if good else []
+        answered = list(family.answers(good, wanted)) if good else []
         first = answered if turn == 0 else first
-        good = [good[place] for place in ruler.kept(answered, wanted, turn)]
-    last = list(zip(good, family.ask(good, ruler.everything) if good else (), strict=False))
-    return Held(first, last)
+        good = [good[place] for place in ruler.select(answered, wanted, turn)]
+    last = list(zip(good, family.answers(good, ruler.all_questions) if good else (), strict=False))
+    return RankingResult(first, last)

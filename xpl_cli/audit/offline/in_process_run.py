@@ -26,7 +26,7 @@ _EPISODE, _BATCHES = 3, 2
 
 
 @dataclass(frozen=True)
-class Note:
+class ModelNote:
     """What a model did with an observation, or a part of it with a failure.
 
     Attributes:
@@ -36,14 +36,14 @@ class Note:
         beside: the key of the observation whose memory is shared; empty for other notes.
     """
 
-    what: str
+    kind: str
     method: str
     key: str
-    beside: str = ""
+    shared_with: str = ""
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class InProcessRun:
     """What was seen.
 
     Attributes:
@@ -52,16 +52,16 @@ class Rehearsal:
         pictures: by the name of a form, the answers to decoded and to encoded pictures.
     """
 
-    notes: tuple[Note, ...]
+    notes: tuple[ModelNote, ...]
     broken: tuple[str, ...]
-    pictures: Mapping[str, tuple[TaskAnswer, TaskAnswer]]
+    image_answers: Mapping[str, tuple[TaskAnswer, TaskAnswer]]
 
-    def noted(self, what: str) -> list[Note]:
+    def notes_of(self, what: str) -> list[ModelNote]:
         """Return the notes of one kind."""
-        return [note for note in self.notes if note.what == what]
+        return [note for note in self.notes if note.kind == what]
 
 
-def rehearse(probe: Probe) -> Rehearsal:
+def run_in_process(probe: Probe) -> InProcessRun:
     """Play an adapter in one process.
 
     Raises:
@@ -88,8 +88,8 @@ def rehearse(probe: Probe) -> Rehearsal:
             raise NotRun(f"in a process without a server the adapter does not {what}: {answer.error}")
     episodes = [_first_error(answered[at : at + 3]) for at in range(0, pictures_end, 3)]
     pairs = zip(episodes[::2], episodes[1::2], strict=True)
-    noted = tuple(Note(told["what"], told["method"], told["key"], told.get("with", "")) for told in notes.result)
-    return Rehearsal(noted, tuple(broken.result), dict(zip(FORMS, pairs, strict=True)))
+    noted = tuple(ModelNote(told["what"], told["method"], told["key"], told.get("with", "")) for told in notes.result)
+    return InProcessRun(noted, tuple(broken.result), dict(zip(FORMS, pairs, strict=True)))
 
 
 def _pictures(probe: Probe) -> list[ObservationDict]:

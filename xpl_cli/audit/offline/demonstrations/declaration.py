@@ -31,7 +31,7 @@ class DeclarationError(ValueError):
     """The file cannot be read, or is not what its schema says."""
 
 
-def is_there(package: Path) -> bool:
+def exists(package: Path) -> bool:
     """Tell whether a package names demonstrations; a folder that may not be entered is the static gate's to tell."""
     try:
         return (package / FILE).is_file()
@@ -59,7 +59,7 @@ def read(package: Path) -> tuple[Path, Mapping[str, str]]:
     return (package / str(named["path"])).resolve(), dict(named["digests"])
 
 
-def written(path: str, digests: Mapping[str, str]) -> str:
+def render(path: str, digests: Mapping[str, str]) -> str:
     """Return the file's text for demonstrations at a path, as the package's folder sees it."""
     lines = [f"  {json.dumps(name)}: {json.dumps(digest)}" for name, digest in sorted(digests.items())]
     return "\n".join(
@@ -92,7 +92,7 @@ def declare(package: Path, demonstrations: Path) -> tuple[Path, dict[str, str]]:
     digests = {Path(one.path).relative_to(root).as_posix(): digest(Path(one.path)) for one in found}
     path = package / FILE
     place = os.path.relpath(root.resolve(), package.resolve())
-    write_file(path, written(Path(place).as_posix(), digests).encode())
+    write_file(path, render(Path(place).as_posix(), digests).encode())
     return path, digests
 
 

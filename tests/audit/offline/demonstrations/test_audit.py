@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.support import forked
-from xpl_cli.audit.engine import subjects
-from xpl_cli.audit.offline.demonstrations import declared
+from xpl_cli.audit.engine import fixtures
+from xpl_cli.audit.offline.demonstrations import declaration
 from xpl_cli.audit.rules.registry import find
 from xpl_cli.basics.errors import ExitCode
 
@@ -25,10 +25,10 @@ RULE = "demonstrations-fit"
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two policies of one model, of which Wrong has red for blue, and six episodes beside them that neither names."""
     root = tmp_path_factory.mktemp("told")
-    known = {subject.name: subject for subject in subjects.subjects(find(RULE))}
+    known = {subject.name: subject for subject in fixtures.fixtures(find(RULE))}
     for name, subject in (("Right", "good/as-trained"), ("Wrong", "bad/blue-for-red")):
-        package = subjects.build(known[subject], root / name)
-        (package / declared.FILE).unlink()
+        package = fixtures.build(known[subject], root / name)
+        (package / declaration.FILE).unlink()
         shutil.rmtree(root / "demos", ignore_errors=True)
         (package / "demonstrations").rename(root / "demos")
     return root

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Self
 
 from xpl.client import PolicyServerError
-from xpl_cli.audit.offline.search.played import RefusedError, by_number, checked
+from xpl_cli.audit.offline.search.replay import QuestionRefusedError, check_answer, replay_by_question
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
     from xpl.catalogue import Mistake
     from xpl.contract import Observation
-    from xpl_cli.audit.offline.search.course import Course
+    from xpl_cli.audit.offline.search.session_replay import SessionReplay
     from xpl_cli.audit.served.session import Session as Client
     from xpl_cli.model_io.pairs import Chunk, Question
 
 
-class Around:
+class PerturbedAdapter:
     """Plays mistakes on a served adapter. Mistakes that show the same share one play.
 
     Args:
@@ -34,7 +34,7 @@ class Around:
 
     def __init__(
         self,
-        course: Course,
+        course: SessionReplay,
         given: Mapping[int, Sequence[Any]],
         connect: Callable[[], AbstractContextManager[Client]] | None = None,
         *,
@@ -62,22 +62,24 @@ class Around:
         A step that the change cannot tell is None.
         """
         numbers = self._course.with_earlier(wanted)
-        given = self._shown(mistake, numbers)
+        given = self._answers_to_changed_observations(mistake, numbers)
         if given is None or mistake.commanded is None:
             return None if given is None else {number: list(chunk) for number, chunk in given.items()}
         found: dict[int, list[Any]] = {}
-        for episode in self._course.episodes(numbers):
+        for episode in self._course.group_by_episode(numbers):
             questions = [self._course.session.questions[number] for number in episode]
             places = [question.asked[-1] for question in questions]
             told = [given[number] for number in episode]
             try:
-                changed = mistake.commanded(told, self._course.seen(questions[-1]), places)
+                changed = mistake.commanded(told, self._course.observations_of(questions[-1]), places)
             except ValueError:  # such as a rotation of length zero
                 return None
             found.update(zip(episode, changed, strict=True))
         return found
 
-    def _shown(self, mistake: Mistake, numbers: Sequence[int]) -> Mapping[int, Sequence[Any]] | None:
+    def _answers_to_changed_observations(
+        self, mistake: Mistake, numbers: Sequence[int]
+    ) -> Mapping[int, Sequence[Any]] | None:
         if mistake.shown is None:
             return {number: self._given[number] for number in numbers}
         if self._connect is None:
@@ -85,9 +87,9 @@ class Around:
         key = (id(mistake.shown), tuple(numbers))
         if key not in self._plays:
             try:
-                play = self._session if self._together else self._played
+                play = self._replay_together if self._together else self._replay_by_episode
                 self._plays[key] = play(self._connected(), mistake, numbers)
-            except RefusedError:
+            except QuestionRefusedError:
                 self._plays[key] = None
         return self._plays[key]
 
@@ -99,45 +101,47 @@ class Around:
             self._client = self._opened.enter_context(self._connect())
         return self._client
 
-    def _session(self, client: Client, mistake: Mistake, numbers: Sequence[int]) -> dict[int, Chunk]:
+    def _replay_together(self, client: Client, mistake: Mistake, numbers: Sequence[int]) -> dict[int, Chunk]:
         """Play all episodes in their order, each with its environments together."""
         assert mistake.shown is not None  # noqa: S101 - see who asks
         session = self._course.session
         changed: dict[tuple[int, int], Observation] = {}
-        for episode in self._course.episodes(numbers):
+        for episode in self._course.group_by_episode(numbers):
             last = session.questions[episode[-1]]
-            changed.update(zip(last.shown, mistake.shown(self._course.seen(last)), strict=True))
+            changed.update(zip(last.shown, mistake.shown(self._course.observations_of(last)), strict=True))
 
         def observation(env: int, place: int) -> Observation:
             return changed.get((env, place)) or self._course.observation(env, place)
 
         asked = [session.questions[number] for number in numbers]
-        return by_number(client, session, self._course.calls(numbers), asked, observation)
+        return replay_by_question(client, session, self._course.calls_for(numbers), asked, observation)
 
-    def _played(self, client: Client, mistake: Mistake, numbers: Sequence[int]) -> dict[int, Chunk]:
+    def _replay_by_episode(self, client: Client, mistake: Mistake, numbers: Sequence[int]) -> dict[int, Chunk]:
         assert mistake.shown is not None  # noqa: S101 - see who asks
         found: dict[int, Chunk] = {}
-        for episode in self._course.episodes(numbers):
+        for episode in self._course.group_by_episode(numbers):
             questions = [self._course.session.questions[number] for number in episode]
             if mistake.windowed:
                 for question in questions:
-                    shown = mistake.shown(self._course.seen(question))
-                    found.update(self._episode(client, shown, {len(shown) - 1: question}))
+                    shown = mistake.shown(self._course.observations_of(question))
+                    found.update(self._run_episode(client, shown, {len(shown) - 1: question}))
             else:
-                shown = mistake.shown(self._course.seen(questions[-1]))
-                found.update(self._episode(client, shown, {question.asked[-1]: question for question in questions}))
+                shown = mistake.shown(self._course.observations_of(questions[-1]))
+                found.update(self._run_episode(client, shown, {question.asked[-1]: question for question in questions}))
         return found
 
-    def _episode(self, client: Client, shown: Sequence[Observation], asked: Mapping[int, Question]) -> dict[int, Chunk]:
+    def _run_episode(
+        self, client: Client, shown: Sequence[Observation], asked: Mapping[int, Question]
+    ) -> dict[int, Chunk]:
         """Play one episode, and return its answers by the numbers of the questions."""
         client.reset()
         found = {}
         for place, observation in enumerate(shown):
             question = asked.get(place)
             if question is not None:
-                found[question.number] = checked(client.infer(observation), question, self._course.session)
+                found[question.number] = check_answer(client.infer(observation), question, self._course.session)
                 continue
             told = client.update_obs(observation)
             if isinstance(told, PolicyServerError):
-                raise RefusedError(next(iter(asked.values())), told)
+                raise QuestionRefusedError(next(iter(asked.values())), told)
         return found
