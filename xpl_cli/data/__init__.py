@@ -1,1 +1,1 @@
-"""Demonstrations: sets of recorded episodes in the field's formats, read lazily, converted, checked and measured."""
+"""Demonstration datasets: recorded episodes in several formats, read lazily, converted, validated and probed."""

@@ -1,1 +1,1 @@
-"""Sets of demonstrations turned into another format: names, conventions by a mapping, and the work itself."""
+"""Conversion of demonstration datasets to another format: names, conventions and the conversion job."""

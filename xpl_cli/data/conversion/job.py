@@ -1,4 +1,4 @@
-"""The work of a conversion: episodes in several processes, each whole or not there, so that it goes on after a kill."""
+"""A conversion job: episodes are written in several processes, each atomically, so that a killed job resumes."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ if TYPE_CHECKING:
 
 _PLAN: Final = "plan.json"
 _PIECES: Final = "pieces"
-_TOLD_AGAIN_S: Final = 2.0
+_REPORT_INTERVAL_S: Final = 2.0
 """Seconds between two lines of progress."""
 
 
 @dataclass(frozen=True)
 class ConversionJob:
-    """What is to be converted, and how.
+    """What to convert, and how.
 
     Attributes:
-        source: the set.
-        target: the file or folder that is made.
-        to: the format.
-        rate_hz: steps per second, where the set does not say them, or says wrong ones.
-        robot: likewise what the robot is called.
-        by: the mapping of the side that is not the standard's; None for none.
-        written_by: the mapping of the result, where both sides are not.
-        options: choices of the format.
-        workers: processes; None for as many as there are cores.
+        source: path of the dataset.
+        target: path of the output file or folder.
+        to: name of the output format.
+        rate_hz: steps per second, where the dataset has none, or a wrong value.
+        robot: likewise the robot's name.
+        by: mapping of the side that is not in the standard's format; None for none.
+        written_by: mapping of the output, where neither side is in the standard's format.
+        options: of the output format.
+        workers: number of processes; None for the number of cores.
     """
 
     source: Path
@@ -68,18 +68,18 @@ class ConversionJob:
 
 @dataclass(frozen=True)
 class ConversionReport:
-    """What came of it.
+    """The result of a conversion.
 
     Attributes:
         source, target: paths.
         from_format, to_format: formats.
-        episodes, steps: how many.
-        resumed: episodes that were there from a run before.
-        seconds: how long it took.
-        size: bytes of the result.
-        renamed: names that had to change, by the new one.
-        lost: what is not in the result, and why.
-        lossy: what is there, but not exactly, and how.
+        episodes, steps: counts.
+        resumed: episodes that an earlier run had written.
+        seconds: duration.
+        size: of the output, bytes.
+        renamed: the old name of each renamed column and camera, by the new one.
+        lost: why a column or camera is not in the output, by name.
+        lossy: how a camera's images differ from the source, by name.
     """
 
     source: str
@@ -97,12 +97,12 @@ class ConversionReport:
 
     @property
     def data(self) -> dict[str, Any]:
-        """The same as plain data."""
+        """The report as JSON values."""
         return asdict(self)
 
     @property
     def text(self) -> str:
-        """The same for people: what was made, and what is not as it was."""
+        """The report as text: what was written, and what was lost."""
         counts = f"{self.episodes} episodes, {self.steps} steps, {told_size(self.size)}"
         lines = [f"{self.target}: {self.to_format}, {counts}, from {self.from_format} in {self.seconds:.1f} s"]
         lines += [f"  renamed  {old} is {new}" for new, old in self.renamed.items()]
@@ -112,14 +112,14 @@ class ConversionReport:
 
 
 def convert(job: ConversionJob, progress: Progress) -> ConversionReport:
-    """Convert a set; what an earlier run of the same job has done is not done again.
+    """Convert a dataset; episodes that an earlier run of the same job wrote are kept.
 
     Raises:
-        DataError: the set cannot be read, the format cannot hold it, or the target is there already.
+        DataError: the dataset cannot be read, the format cannot hold it, or the target exists.
     """
     begins = time.monotonic()
     if job.target.exists():
-        raise DataError(f"{job.target} is there already", hint="remove it, or give another place", code=ExitCode.USAGE)
+        raise DataError(f"{job.target} exists already", hint="remove it, or choose another target", code=ExitCode.USAGE)
     source = sources.open_source(job.source, job.to, job.by, job.written_by)
     if not len(source):
         raise DataError(f"{job.source} has no episodes")
@@ -127,16 +127,16 @@ def convert(job: ConversionJob, progress: Progress) -> ConversionReport:
     writer = writer_of(job.to)
     writer.check(plan)
     with _staging(job, plan) as staging:
-        done = _written_indices(staging, len(plan.lengths))
-        due = [index for index in range(len(plan.lengths)) if index not in done]
-        if done:
-            progress.step(f"{len(done)} of {len(plan.lengths)} episodes are there from a run before")
+        finished = _written_indices(staging, len(plan.lengths))
+        due = [index for index in range(len(plan.lengths)) if index not in finished]
+        if finished:
+            progress.step(f"{len(finished)} of {len(plan.lengths)} episodes were written by an earlier run")
         task = _Task(job, plan, how, staging, os.getpid())
         _write_pending(task, due, progress, None if source.is_forkable else source)
         progress.step("joining the episodes")
         pieces = [_piece(staging, index) for index in range(len(plan.lengths))]
-        made = writer.finish(staging, plan, pieces)
-        made.rename(job.target)
+        result = writer.finish(staging, plan, pieces)
+        result.rename(job.target)
         shutil.rmtree(staging)
     return ConversionReport(
         str(job.source),
@@ -145,7 +145,7 @@ def convert(job: ConversionJob, progress: Progress) -> ConversionReport:
         writer.name,
         len(plan.lengths),
         sum(plan.lengths),
-        len(done),
+        len(finished),
         round(time.monotonic() - begins, 3),
         _size(job.target),
         how.changed,
@@ -155,7 +155,7 @@ def convert(job: ConversionJob, progress: Progress) -> ConversionReport:
 
 
 def _make_plan(job: ConversionJob, source: Demonstrations) -> tuple[WritePlan, Renaming]:
-    """Return what is known of the set before its first episode is written."""
+    """Return the plan and the names, before the first episode is written."""
     rate = job.rate_hz or source.rate_hz
     writer = writer_of(job.to)
     how = plan_renaming(source, writer, rate, sources.mapped_names(job.to, job.by, job.written_by))
@@ -166,12 +166,12 @@ def _make_plan(job: ConversionJob, source: Demonstrations) -> tuple[WritePlan, R
     if isinstance(source, PackedSet):
         extras[CONVERTED][NAME] = source.layout
         extras[CONVERTED]["numbers"] += source.numbers
-    listed = [EpisodeSummary.of(source[index]) for index in range(len(source))]
+    summaries = [EpisodeSummary.of(source[index]) for index in range(len(source))]
     plan = WritePlan(
         rate,
         job.robot or source.robot,
-        tuple(episode.steps for episode in listed),
-        tuple(episode.instructions for episode in listed),
+        tuple(episode.steps for episode in summaries),
+        tuple(episode.instructions for episode in summaries),
         first.columns,
         first.cameras,
         extras,
@@ -182,14 +182,14 @@ def _make_plan(job: ConversionJob, source: Demonstrations) -> tuple[WritePlan, R
 
 @dataclass(frozen=True)
 class _Task:
-    """What a process of the pool needs to know.
+    """What a worker process of the pool needs.
 
     Attributes:
-        job: what is converted.
-        plan: what is known of the set.
-        how: what is written, and under which names.
-        staging: the folder of what is not finished.
-        parent: the process that waits for it.
+        job: the conversion.
+        plan: facts of the whole dataset.
+        how: the columns and cameras that are written, and their names.
+        staging: folder of the unfinished output.
+        parent: process id of the process that waits for the pool.
     """
 
     job: ConversionJob
@@ -200,9 +200,9 @@ class _Task:
 
 
 def _write_pending(task: _Task, due: list[int], progress: Progress, source: Demonstrations | None) -> None:
-    """Write the pieces that are due: in several processes, or of a set that only this one may read here."""
+    """Write the pending episodes: in worker processes, or in this one where the dataset is not forkable."""
     plan = task.plan
-    begins = told = time.monotonic()
+    begins = last_report = time.monotonic()
     steps = 0
     total = sum(plan.lengths[index] for index in due)
     if source is None:
@@ -211,30 +211,30 @@ def _write_pending(task: _Task, due: list[int], progress: Progress, source: Demo
         answers = (_write(task, source, index) for index in due)
     for index, written in zip(due, answers, strict=True):
         if written is None:
-            raise DataError(f"the process that converted the episode {index} died", hint="the same command goes on")
+            raise DataError(f"the process that converted the episode {index} died", hint="the same command resumes")
         steps += plan.lengths[index]
         now = time.monotonic()
-        if now - told > _TOLD_AGAIN_S or index == due[-1]:
+        if now - last_report > _REPORT_INTERVAL_S or index == due[-1]:
             rate = steps / max(now - begins, 1e-9)
             progress.step(
                 f"{len(plan.lengths) - len(due) + due.index(index) + 1} of {len(plan.lengths)} episodes, "
-                f"{rate:.0f} steps/s, {(total - steps) / rate:.0f} s to go"
+                f"{rate:.0f} steps/s, {(total - steps) / rate:.0f} s left"
             )
-            told = now
+            last_report = now
 
 
 def _write_in_worker(task: _Task, index: int) -> bool:
-    """Write one episode, in a process of the pool."""
+    """Write one episode, in a worker process of the pool."""
     parallel.die_with(task.parent)
     job = task.job
     return _write(task, _cached_source(job.source, job.to, job.by, job.written_by), index)
 
 
 def _write(task: _Task, source: Demonstrations, index: int) -> bool:
-    """Write one episode, and then the note that it is there."""
+    """Write one episode, then the file that marks it as written."""
     episode = RenamedEpisode(source[index], task.how)
-    told = writer_of(task.job.to).write_episode(task.staging, task.plan, index, episode)
-    write_file(task.staging / _PIECES / f"{index:06d}.json", json.dumps(asdict(told)).encode())
+    written = writer_of(task.job.to).write_episode(task.staging, task.plan, index, episode)
+    write_file(task.staging / _PIECES / f"{index:06d}.json", json.dumps(asdict(written)).encode())
     return True
 
 
@@ -245,7 +245,7 @@ def _cached_source(path: Path, to: str, by: str | None, written_by: str | None) 
 
 @contextmanager
 def _staging(job: ConversionJob, plan: WritePlan) -> Iterator[Path]:
-    """Yield the folder of what is not finished, kept by this process alone; begun anew if it is of another job."""
+    """Lock and yield the staging folder; empty it first if it belongs to another job."""
     folder = job.target.parent / f".{job.target.name}.converting"
     folder.mkdir(parents=True, exist_ok=True)
     lock = os.open(folder, os.O_RDONLY)
@@ -253,7 +253,7 @@ def _staging(job: ConversionJob, plan: WritePlan) -> Iterator[Path]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise DataError(f"another process converts to {job.target} already") from None
+            raise DataError(f"another process is converting to {job.target}") from None
         digest = _digest(job, plan)
         if _read_digest(folder / _PLAN) != digest:
             for entry in folder.iterdir():
@@ -266,11 +266,11 @@ def _staging(job: ConversionJob, plan: WritePlan) -> Iterator[Path]:
 
 
 def _digest(job: ConversionJob, plan: WritePlan) -> str:
-    """Return what tells one job from another: mappings by what they say, because a file may be mended meanwhile."""
+    """Return the digest of a job, with the content of its mappings, because a file may change between runs."""
     by = [mapping.digest(name) for name in (job.by, job.written_by) if name is not None]
-    told: list[Any] = [str(job.source.resolve()), job.to, job.by, job.written_by, by, asdict(job.options)]
-    told += [plan.rate_hz, plan.robot, plan.lengths, plan.instructions, list(plan.columns), list(plan.cameras)]
-    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+    inputs: list[Any] = [str(job.source.resolve()), job.to, job.by, job.written_by, by, asdict(job.options)]
+    inputs += [plan.rate_hz, plan.robot, plan.lengths, plan.instructions, list(plan.columns), list(plan.cameras)]
+    return hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
 
 
 def _read_digest(path: Path) -> str | None:
@@ -290,7 +290,7 @@ def _piece(staging: Path, index: int) -> WrittenEpisode:
 
 
 def _lossy(job: ConversionJob, pieces: list[WrittenEpisode]) -> dict[str, str]:
-    """Return what is not exactly what it was: images that were encoded here, with the worst that a sample shows."""
+    """Return how images were encoded lossily, with the lowest PSNR of the sampled frames."""
     worst: dict[str, float] = {}
     how: dict[str, str] = {}
     for piece in pieces:

@@ -1,7 +1,7 @@
-"""What is which part of a set, and under which conventions: the words of a policy's `model_io:` block, with columns.
+"""Mapping files: which column of a dataset is which part of the standard, and under which conventions.
 
-An `input` of the block is the name of a column or camera. What only sets have stands beside it: which columns make the
-action, and by how many steps they come late. Source: spec/mappings/, and spec/v1/mapping.schema.json.
+A mapping has a `model_io` block, whose `input` is the name of a column or camera, and keys that only datasets need: the
+columns of the action, and by how many steps they lag. Source: spec/mappings/, spec/v1/mapping.schema.json.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ class DatasetMapping:
     Attributes:
         name: of the file.
         embodiment: the robot.
-        rate_hz: steps per second, if it says so.
-        images: by camera of the set, its conversion.
-        states: by column of the set, its parts.
+        rate_hz: steps per second; None where the mapping does not give it.
+        images: the conversion of each camera, by the dataset's camera name.
+        states: the parts of each state column, by the dataset's column name.
         action: the parts of the action.
-        columns: of the action, joined in this order.
-        shift: by how many steps the action's columns come late.
+        columns: columns of the action, concatenated in this order.
+        shift: steps by which the action's columns lag.
     """
 
     name: str
@@ -59,20 +59,20 @@ class DatasetMapping:
 
 
 def names() -> list[str]:
-    """Return the names of the mappings that are ready."""
+    """Return the names of the bundled mappings."""
     return sorted(path.stem for path in _folder().glob("*.yml"))
 
 
 def digest(name: str) -> str:
-    """Return the digest of what a mapping says."""
+    """Return the SHA-256 of a mapping's content."""
     return hashlib.sha256(json.dumps(_read(_path(name), name), sort_keys=True).encode()).hexdigest()
 
 
 def load(name: str) -> DatasetMapping:
-    """Return a mapping: one that is ready, by its name, or one of a file.
+    """Load a bundled mapping by its name, or a mapping file by its path.
 
     Raises:
-        DataError: there is none, or it does not hold; the text says where.
+        DataError: the mapping does not exist, or is invalid; the message says where.
     """
     path = _path(name)
     entry = _read(path, name)
@@ -93,13 +93,20 @@ def load(name: str) -> DatasetMapping:
         wrong = [kind for step in one.get("steps", ()) for kind in step if kind not in _PLAIN_STEPS]
         if wrong or len(one["cameras"]) != 1 or one["layout"] != "hwc" or one["dtype"] != "uint8":
             raise DataError(
-                f"{where}: the camera {one['input']} has to show one camera in hwc and uint8, mirrored or rotated only",
+                f"{where}: the camera {one['input']} maps to one camera in hwc and uint8, only mirrored or rotated",
                 code=ExitCode.USAGE,
             )
-    told = entry["action"]
+    action_entry = entry["action"]
     rate = entry.get("rate_hz")
     return DatasetMapping(
-        where, embodiment, rate, images, states, action, tuple(map(str, told["columns"])), int(told.get("shift", 0))
+        where,
+        embodiment,
+        rate,
+        images,
+        states,
+        action,
+        tuple(map(str, action_entry["columns"])),
+        int(action_entry.get("shift", 0)),
     )
 
 
@@ -110,7 +117,7 @@ def _read(path: Path, name: str) -> dict[str, Any]:
         content = files.content(path, _MOST)
     except FileNotFoundError:
         raise DataError(
-            f"there is no mapping {name!r}: ready are {', '.join(names())}, and any file may be given",
+            f"there is no mapping {name!r}: bundled are {', '.join(names())}; the path of a file works too",
             code=ExitCode.NOT_FOUND,
         ) from None
     except OSError as error:

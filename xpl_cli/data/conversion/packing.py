@@ -1,4 +1,4 @@
-"""The standard's series as one vector of state and one of actions, which most formats want, and back.
+"""Packing of the standard's series into one state and one action vector, which most formats need, and unpacking.
 
 The order is the standard's: for each arm its joints or pose, then its end effector; the left arm before the right one.
 """
@@ -31,34 +31,34 @@ STATE, ACTION, ENVIRONMENT = "state", "action", "environment"
 _PREFIXES: Final = tuple(dict.fromkeys(("left_", "right_", "")))
 _MOTION: Final = (spec.State.ARM_JOINT_STATE, spec.State.EE_POSE)
 Layout = dict[str, list[tuple[str, int]]]
-"""By vector, the series that it is made of, with their widths."""
+"""The series of each vector, with their widths."""
 
 
 def layout_of(episode: RecordedEpisode) -> Layout:
-    """Return how an episode's series are packed; a group without series of an arm is left as it is.
+    """Return how an episode's series are packed; a group without series of an arm is not packed.
 
-    What a simulator told becomes one vector, too: its fractions, of at most one axis.
+    Privileged information of a simulator is packed into a third vector: its float columns of at most one axis.
     """
     groups = {STATE: spec.Trajectory.STATE, ACTION: spec.Trajectory.ACTION}
-    found = {name: _series(episode.columns, group) for name, group in groups.items()}
+    layout = {name: _series(episode.columns, group) for name, group in groups.items()}
     truth = {name: column for name, column in episode.columns.items() if is_truth(tuple(name.split("/")))}
-    found[ENVIRONMENT] = [
+    layout[ENVIRONMENT] = [
         (name, column.shape[0] if column.shape else 1)
         for name, column in truth.items()
         if len(column.shape) <= 1 and column.dtype.startswith("float")
     ]
-    return {name: parts for name, parts in found.items() if parts}
+    return {name: parts for name, parts in layout.items() if parts}
 
 
 class PackedSet(DelegatingSet):
-    """A set of the standard, whose series are packed.
+    """A dataset in the standard's format whose series are packed.
 
     Args:
-        inner: the set.
+        inner: the dataset.
 
     Attributes:
-        layout: how.
-        numbers: what is packed and has single numbers for rows.
+        layout: the series of each vector.
+        numbers: packed series that are scalars.
     """
 
     def __init__(self, inner: Demonstrations) -> None:
@@ -73,13 +73,13 @@ class PackedSet(DelegatingSet):
 
 
 class UnpackedSet(DelegatingSet):
-    """A set that was made of a packed one: it has the standard's series and cameras again.
+    """A dataset converted from a packed one, with the standard's series and cameras restored.
 
     Args:
-        inner: the set.
-        names: by its names, those that it had before.
-        numbers: columns that were single numbers, by its names, or by their own where they were packed.
-        layout: how series were packed.
+        inner: the dataset.
+        names: the original names, by the dataset's names.
+        numbers: columns that were scalars, by the dataset's names, or by their own where they were packed.
+        layout: the series of each vector.
     """
 
     def __init__(
@@ -92,12 +92,12 @@ class UnpackedSet(DelegatingSet):
         try:
             return _Unpacked(episode, self._names, self._numbers, self._layout)
         except _NotPackedError as error:
-            told = f"{self.path}: {episode.key}: what the set says under {CONVERTED} names {error}"
-            raise DataError(told, code=ExitCode.FINDINGS) from None
+            message = f"{self.path}: {episode.key}: the dataset's {CONVERTED} record names {error}"
+            raise DataError(message, code=ExitCode.FINDINGS) from None
 
 
 class _NotPackedError(Exception):
-    """An episode is not what a layout says; the text tells what that names."""
+    """An episode does not match the layout; the message says what is missing."""
 
 
 class _Packed(DelegatingEpisode):
@@ -109,15 +109,15 @@ class _Packed(DelegatingEpisode):
     def columns(self) -> Mapping[str, ColumnInfo]:
         """The vectors, and every column that is in none of them."""
         has = self._inner.columns
-        made = {}
+        vectors = {}
         for name, parts in self._layout.items():
             if any(part not in has for part, _ in parts):
-                continue  # whoever writes says that this episode lacks it
+                continue  # the writer reports that this episode lacks it
             dtype = np.result_type(*(has[part].dtype for part, _ in parts)).name
             entries = tuple(entry for part, width in parts for entry in _entries(part, width))
-            made[name] = ColumnInfo((len(entries),), dtype, entries)
+            vectors[name] = ColumnInfo((len(entries),), dtype, entries)
         used = {part for parts in self._layout.values() for part, _ in parts}
-        return {**made, **{name: column for name, column in has.items() if name not in used}}
+        return {**vectors, **{name: column for name, column in has.items() if name not in used}}
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
@@ -145,26 +145,26 @@ class _Unpacked(DelegatingEpisode):
                 self._parts[part] = (self._old[name], begins, begins + width)
                 begins += width
         old = [names.get(name, name) for name in (*inner.columns, *inner.cameras)]
-        made = [
+        names_after = [
             *(name for name in old if name not in layout),
             *(part for parts in layout.values() for part, _ in parts),
         ]
-        if len(set(old)) < len(old) or len(set(made)) < len(made):
+        if len(set(old)) < len(old) or len(set(names_after)) < len(names_after):
             raise _NotPackedError("two columns or cameras of one name")
 
     @functools.cached_property
     def columns(self) -> Mapping[str, ColumnInfo]:
         """The series, and the other columns under their old names."""
         has = self._inner.columns
-        made = {
+        unpacked = {
             part: ColumnInfo(() if part in self._numbers and last - first == 1 else (last - first,), has[name].dtype)
             for part, (name, first, last) in self._parts.items()
         }
         rest = {old: name for old, name in self._old.items() if name in has and old not in self._layout}
-        kept = {
+        unchanged = {
             old: ColumnInfo((), has[name].dtype) if self._is_number(name) else has[name] for old, name in rest.items()
         }
-        return {**made, **kept}
+        return {**unpacked, **unchanged}
 
     def _is_number(self, name: str) -> bool:
         return name in self._numbers and math.prod(self._inner.columns[name].shape) == 1
@@ -190,15 +190,15 @@ class _Unpacked(DelegatingEpisode):
 
 
 def _series(columns: Mapping[str, ColumnInfo], group: str) -> list[tuple[str, int]]:
-    found = []
+    series = []
     for prefix in _PREFIXES:
         by_key = {shown(tuple(name.split("/")))[-1]: name for name in columns if name.startswith(f"{group}/")}
         motion = next((prefix + key for key in _MOTION if prefix + key in by_key), None)
         for key in (motion, prefix + spec.State.EE_JOINT_STATE):
             name = by_key.get(key or "")
             if name is not None and len(columns[name].shape) == 1:
-                found.append((name, columns[name].shape[0]))
-    return found
+                series.append((name, columns[name].shape[0]))
+    return series
 
 
 def _entries(part: str, width: int) -> list[str]:

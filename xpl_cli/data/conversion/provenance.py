@@ -1,4 +1,4 @@
-"""What a set says of the one that it was made of, so that it becomes that one again."""
+"""Provenance of a converted dataset: what is needed to convert it back."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ _SCHEMA: Final = documents.schema_text(
 
 @dataclass(frozen=True)
 class Provenance:
-    """The set that another one was made of.
+    """What a converted dataset records of its source.
 
     Attributes:
-        format: of it; "" where nothing is said.
-        names: by the set's names, those that it had.
-        numbers: columns that were single numbers.
+        format: of the source; "" where none is recorded.
+        names: the source's names, by the dataset's names.
+        numbers: columns that were scalars.
         layout: how series were packed; None where they were not.
     """
 
@@ -58,19 +58,19 @@ class Provenance:
     layout: packing.Layout | None = None
 
     @classmethod
-    def of(cls, found: Demonstrations) -> Self:
-        """Return what a set says.
+    def of(cls, dataset: Demonstrations) -> Self:
+        """Read the provenance of a dataset.
 
         Raises:
-            DataError: it says something else than what conversions write.
+            DataError: the record does not match the schema that conversions write.
         """
-        told = found.extras.get(CONVERTED)
-        if not isinstance(told, Mapping):
+        record = dataset.extras.get(CONVERTED)
+        if not isinstance(record, Mapping):
             return cls()
         try:
-            documents.validate_value(told, _SCHEMA, f"{found.path}: {CONVERTED}")
+            documents.validate_value(record, _SCHEMA, f"{dataset.path}: {CONVERTED}")
         except DataError as error:
             raise DataError(str(error), code=ExitCode.FINDINGS) from None
-        packed = told.get(packing.NAME)
+        packed = record.get(packing.NAME)
         layout = None if packed is None else {name: [(p, int(w)) for p, w in parts] for name, parts in packed.items()}
-        return cls(told.get("from", ""), told.get("names", {}), frozenset(told.get("numbers", ())), layout)
+        return cls(record.get("from", ""), record.get("names", {}), frozenset(record.get("numbers", ())), layout)

@@ -1,4 +1,4 @@
-"""What columns and cameras of one format are called in another, and an episode under these names."""
+"""The names of columns and cameras in another format, and an episode under those names."""
 
 from __future__ import annotations
 
@@ -32,32 +32,32 @@ _READ_ONLY: Final = {
     "rlds": NamingScheme("action", "observation/state", "observation/", "observation/"),
     packing.NAME: NamingScheme(packing.ACTION, packing.STATE, "", "vision/", environment=packing.ENVIRONMENT),
 }
-"""How formats that are not written call things."""
+"""Naming schemes of the formats that are only read."""
 _ANY: Final = NamingScheme("action", "", "", "")
-"""How another format, which an installed package reads, is taken to call things."""
+"""The naming scheme assumed for a format that an installed package reads."""
 _OWN: Final = (
     *(CONVERTED, "frequency", "robot", "num_samples", "ep_meta", "instruction", "instructions"),
     *("data_format_version", "additional_info/frequency"),
 )
-"""Facts of an episode that are written anew."""
+"""Metadata of an episode that the writer produces itself."""
 _LEAVES: Final = {
     "robotwin": {COLOR: "/rgb", DEPTH: "/depth"},
     "xpl": {leaf: f"/{sdk.TRAJECTORY_CAMERA[leaf]}" for leaf in (COLOR, DEPTH)},
 }
-"""What stands behind a camera's name where a camera is a group, by what its images are."""
+"""Suffix of a camera's name in formats where a camera is a group, by kind of image."""
 _DERIVED: Final = {"lerobot": tuple(layout.DEFAULTS)}
-"""Columns that say nothing that the format does not know otherwise, and that are written anew."""
+"""Columns that the format derives from others; the writer produces them itself."""
 
 
 @dataclass(frozen=True)
 class Renaming:
-    """Which columns and cameras are written, and how they are called.
+    """Which columns and cameras are written, and under which names.
 
     Attributes:
-        columns: by the name that is written, that of the source.
+        columns: the source's name of each column, by the name that is written.
         cameras: likewise.
-        numbers: columns whose rows are single numbers, and which the source has as arrays of one.
-        lost: by the source's name, why it is not written.
+        numbers: scalar columns that the source stores as arrays of length 1.
+        lost: why a column or camera is not written, by the source's name.
     """
 
     columns: Mapping[str, str]
@@ -67,23 +67,23 @@ class Renaming:
 
     @property
     def changed(self) -> dict[str, str]:
-        """The names that had to change: by the name that is written, that of the source."""
+        """The source's name of each renamed column and camera, by the name that is written."""
         both = {**self.columns, **self.cameras}
         return {new: old for new, old in both.items() if new != old}
 
 
 def plan_renaming(
-    source: Demonstrations, writer: DatasetWriter, rate_hz: float | None, given: frozenset[str] = frozenset()
+    source: Demonstrations, writer: DatasetWriter, rate_hz: float | None, mapped_names: frozenset[str] = frozenset()
 ) -> Renaming:
-    """Return how a set's names become those of a format.
+    """Choose the names of a dataset's columns and cameras in another format.
 
-    A set that was made of one of that format gets the names back that it had there.
+    A dataset that was converted from that format gets back the names that it had there.
 
     Args:
-        source: the set.
-        writer: of the format.
+        source: the dataset.
+        writer: of the output format.
         rate_hz: steps per second.
-        given: names that a mapping gave, which stay as they are.
+        mapped_names: names that a mapping assigned; they are kept.
     """
     first = source[0]
     before = Provenance.of(source)
@@ -100,8 +100,10 @@ def plan_renaming(
         if reason is not None:
             lost[name] = reason
             continue
-        wanted = name if name in given else before.names.get(name) or _target_name(name, source.format, writer.names)
-        new = _unique_name(wanted, columns, writer)
+        target_name = (
+            name if name in mapped_names else before.names.get(name) or _target_name(name, source.format, writer.names)
+        )
+        new = _unique_name(target_name, columns, writer)
         columns[new] = name
         if name in before.numbers and math.prod(column.shape) == 1:
             numbers.append(new)
@@ -113,7 +115,7 @@ def plan_renaming(
         else:
             new = (
                 name
-                if name in given
+                if name in mapped_names
                 else before.names.get(name) or _camera_name(name, camera.kind, source.format, writer)
             )
             cameras[_unique_name(new, {**columns, **cameras}, writer)] = name
@@ -126,7 +128,7 @@ def family(name: str) -> str:
 
 
 class RenamedEpisode(DelegatingEpisode):
-    """An episode under the names of another format; with no more columns and cameras than are written."""
+    """An episode under the names of another format, with only the columns and cameras that are written."""
 
     def __init__(self, inner: RecordedEpisode, how: Renaming) -> None:
         super().__init__(inner)
@@ -150,7 +152,7 @@ class RenamedEpisode(DelegatingEpisode):
 
     @property
     def extras(self) -> Extras:
-        """What else is said of it, without what every format says in its own way."""
+        """Metadata of the episode, without the keys that each format writes itself."""
         return {name: value for name, value in self._inner.extras.items() if name not in _OWN}
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
@@ -163,56 +165,56 @@ class RenamedEpisode(DelegatingEpisode):
         return self._inner.frames(self._how.cameras[camera], start, stop)
 
     def video(self, camera: str) -> VideoClip | None:
-        """Return where a camera's video lies; None if it has none."""
+        """Return a camera's video clip; None if it has none."""
         return self._inner.video(self._how.cameras[camera])
 
     def stats(self, camera: str) -> Mapping[str, Any] | None:
-        """Return the statistics of a camera that the set has; None if it has none."""
+        """Return the dataset's own statistics of a camera's images; None if it has none."""
         return self._inner.stats(self._how.cameras[camera])
 
 
-def _target_name(name: str, given: str, wanted: NamingScheme) -> str:
+def _target_name(name: str, source_format: str, target_scheme: NamingScheme) -> str:
     """Return what a column is called in another format."""
-    has = _naming_of(given)
-    if has.action and name == has.action and wanted.action:
-        return wanted.action
+    has = _naming_of(source_format)
+    if has.action and name == has.action and target_scheme.action:
+        return target_scheme.action
     if has.state and name == has.state:
-        return wanted.state or f"{wanted.within}state"
-    if has.environment and name == has.environment and wanted.environment:
-        return wanted.environment
+        return target_scheme.state or f"{target_scheme.within}state"
+    if has.environment and name == has.environment and target_scheme.environment:
+        return target_scheme.environment
     if has.within and name.startswith(has.within):
-        return wanted.within + name.removeprefix(has.within)
+        return target_scheme.within + name.removeprefix(has.within)
     return name
 
 
-def _naming_of(given: str) -> NamingScheme:
-    name = family(given)
+def _naming_of(format_name: str) -> NamingScheme:
+    name = family(format_name)
     written = {family(writer.name): writer.names for writer in WRITERS}
     return {**written, **_READ_ONLY}.get(name, _ANY)
 
 
-def _camera_name(name: str, kind: str, given: str, writer: DatasetWriter) -> str:
-    short = name.removeprefix(_naming_of(given).camera)
-    wanted = _LEAVES.get(writer.name, {}).get(kind, "")
-    if kind == COLOR or wanted:  # else depth would be called as the colour beside it
+def _camera_name(name: str, kind: str, source_format: str, writer: DatasetWriter) -> str:
+    short = name.removeprefix(_naming_of(source_format).camera)
+    leaf = _LEAVES.get(writer.name, {}).get(kind, "")
+    if kind == COLOR or leaf:  # else depth would be called as the colour beside it
         for leaves in _LEAVES.values():
             short = short.removesuffix(leaves[kind])
-    return writer.names.camera + short + wanted
+    return writer.names.camera + short + leaf
 
 
-def _unique_name(name: str, taken: Mapping[str, str], writer: DatasetWriter) -> str:
-    """Return a name with the format's separators that nothing else has."""
+def _unique_name(name: str, used_names: Mapping[str, str], writer: DatasetWriter) -> str:
+    """Return a name that is not in use, with the format's separators."""
     if writer.names.separator != "/":
         name = name.replace("/", writer.names.separator)
     if family(writer.name) == "lerobot" and name in layout.DEFAULTS:
         name = f"recorded_{name}"
-    while name in taken:
+    while name in used_names:
         name += "_"
     return name
 
 
 def _is_regular(episode: RecordedEpisode, rate_hz: float | None) -> bool:
-    """Tell whether times are those that the rate tells anyway."""
+    """Tell whether the timestamps are step / rate_hz, to 0.1 ms."""
     import numpy as np
 
     if rate_hz is None or not episode.length or episode.columns["timestamp"].dtype == "str":

@@ -1,4 +1,4 @@
-"""What stands between a set and a writer: conventions by a mapping, and series that are packed or unpacked."""
+"""The dataset that a writer reads: converted by a mapping, with packed or unpacked series."""
 
 from __future__ import annotations
 
@@ -18,46 +18,46 @@ if TYPE_CHECKING:
 
 
 def open_source(path: Path, to: str, by: str | None, written_by: str | None) -> Demonstrations:
-    """Return a set as a writer gets it.
+    """Open a dataset and wrap it in the conversions that the writer needs.
 
     Args:
-        path: the set.
-        to: the format that is written.
-        by: the mapping of the side that is not the standard's.
-        written_by: the mapping of the result, where neither is.
+        path: of the dataset.
+        to: name of the output format.
+        by: mapping of the side that is not in the standard's format.
+        written_by: mapping of the output, where neither side is in the standard's format.
 
     Raises:
-        DataError: the set cannot be read, or a mapping does not hold or has nothing to do.
+        DataError: the dataset cannot be read, or a mapping is invalid or would convert nothing.
     """
-    found = open_set(path)
-    if by is not None and found.format != NAME:
-        found = StandardizedSet(found, mappings.load(by))
+    dataset = open_set(path)
+    if by is not None and dataset.format != NAME:
+        dataset = StandardizedSet(dataset, mappings.load(by))
         by = None
-    elif found.format != NAME and to == NAME:
-        found = _unpack(found)
-    wanted = by or written_by
-    if wanted is None:
-        is_packed = found.format == NAME and to != NAME and len(found) > 0
-        return PackedSet(found) if is_packed else found
-    if found.format != NAME or to == NAME:
+    elif dataset.format != NAME and to == NAME:
+        dataset = _unpack(dataset)
+    mapping_name = by or written_by
+    if mapping_name is None:
+        is_packed = dataset.format == NAME and to != NAME and len(dataset) > 0
+        return PackedSet(dataset) if is_packed else dataset
+    if dataset.format != NAME or to == NAME:
         raise DataError(
-            f"a mapping says what a set of the field means by the standard; from {found.format} to {to} by {wanted} "
-            "leaves nothing to say",
+            f"a mapping converts between another format and the standard; from {dataset.format} to {to} "
+            f"the mapping {mapping_name} has nothing to convert",
             code=ExitCode.USAGE,
         )
-    return NativeSet(found, mappings.load(wanted))
+    return NativeSet(dataset, mappings.load(mapping_name))
 
 
 def mapped_names(to: str, by: str | None, written_by: str | None) -> frozenset[str]:
-    """Return the names that a mapping gives to what is written."""
-    wanted = written_by or by
-    if to == NAME or wanted is None:
+    """Return the column and camera names that a mapping assigns in the output."""
+    mapping_name = written_by or by
+    if to == NAME or mapping_name is None:
         return frozenset()
-    mapping = mappings.load(wanted)
+    mapping = mappings.load(mapping_name)
     return frozenset((*mapping.images, *mapping.states, *mapping.columns))
 
 
-def _unpack(found: Demonstrations) -> Demonstrations:
-    """Return a set with the standard's series again, if it was made of one that had them."""
-    origin = Provenance.of(found)
-    return found if origin.layout is None else UnpackedSet(found, origin.names, origin.numbers, origin.layout)
+def _unpack(dataset: Demonstrations) -> Demonstrations:
+    """Return a dataset with unpacked series, if it was converted from one in the standard's format."""
+    origin = Provenance.of(dataset)
+    return dataset if origin.layout is None else UnpackedSet(dataset, origin.names, origin.numbers, origin.layout)

@@ -1,4 +1,4 @@
-"""Sets of the field under the standard's names and conventions, and episodes of the standard under the field's."""
+"""Datasets converted by a mapping: other formats to the standard's names and conventions, and back."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Rows = dict[str, np.ndarray]
 
 
 class _MappedSet(DelegatingSet):
-    """A set and the mapping that says what its columns mean, or shall mean."""
+    """A dataset and the mapping that converts it."""
 
     def __init__(self, inner: Demonstrations, mapping: DatasetMapping, name: str | None = None) -> None:
         super().__init__(inner, name)
@@ -36,12 +36,12 @@ class _MappedSet(DelegatingSet):
 
     @property
     def rate_hz(self) -> float | None:
-        """Steps per second: the set's, else the mapping's."""
+        """Steps per second: the dataset's, else the mapping's."""
         return self._inner.rate_hz or self._mapping.rate_hz
 
 
 class StandardizedSet(_MappedSet):
-    """A set of the field, read by a mapping: its episodes have the standard's names."""
+    """A dataset in another format, converted to the standard by a mapping."""
 
     def __init__(self, inner: Demonstrations, mapping: DatasetMapping) -> None:
         super().__init__(inner, mapping, NAME)
@@ -56,11 +56,11 @@ class StandardizedSet(_MappedSet):
 
 
 class NativeSet(_MappedSet):
-    """A set of the standard, written by a mapping."""
+    """A dataset in the standard's format, converted to another format's conventions by a mapping."""
 
     @property
     def robot(self) -> str | None:
-        """The set's robot, else the mapping's."""
+        """The dataset's robot, else the mapping's."""
         return self._inner.robot or self._mapping.embodiment.name
 
     def _wrap(self, episode: RecordedEpisode) -> NativeEpisode:
@@ -68,7 +68,7 @@ class NativeSet(_MappedSet):
 
 
 class _MappedEpisode(DelegatingEpisode):
-    """What an episode has whatever its columns are called."""
+    """An episode converted by a mapping; common to both directions."""
 
     def __init__(self, inner: RecordedEpisode, mapping: DatasetMapping) -> None:
         super().__init__(inner)
@@ -76,10 +76,10 @@ class _MappedEpisode(DelegatingEpisode):
 
     @functools.cached_property
     def columns(self) -> Mapping[str, ColumnInfo]:
-        """What was converted, and every column that the mapping does not know."""
-        made = {name: ColumnInfo(rows.shape[1:], rows.dtype.name) for name, rows in self._rows.items()}
-        kept = {name: column for name, column in self._inner.columns.items() if name not in self._used}
-        return {**made, **kept}
+        """The converted columns, and every column that the mapping does not name."""
+        converted = {name: ColumnInfo(rows.shape[1:], rows.dtype.name) for name, rows in self._rows.items()}
+        unchanged = {name: column for name, column in self._inner.columns.items() if name not in self._used}
+        return {**converted, **unchanged}
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
@@ -99,23 +99,23 @@ class _MappedEpisode(DelegatingEpisode):
 
 
 class StandardizedEpisode(_MappedEpisode):
-    """An episode of the field under the standard's names."""
+    """An episode in another format under the standard's names."""
 
     @functools.cached_property
     def cameras(self) -> Mapping[str, CameraInfo]:
-        """The cameras, those that the mapping does not know under their own names."""
+        """The cameras; those that the mapping does not name keep their names."""
         has = self._inner.cameras
-        made = {}
+        converted = {}
         for name, source in self._camera_sources.items():
             camera = has[source]
             height, width = camera.height, camera.width
             if self._mapping.images[source].view(np.zeros((height, width, 3), np.uint8)).shape[0] != height:
                 height, width = width, height
-            made[name] = CameraInfo(
+            converted[name] = CameraInfo(
                 height, width, spec.Camera.COLOR, camera.encoding, camera.intrinsics, camera.extrinsics
             )
-        kept = {name: camera for name, camera in has.items() if name not in self._mapping.images}
-        return {**made, **kept}
+        unchanged = {name: camera for name, camera in has.items() if name not in self._mapping.images}
+        return {**converted, **unchanged}
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Yield images of a camera, upright and RGB."""
@@ -125,21 +125,21 @@ class StandardizedEpisode(_MappedEpisode):
                 raise KeyError(camera)
             yield from self._inner.frames(camera, start, stop)
             return
-        how, known = self._mapping.images[source], self.cameras[camera]
-        sizes = {how.cameras[0]: (known.height, known.width)}
+        how, info = self._mapping.images[source], self.cameras[camera]
+        sizes = {how.cameras[0]: (info.height, info.width)}
         for frame in self._inner.frames(source, start, stop):
             (image,) = how.decode(frame, sizes).values()
             yield image
 
     @functools.cached_property
     def _camera_sources(self) -> dict[str, str]:
-        """By the standard's name, the camera of the set; of two that show one the first that is there counts."""
-        found: dict[str, str] = {}
+        """The dataset's camera of each standard camera name; of two candidates the first that exists."""
+        sources: dict[str, str] = {}
         for source, how in self._mapping.images.items():
             name = "/".join(stored((spec.Obs.VISION, how.cameras[0], spec.Camera.COLOR)))
-            if source in self._inner.cameras and name not in found:
-                found[name] = source
-        return found
+            if source in self._inner.cameras and name not in sources:
+                sources[name] = source
+        return sources
 
     @functools.cached_property
     def _used(self) -> frozenset[str]:
@@ -167,7 +167,7 @@ class StandardizedEpisode(_MappedEpisode):
         return assembled(parts, columns, _origins(self._mapping))
 
     def _action(self, state: Rows, where: str) -> Rows:
-        """Return what was commanded; a change counts from the state of its own step."""
+        """Return the commands; a delta action is relative to the state of its own step."""
         raw = np.concatenate([self._column(name, where) for name in self._mapping.columns], axis=1)
         shift = self._mapping.shift
         raw = np.concatenate([raw[shift:], np.repeat(raw[-1:], min(shift, len(raw)), axis=0)])
@@ -189,22 +189,22 @@ class StandardizedEpisode(_MappedEpisode):
 
 
 class NativeEpisode(_MappedEpisode):
-    """An episode of the standard under the names and conventions that a mapping says."""
+    """An episode in the standard's format under the names and conventions of a mapping."""
 
     @functools.cached_property
     def cameras(self) -> Mapping[str, CameraInfo]:
-        """The cameras, those that the mapping does not know under their own names."""
+        """The cameras; those that the mapping does not name keep their names."""
         has = self._inner.cameras
-        made = {}
+        converted = {}
         for name, source in self._camera_sources.items():
             camera = has[source]
             shape = self._mapping.images[name].view(np.zeros((camera.height, camera.width, 3), np.uint8)).shape
-            made[name] = CameraInfo(shape[0], shape[1], spec.Camera.COLOR, camera.encoding)
-        kept = {name: camera for name, camera in has.items() if name not in self._camera_sources.values()}
-        return {**made, **kept}
+            converted[name] = CameraInfo(shape[0], shape[1], spec.Camera.COLOR, camera.encoding)
+        unchanged = {name: camera for name, camera in has.items() if name not in self._camera_sources.values()}
+        return {**converted, **unchanged}
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
-        """Yield images of a camera, as the mapping says."""
+        """Yield images of a camera, converted by the mapping."""
         if camera not in self._camera_sources:
             yield from self._inner.frames(camera, start, stop)
             return
@@ -214,12 +214,12 @@ class NativeEpisode(_MappedEpisode):
 
     @functools.cached_property
     def _camera_sources(self) -> dict[str, str]:
-        found: dict[str, str] = {}
+        sources: dict[str, str] = {}
         for name, how in self._mapping.images.items():
             source = "/".join(stored((spec.Obs.VISION, how.cameras[0], spec.Camera.COLOR)))
-            if source in self._inner.cameras and source not in found.values():
-                found[name] = source
-        return found
+            if source in self._inner.cameras and source not in sources.values():
+                sources[name] = source
+        return sources
 
     @functools.cached_property
     def _used(self) -> frozenset[str]:
@@ -227,7 +227,7 @@ class NativeEpisode(_MappedEpisode):
         return frozenset(name for group in groups for name in self._series(group).values())
 
     def _series(self, group: str) -> dict[str, str]:
-        """By the standard's key, the column of a group that the mapping reads."""
+        """The columns of a group that the mapping reads, by the standard's key."""
         vectors = self._mapping.states.values() if group == spec.Trajectory.STATE else [self._mapping.action.vector]
         keys = dict.fromkeys(item.key for vector in vectors for item in vector.parts if item.key)
         return {key: "/".join(stored((group, key))) for key in keys}
@@ -237,15 +237,15 @@ class NativeEpisode(_MappedEpisode):
         where = f"{self._inner.key}, by the mapping {self._mapping.name}"
         try:
             states = self._steps(spec.Trajectory.STATE, where)
-            made = {}
+            rows = {}
             for name, vector in self._mapping.states.items():
                 pieces = [np.concatenate([item.read(state) for item in vector.parts]) for state in states]
-                made[name] = vector.normalized(np.stack(pieces))
+                rows[name] = vector.normalized(np.stack(pieces))
             if not self._mapping.shift:
-                made |= self._commands(states, where)
+                rows |= self._commands(states, where)
         except (ConversionError, ValueError) as error:
             raise DataError(f"{where}: {error}") from None
-        return made
+        return rows
 
     def _commands(self, states: list[State], where: str) -> Rows:
         actions = self._steps(spec.Trajectory.ACTION, where)
@@ -272,7 +272,7 @@ class NativeEpisode(_MappedEpisode):
 
 
 def _origins(mapping: DatasetMapping) -> dict[str, NDArray[np.float64]]:
-    """Return a pose for each arm, of which nothing is taken where a set has both position and rotation."""
+    """Return a placeholder pose for each arm; unused where a dataset has both position and rotation."""
     return {
         arm.prefix + spec.State.EE_POSE: np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
         for arm in mapping.embodiment.arms

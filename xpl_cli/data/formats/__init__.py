@@ -1,5 +1,5 @@
-"""The field's formats of demonstrations, one module or package each: how a set is recognised, read and written.
+"""Dataset formats, one module or package each: how a dataset is recognised, read and written.
 
 A format's module has `recognises(path)` and `opened(path)` (`xpl_cli.basics.formats`); `xpl_cli.data.reading` opens
-sets.
+datasets.
 """

@@ -17,12 +17,12 @@ _STEPS: Final = ("action", "observations/qpos")
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a set is one."""
+    """Tell whether a path is a dataset of this format."""
     return hdf5.is_hdf5_set(path, lambda file: "action" in file and "observations" in file)
 
 
 def opened(path: Path) -> FolderSet:
-    """Return the set."""
+    """Return the dataset."""
     files = hdf5.OpenFileCache(storage.opened)
     return FolderSet(
         path, NAME, hdf5.files(path), lambda file, key: InlineInstructionEpisode((file, files), "", key, _STEPS)

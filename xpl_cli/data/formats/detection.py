@@ -1,4 +1,4 @@
-"""Which format a file or folder is in, found by looking into it."""
+"""Detection of a dataset's format by its content."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
 
 
 def open_here(path: Path) -> Demonstrations:
-    """Return the demonstrations in a file or folder, read by this process (`xpl_cli.data.reading` has one for it).
+    """Open a dataset in this process (`xpl_cli.data.reading` opens it in a process of its own).
 
-    Formats of installed packages are asked before ours: they know something more particular.
+    Formats of installed packages come before the built-in ones, because they are more specific.
 
     Raises:
-        DataError: nothing is known there, or it is damaged.
+        DataError: no format recognises the path, or the files are damaged.
         EntryPointError: a format of an installed package cannot be used.
     """
-    known = formats.registered(formats.DATA)
-    for entry in sorted(known.values(), key=lambda entry: entry.distribution == OURS):
+    readers = formats.registered(formats.DATA)
+    for entry in sorted(readers.values(), key=lambda entry: entry.distribution == OURS):
         if formats.call(entry, "recognises", path):
-            found: Demonstrations = formats.call(entry, "opened", path)
-            return found
-    hint = f"formats that are read: {', '.join(known)}"
+            dataset: Demonstrations = formats.call(entry, "opened", path)
+            return dataset
+    hint = f"formats that are read: {', '.join(readers)}"
     if (first := hdf5.first(path)) is not None:
         with hdf5.opened(first) as file:
             names = ", ".join(list(file)[:20]) or "nothing"
-        raise DataError(f"{first} is HDF5 of no known kind: it has {names}", hint=hint)
-    raise DataError(f"{path} holds no demonstrations that are known", hint=hint)
+        raise DataError(f"{first} is an HDF5 file in an unknown format: its root has {names}", hint=hint)
+    raise DataError(f"no format recognises {path} as demonstrations", hint=hint)

@@ -1,6 +1,6 @@
 """Diffusion Policy's zarr: arrays of all steps below `data/`, and where episodes end in `meta/episode_ends`.
 
-Source: Diffusion Policy's common/replay_buffer.py; zarr's format 2. It has no place for sentences, rates and robots.
+Source: Diffusion Policy's common/replay_buffer.py; zarr's format 2. It holds no instructions, rate or robot.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _CODEC: Final = {
     "required": ["id"],
     "properties": {"id": {"enum": ["blosc", "bz2", "delta", "gzip", "lz4", "lzma", "shuffle", "zlib", "zstd"]}},
 }
-"""Those of numcodecs that compress numbers; others may unpickle, or are another library's."""
+"""Codecs of numcodecs that only compress numbers; others may unpickle, or belong to another library."""
 _ARRAY_SCHEMA: Final = documents.schema_text(
     {
         "type": "object",
@@ -60,17 +60,17 @@ _ARRAY_SCHEMA: Final = documents.schema_text(
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a folder or ZIP file is one."""
+    """Tell whether a folder or ZIP file is a dataset of this format."""
     return (path / ENDS).is_dir() or (path.is_file() and path.suffix == ".zip")
 
 
 def opened(path: Path) -> DiffusionSet:
-    """Return the set."""
+    """Return the dataset."""
     return DiffusionSet(path)
 
 
 class DiffusionSet(Demonstrations):
-    """A store."""
+    """A zarr store."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, NAME)
@@ -86,7 +86,7 @@ class DiffusionSet(Demonstrations):
             self.contents = {name: _describe_array(name, array) for name, array in sorted(store["data"].arrays())}
         starts = [0, *self._ends]
         if any(end < start for start, end in zip(starts, self._ends, strict=False)):
-            raise DataError(f"{path}: {ENDS} does not rise")
+            raise DataError(f"{path}: {ENDS} has to be non-decreasing")
 
     @property
     def extras(self) -> Extras:
@@ -94,22 +94,22 @@ class DiffusionSet(Demonstrations):
         return self._extras
 
     def __len__(self) -> int:
-        """How many episodes there are."""
+        """The number of episodes."""
         return len(self._ends)
 
     def __getitem__(self, index: int) -> DiffusionEpisode:
-        """Return an episode, by its place."""
-        place = range(len(self._ends))[index]
-        start = self._ends[place - 1] if place else 0
-        return DiffusionEpisode(self, place, (start, self._ends[place]))
+        """Return an episode by its index."""
+        position = range(len(self._ends))[index]
+        start = self._ends[position - 1] if position else 0
+        return DiffusionEpisode(self, position, (start, self._ends[position]))
 
     def rows(self, name: str, start: int, stop: int) -> np.ndarray:
-        """Return rows of an array, counted over the set."""
+        """Return rows of an array, counted over the whole dataset."""
         with _data_errors(self._path):
-            found: np.ndarray = np.asarray(self._store["data"][name][start:stop])
-        if len(found) != stop - start:
-            raise DataError(f"{self._path}: {name} has {len(found)} of the rows {start} to {stop}")
-        return found
+            rows: np.ndarray = np.asarray(self._store["data"][name][start:stop])
+        if len(rows) != stop - start:
+            raise DataError(f"{self._path}: {name} has {len(rows)} of the rows {start} to {stop}")
+        return rows
 
 
 class DiffusionEpisode(OutlinedEpisode):
@@ -121,7 +121,7 @@ class DiffusionEpisode(OutlinedEpisode):
         self._start, self._stop = span
 
     def outline(self) -> Outline:
-        """Return what the file says without rows and images."""
+        """Read everything but rows and images."""
         contents = self._owner.contents.items()
         columns = {name: one for name, one in contents if isinstance(one, ColumnInfo)}
         cameras = {name: one for name, one in contents if isinstance(one, CameraInfo)}
@@ -144,7 +144,7 @@ class DiffusionEpisode(OutlinedEpisode):
 
 
 def _open_store(path: Path) -> Any:
-    """Return the store, after what every array of it says of itself was checked."""
+    """Open the store after checking the metadata of every array."""
     zarr = libraries.zarr()
     for count, (name, text) in enumerate(_declarations(path), 1):
         if count > _MOST_ARRAYS:
@@ -157,7 +157,7 @@ def _open_store(path: Path) -> Any:
 
 @contextmanager
 def _data_errors(path: Path) -> Iterator[None]:
-    """Say in one sentence what is wrong with a store."""
+    """Turn errors of zarr and its codecs into `DataError`."""
     try:
         yield
     except DataError:
@@ -167,10 +167,10 @@ def _data_errors(path: Path) -> Iterator[None]:
 
 
 def _declarations(path: Path) -> Iterator[tuple[str, bytes]]:
-    """Yield what the arrays that are read say of themselves, each with its name in the store."""
+    """Yield the `.zarray` metadata of the arrays that are read, with their names in the store."""
     if path.is_dir():
-        found = [path / ENDS / _ARRAY, *sorted(path.glob(f"data/*/{_ARRAY}"))]
-        for file in found:
+        paths = [path / ENDS / _ARRAY, *sorted(path.glob(f"data/*/{_ARRAY}"))]
+        for file in paths:
             try:
                 yield file.relative_to(path).as_posix(), files.content(file, _MOST_DECLARED)
             except FileNotFoundError:
@@ -191,10 +191,10 @@ def _declarations(path: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def _check(declared: Any, where: str) -> None:
-    """Refuse an array before a chunk of it is read: codecs may execute what they decode, and chunks claim any size.
+    """Check an array's metadata before a chunk is read: some codecs execute code, and chunks can claim any size.
 
     Raises:
-        DataError: it names a codec or type that is not known to be harmless, or has too large chunks.
+        DataError: the codec or type is not on the list of safe ones, or a chunk is too large.
     """
     documents.validate_value(declared, _ARRAY_SCHEMA, where)
     size = math.prod(declared["chunks"]) * int(declared["dtype"][2:])
@@ -205,7 +205,7 @@ def _check(declared: Any, where: str) -> None:
 
 
 def _describe_array(name: str, array: Any) -> ColumnInfo | CameraInfo:
-    """Return what an array is: a camera if its rows are images of bytes, or of floats 0..255 as in Push-T."""
+    """Classify an array: a camera if its rows are images of bytes, or of floats 0..255 as in Push-T, else a column."""
     shape, dtype = array.shape, np.dtype(array.dtype)
     if dtype.kind not in "biuf":
         raise DataError(f"{name} holds {dtype}, which is not read: texts and objects need pickle")

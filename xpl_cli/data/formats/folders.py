@@ -1,4 +1,4 @@
-"""Sets that are one HDF5 file an episode: ACT / ALOHA, RoboTwin, and the standard's own form."""
+"""Datasets with one HDF5 file per episode: ACT / ALOHA, RoboTwin, and the standard's own format."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from xpl_cli.data.sets.interface import Demonstrations, Extras
 if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import RecordedEpisode
 
-_RATE = (f"{spec.Trajectory.ADDITIONAL_INFO}/{spec.Obs.FREQUENCY}", "frequency", "fps", "control_freq")
-"""Names under which files of this kind keep steps per second."""
-_TOLD = ("instruction", "instructions", "language_instruction", "language_raw", "task_description")
-"""Names under which files of this kind keep a sentence."""
+_RATE_KEYS = (f"{spec.Trajectory.ADDITIONAL_INFO}/{spec.Obs.FREQUENCY}", "frequency", "fps", "control_freq")
+"""Keys under which these files store steps per second."""
+_INSTRUCTION_KEYS = ("instruction", "instructions", "language_instruction", "language_raw", "task_description")
+"""Keys under which these files store an instruction."""
 
 
 class FolderSet(Demonstrations):
     """A folder of files, or one file.
 
     Args:
-        path: what was opened.
-        name: the format.
+        path: the path that was opened.
+        name: of the format.
         files: one for each episode.
-        opens: makes an episode of a file and a key.
+        opens: returns the episode of a file and a key.
     """
 
     def __init__(self, path: Path, name: str, files: list[Path], opens: Callable[[Path, str], RecordedEpisode]) -> None:
@@ -38,36 +38,36 @@ class FolderSet(Demonstrations):
 
     @functools.cached_property
     def rate_hz(self) -> float | None:
-        """Steps per second, if the first episode says so."""
+        """Steps per second, if the first episode has them."""
         extras = self[0].extras if self._files else {}
-        for name in _RATE:
-            told = extras.get(name)
-            if isinstance(told, (int, float)) and told > 0:
-                return float(told)
+        for name in _RATE_KEYS:
+            rate = extras.get(name)
+            if isinstance(rate, (int, float)) and rate > 0:
+                return float(rate)
         return None
 
     @property
     def robot(self) -> str | None:
-        """What the first episode calls its robot, if it does."""
+        """The robot's name in the first episode, if it has one."""
         extras = self[0].extras if self._files else {}
-        told = next((extras[name] for name in ("robot", "embodiment", "robot_type") if name in extras), None)
-        return told if isinstance(told, str) else None
+        robot = next((extras[name] for name in ("robot", "embodiment", "robot_type") if name in extras), None)
+        return robot if isinstance(robot, str) else None
 
     @functools.cached_property
     def extras(self) -> Extras:
-        """Of what the set was made, as the first file says it; each file speaks for itself."""
-        told = self[0].extras.get(CONVERTED) if self._files else None
+        """The provenance record of the first file; other metadata belongs to each episode."""
+        record = self[0].extras.get(CONVERTED) if self._files else None
         try:
-            return {CONVERTED: json_text.parse(told) if isinstance(told, str) else told} if told else {}
+            return {CONVERTED: json_text.parse(record) if isinstance(record, str) else record} if record else {}
         except json_text.JsonError:
             return {}
 
     def __len__(self) -> int:
-        """How many episodes there are."""
+        """The number of episodes."""
         return len(self._files)
 
     def __getitem__(self, index: int) -> RecordedEpisode:
-        """Return an episode, by its place."""
+        """Return an episode by its index."""
         return self._episodes[index]
 
     @functools.cached_property
@@ -79,16 +79,16 @@ class FolderSet(Demonstrations):
 
 
 class InlineInstructionEpisode(Hdf5Episode):
-    """An episode whose file has its sentence itself."""
+    """An episode whose file holds its instruction."""
 
     def _sentences(self, extras: Extras) -> tuple[str, ...]:
-        """Return those in an attribute or a dataset of one of the usual names."""
+        """Return the instructions in an attribute or dataset under one of the usual keys."""
         return instructions_in(extras)
 
 
 def instructions_in(extras: Extras) -> tuple[str, ...]:
-    """Return the sentences under one of the usual names."""
-    return next(filter(None, (sentences(extras.get(name)) for name in _TOLD)), ())
+    """Return the instructions under one of the usual keys."""
+    return next(filter(None, (sentences(extras.get(name)) for name in _INSTRUCTION_KEYS)), ())
 
 
 def sentences(value: object) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
-"""HDF5 files whose datasets have a row for each step: what robomimic, ACT and RoboTwin have in common.
+"""HDF5 files whose datasets have one row per step, as those of robomimic, ACT and RoboTwin.
 
-Files are opened and read by `xpl.trajectory.storage`, which follows no link and believes no size.
+`xpl.trajectory.storage` opens and reads the files; it follows no link and checks every size.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ _MOST_FILES: Final = 1_000_000
 
 
 def files(path: Path) -> list[Path]:
-    """Return the HDF5 files of a set, in the order in which people count: itself, or those nearest below a folder.
+    """Return the HDF5 files of a dataset in natural order: the file itself, or those nearest below a folder.
 
     Raises:
-        DataError: they are too many.
+        DataError: there are more than a million files.
     """
-    found = list(itertools.islice(_files(path), _MOST_FILES + 1))
-    if len(found) > _MOST_FILES:
+    paths = list(itertools.islice(_files(path), _MOST_FILES + 1))
+    if len(paths) > _MOST_FILES:
         raise DataError(f"{path} has more than {_MOST_FILES} files")
-    return found if path.is_file() else sorted(found, key=lambda one: natural(one.relative_to(path).as_posix()))
+    return paths if path.is_file() else sorted(paths, key=lambda one: natural(one.relative_to(path).as_posix()))
 
 
 def first(path: Path) -> Path | None:
-    """Return any of the HDF5 files of a set; None if it has none."""
+    """Return one of the HDF5 files of a dataset; None if it has none."""
     return next(_files(path), None)
 
 
 def is_hdf5_set(path: Path, recognises: Callable[[File], bool]) -> bool:
-    """Tell whether a set is of HDF5 files of a kind, by one of them.
+    """Tell whether a dataset consists of HDF5 files of a format, by one of them.
 
     Args:
-        path: of the set.
-        recognises: tells it of an open file.
+        path: of the dataset.
+        recognises: tells whether an open file is of the format.
 
     Raises:
         DataError: that file is damaged.
@@ -62,12 +62,12 @@ def is_hdf5_set(path: Path, recognises: Callable[[File], bool]) -> bool:
     file = first(path)
     if file is None:
         return False
-    with opened(file) as found:
-        return recognises(found)
+    with opened(file) as handle:
+        return recognises(handle)
 
 
 def _files(path: Path) -> Iterator[Path]:
-    """Yield the files of a set, as the system lists them; a file that is no ZIP is one, whatever it is called."""
+    """Yield the files of a dataset in directory order; a file given by its path may have any suffix but .zip."""
     if path.is_file() and path.suffix != ".zip":
         yield path
     for depth in _DEPTHS if path.is_dir() else ():
@@ -85,7 +85,7 @@ def opened(path: Path) -> Iterator[File]:
     """Open a file for reading.
 
     Raises:
-        DataError: it is not there, is no HDF5 file, or is damaged where it is read.
+        DataError: the file does not exist, is no HDF5 file, or is damaged.
     """
     libraries.h5py()
     with data_errors(path), storage.opened(str(path)) as file:
@@ -100,10 +100,10 @@ _Opened = TypeVar("_Opened", bound=_Closable)
 
 
 class OpenFileCache(Generic[_Opened]):
-    """The file that was read last, open until another one is: opening it takes longer than reading a column.
+    """Keeps the last file open until another one is read: opening takes longer than reading a column.
 
     Args:
-        opens: a file, by its path.
+        opens: opens a file by its path.
     """
 
     def __init__(self, opens: Callable[[str], _Opened]) -> None:
@@ -113,7 +113,7 @@ class OpenFileCache(Generic[_Opened]):
 
     @contextmanager
     def opened(self, path: Path) -> Iterator[_Opened]:
-        """Open a file for reading, where it is not open; raises as `opened`."""
+        """Yield a file, opened if it is not open yet; raises as `opened`."""
         libraries.h5py()
         try:
             with data_errors(path):
@@ -133,10 +133,10 @@ class OpenFileCache(Generic[_Opened]):
 
 @contextmanager
 def data_errors(path: str | Path) -> Iterator[None]:
-    """Say in one sentence what is wrong with a file.
+    """Turn errors of h5py into `DataError`.
 
     Raises:
-        DataError: it cannot be read.
+        DataError: the file cannot be read.
     """
     try:
         yield
@@ -147,7 +147,7 @@ def data_errors(path: str | Path) -> Iterator[None]:
 
 
 def attributes(node: Group | Dataset) -> dict[str, Any]:
-    """Return the attributes of a group or file as plain data."""
+    """Return the attributes of a group or file as JSON values."""
     return {name: storage.plain(value) for name, value in node.attrs.items()}
 
 
@@ -155,11 +155,11 @@ class Hdf5Episode(OutlinedEpisode):
     """An episode that is a group of an HDF5 file.
 
     Args:
-        file: which one it is, and what keeps one of the set's files open.
+        file: its path, and the cache that keeps one of the dataset's files open.
         group: the group in it; "" for the whole file.
-        key: its name in the set.
-        steps: the dataset, or datasets, the first of which that is there says how many steps there are.
-        instructions: what the robot was told.
+        key: its name in the dataset.
+        steps: HDF5 datasets; the first that exists gives the number of steps.
+        instructions: the language instructions.
     """
 
     def __init__(
@@ -172,27 +172,27 @@ class Hdf5Episode(OutlinedEpisode):
     ) -> None:
         super().__init__(key)
         self._path, self._files = file
-        self._group, self._steps, self._told = group, steps, instructions
+        self._group, self._steps, self._instructions = group, steps, instructions
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
-        known = self.columns[column]
+        column_info = self.columns[column]
         with self._files.opened(self._path) as file:
             dataset = self._root(file)[column]
-            if known.dtype == "str":
+            if column_info.dtype == "str":
                 return np.array(storage.text(dataset, slice(start, stop)), dtype=str)
             return storage.rows(dataset, slice(start, stop))
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
-        """Yield images of a camera; their file is open of its own as long as they are read."""
-        known = self.cameras[camera]
+        """Yield images of a camera; the file is opened separately while they are read."""
+        camera_info = self.cameras[camera]
         with opened(self._path) as file:
             dataset = self._root(file)[camera]
             steps = range(*slice(start, stop).indices(self.length))
-            if known.encoding == "raw":
+            if camera_info.encoding == "raw":
                 for index in steps:
                     image = storage.rows(dataset, index)
-                    yield image[..., 0] if known.kind == "depth" and image.ndim == 3 else image
+                    yield image[..., 0] if camera_info.kind == "depth" and image.ndim == 3 else image
                 return
             for index, data in stored.series(dataset, steps):
                 yield image_codec.decode_image(
@@ -203,21 +203,21 @@ class Hdf5Episode(OutlinedEpisode):
         return storage.group(file, self._group) if self._group else file
 
     def outline(self) -> Outline:
-        """Return what the file says without rows and images."""
+        """Read everything but rows and images."""
         where = f"{self._path}, {self._key}"
         with self._files.opened(self._path) as file:
             root = self._root(file)
-            found = storage.datasets(root)
-            length = self._count_steps(found, where)
+            datasets = storage.datasets(root)
+            length = self._count_steps(datasets, where)
             columns: dict[str, ColumnInfo] = {}
             cameras: dict[str, CameraInfo] = {}
             extras = attributes(root)
-            for path, dataset in found.items():
+            for path, dataset in datasets.items():
                 name = "/".join(path)
                 is_steps = bool(dataset.shape) and dataset.shape[0] == length
                 picture = stored.found(path, dataset) if is_steps and length else None
                 if picture is not None:
-                    beside = _matrices(path, found)
+                    beside = _matrices(path, datasets)
                     cameras[name] = CameraInfo(picture.height, picture.width, picture.kind, picture.encoding, **beside)
                 elif is_steps and (column := _column(dataset)) is not None:
                     columns[name] = column
@@ -226,39 +226,39 @@ class Hdf5Episode(OutlinedEpisode):
         return Outline(length, self._sentences(extras), columns, cameras, extras)
 
     def _sentences(self, extras: Extras) -> tuple[str, ...]:
-        """Return what the robot was told, by what else the file says."""
+        """Return the instructions; subclasses read them from the file's metadata."""
         del extras
-        return self._told
+        return self._instructions
 
-    def _count_steps(self, found: Mapping[Place, Dataset], where: str) -> int:
+    def _count_steps(self, datasets: Mapping[Place, Dataset], where: str) -> int:
         for name in self._steps:
-            dataset = found.get(tuple(name.split("/")))
+            dataset = datasets.get(tuple(name.split("/")))
             if dataset is not None and dataset.shape:
                 return int(dataset.shape[0])
         raise DataError(f"{where} has no {' or '.join(self._steps)}, one of which every episode of this format has")
 
 
 def _column(dataset: Dataset) -> ColumnInfo | None:
-    """Return what a dataset is as a column; None if it holds no numbers and no texts."""
+    """Return the column of an HDF5 dataset; None if it holds neither numbers nor text."""
     if libraries.h5py().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 1:
         return ColumnInfo((), "str")
     return ColumnInfo(tuple(dataset.shape[1:]), dataset.dtype.name) if dataset.dtype.kind in "biuf" else None
 
 
-def _matrices(path: Place, found: Mapping[Place, Dataset]) -> dict[str, Any]:
-    """Return the matrices that lie beside a camera's images."""
+def _matrices(path: Place, datasets: Mapping[Place, Dataset]) -> dict[str, Any]:
+    """Return the camera matrices stored beside a camera's images."""
     result = {}
     for field, names in (
         ("intrinsics", ("intrinsic_matrix", "intrinsic_cv")),
         ("extrinsics", ("extrinsic_matrix", "extrinsics_matrix", "extrinsic_cv")),
     ):
         for one in names if len(path) > 1 else ():
-            dataset = found.get((*path[:-1], one))
+            dataset = datasets.get((*path[:-1], one))
             if dataset is not None and dataset.dtype.kind == "f" and dataset.size <= storage.MOST_FACT:
                 result[field] = storage.rows(dataset)
     return result
 
 
 def natural(name: str) -> tuple[tuple[int, str], ...]:
-    """Return what sorts `episode2` before `episode10`."""
+    """Return a sort key that orders `episode2` before `episode10`."""
     return tuple((int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name))

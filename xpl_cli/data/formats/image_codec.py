@@ -1,7 +1,7 @@
-"""Encoded images of one step, as they lie in files: what they are, how large, and their pixels.
+"""Decoding and encoding of the images stored in datasets.
 
-Nothing is exchanged: a JPEG's pixels are what its own standard says. Files of the field hold JPEGs whose red and blue
-were exchanged when they were written; that is a convention, which a mapping says and a probe measures.
+Channels are not swapped: a JPEG's pixels are what the JPEG standard says. Some datasets hold JPEGs whose red and blue
+were swapped when they were written; that is a convention, which a mapping states and the probe measures.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _JPEG: Final = b"\xff\xd8\xff"
 
 
 def decode_image(data: bytes, where: str) -> NDArray[np.uint8]:
-    """Return the pixels (H, W, 3) uint8 in the file's own order of channels.
+    """Decode an image to (H, W, 3) uint8 in the file's own channel order.
 
     Raises:
-        DataError: it cannot be decoded.
+        DataError: the image cannot be decoded.
     """
     try:
         image: NDArray[np.uint8] = images.decode(data)
@@ -37,23 +37,23 @@ def decode_image(data: bytes, where: str) -> NDArray[np.uint8]:
 
 
 def encode_image(image: NDArray[np.uint8], encoding: str) -> bytes:
-    """Return an image (H, W, 3) uint8 encoded: `pixels` gives it back.
+    """Encode an image (H, W, 3) uint8; `decode_image` is the inverse.
 
     Args:
         image: the pixels.
         encoding: png or jpeg.
     """
     target = io.BytesIO()
-    made = Image.fromarray(np.ascontiguousarray(image))
+    picture = Image.fromarray(np.ascontiguousarray(image))
     if encoding == "png":
-        made.save(target, "PNG", compress_level=1)
+        picture.save(target, "PNG", compress_level=1)
     else:
-        made.save(target, "JPEG", quality=images.DEFAULT_QUALITY)
+        picture.save(target, "JPEG", quality=images.DEFAULT_QUALITY)
     return target.getvalue()
 
 
 def thumbnail(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
-    """Return an image of at most this width, and four times this height."""
+    """Downscale an image to at most `width` pixels wide and `4 * width` high."""
     share = min(1.0, width / image.shape[1], 4 * width / image.shape[0])
     if share == 1.0:
         return np.ascontiguousarray(image)

@@ -1,4 +1,4 @@
-"""Libraries that only demonstrations need: imported when something is read, and one sentence where they are missing."""
+"""Optional libraries that only datasets need: imported on use; `LibraryMissingError` where one is missing."""
 
 from __future__ import annotations
 

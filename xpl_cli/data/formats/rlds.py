@@ -1,4 +1,4 @@
-"""RLDS, in which DROID and Open X-Embodiment lie: read through tensorflow-datasets, where that is installed.
+"""RLDS, the format of DROID and Open X-Embodiment, read through tensorflow-datasets where that is installed.
 
 Source: github.com/google-research/rlds: an episode is a nested dataset `steps`, each with `observation` and `action`.
 """
@@ -37,25 +37,25 @@ _SENTENCES: Final = (
 _STEPS: Final = "steps"
 _SPLIT: Final = "train"
 _AHEAD: Final = 64
-"""Episodes that are gone past, where one further on is asked for: to begin anew takes longer."""
+"""Episodes that are skipped to reach a later one: reopening the dataset takes longer."""
 _MOST_FACT: Final = 1024
-"""Numbers of what is said of a whole episode."""
+"""Largest size of an episode's metadata value, numbers."""
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a folder is a set that tensorflow-datasets has prepared."""
+    """Tell whether a folder is a dataset prepared by tensorflow-datasets."""
     return (path / _INFO).is_file() and (path / _FEATURES).is_file()
 
 
 def opened(path: Path) -> RldsSet:
-    """Return the set."""
+    """Return the dataset."""
     return RldsSet(path)
 
 
 class RldsSet(Demonstrations):
     """A folder with `dataset_info.json`; its split `train`.
 
-    Lengths and sentences are known after all of it was gone through once, without decoding an image.
+    Lengths and instructions need one pass over the dataset, which decodes no image.
     """
 
     is_forkable = False
@@ -78,33 +78,33 @@ class RldsSet(Demonstrations):
 
     @property
     def extras(self) -> Extras:
-        """Its name there."""
+        """The dataset's name in tensorflow-datasets."""
         return {"name": self._builder.name}
 
     def __len__(self) -> int:
-        """How many episodes there are."""
+        """The number of episodes."""
         return self._count
 
     def __getitem__(self, index: int) -> RldsEpisode:
-        """Return an episode, by its place."""
+        """Return an episode by its index."""
         return RldsEpisode(self, range(self._count)[index])
 
     @functools.cached_property
     def outlines(self) -> list[Outline]:
-        """What is known of each episode without its images."""
+        """The outline of each episode, read without decoding images."""
         steps = self._builder.info.features[_STEPS].feature
         skipped = _skip_images(steps, self._tfds)
         decoders = {_STEPS: skipped} if skipped else None
         return [self._outline(episode) for episode in self._episodes(0, decoders)]
 
     def steps(self, index: int) -> list[dict[str, Any]]:
-        """Return the steps of an episode, by paths of their features. The last one that was asked for is kept."""
+        """Return the steps of an episode as maps from feature path to value; the last episode is cached."""
         if self._read[0] != index:
             self._read = -1, []  # only one at a time is in memory
             at, episodes = self._next or (0, None)
             if episodes is None or not at <= index < at + _AHEAD:
                 at, episodes = index, self._episodes(index)
-            for _ in range(at, index):  # what is not looked at is not decoded
+            for _ in range(at, index):  # skipped episodes are not decoded
                 next(episodes)
             self._next = None
             episode = next(episodes)
@@ -113,13 +113,13 @@ class RldsSet(Demonstrations):
         return self._read[1]
 
     def _episodes(self, first: int, decoders: object = None) -> Iterator[Any]:
-        """Yield the episodes from one on, in their order: files are read one after the other."""
+        """Yield the episodes from `first` on, in order: files are read one after the other."""
         if first >= self._count:
             return iter(())
         one_by_one = self._tfds.ReadConfig(interleave_cycle_length=1)
         split = f"{_SPLIT}[{first}:]"
-        found = self._builder.as_dataset(split=split, decoders=decoders, read_config=one_by_one, shuffle_files=False)
-        return iter(self._tfds.as_numpy(found))
+        dataset = self._builder.as_dataset(split=split, decoders=decoders, read_config=one_by_one, shuffle_files=False)
+        return iter(self._tfds.as_numpy(dataset))
 
     def _outline(self, episode: Mapping[str, Any]) -> Outline:
         length = 0
@@ -140,7 +140,7 @@ class RldsSet(Demonstrations):
 
 
 class RldsEpisode(OutlinedEpisode):
-    """An episode; its steps are read together when some are asked for."""
+    """An episode; all its steps are read together on first access."""
 
     def __init__(self, owner: RldsSet, index: int) -> None:
         super().__init__(f"episode_{index:06d}")
@@ -148,9 +148,9 @@ class RldsEpisode(OutlinedEpisode):
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
-        known = self.columns[column]
+        info = self.columns[column]
         rows = [np.asarray(step[column]) for step in self._owner.steps(self._index)[start:stop]]
-        return np.stack(rows) if rows else np.empty((0, *known.shape), known.dtype)
+        return np.stack(rows) if rows else np.empty((0, *info.shape), info.dtype)
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Yield images of a camera."""
@@ -160,12 +160,12 @@ class RldsEpisode(OutlinedEpisode):
             yield np.asarray(step[camera])
 
     def outline(self) -> Outline:
-        """Return what the file says without rows and images."""
+        """Read everything but rows and images."""
         return self._owner.outlines[self._index]
 
 
 def _images(features: Any, prefix: str, tfds: ModuleType) -> Iterator[tuple[str, tuple[int | None, ...]]]:
-    """Yield the colour images among features, by their paths, with the shapes that they say."""
+    """Yield the path and declared shape of each colour image among the features."""
     for name, feature in features.items():
         if isinstance(feature, tfds.features.FeaturesDict):
             yield from _images(feature, f"{prefix}{name}/", tfds)
@@ -174,19 +174,19 @@ def _images(features: Any, prefix: str, tfds: ModuleType) -> Iterator[tuple[str,
 
 
 def _skip_images(features: Any, tfds: ModuleType) -> dict[str, Any]:
-    """Return how to read features without decoding an image."""
-    found: dict[str, Any] = {}
+    """Return the decoders that read features without decoding images."""
+    decoders: dict[str, Any] = {}
     for name, feature in features.items():
         if isinstance(feature, tfds.features.FeaturesDict):
             inner = _skip_images(feature, tfds)
-            found |= {name: inner} if inner else {}
+            decoders |= {name: inner} if inner else {}
         elif isinstance(feature, tfds.features.Image):
-            found[name] = tfds.decode.SkipDecoding()
-    return found
+            decoders[name] = tfds.decode.SkipDecoding()
+    return decoders
 
 
 def _camera(shape: tuple[int | None, ...], value: Any) -> CameraInfo:
-    """Return a camera by the shape that its features say, or by its first image, encoded or not."""
+    """Return a camera by its declared shape, or by its first image, encoded or not."""
     is_encoded = isinstance(value, bytes)
     width, height = (shape[1], shape[0]) if None not in shape else size_of(value) if is_encoded else value.shape[1::-1]
     if not width or not height or width * height > PIXELS:
@@ -196,8 +196,8 @@ def _camera(shape: tuple[int | None, ...], value: Any) -> CameraInfo:
 
 
 def _sentences(first: Mapping[str, Any]) -> tuple[str, ...]:
-    found = [first.get(prefix + name) for name in _SENTENCES for prefix in ("", "observation/")]
-    texts = [value.decode("utf-8", "replace") for value in found if isinstance(value, bytes)]
+    values = [first.get(prefix + name) for name in _SENTENCES for prefix in ("", "observation/")]
+    texts = [value.decode("utf-8", "replace") for value in values if isinstance(value, bytes)]
     return tuple(dict.fromkeys(text for text in texts if text.strip()))
 
 

@@ -1,7 +1,7 @@
-"""RoboTwin 2.0's HDF5: `joint_action`, `endpose`, `observation/<camera>/rgb`, and sentences in files beside it.
+"""RoboTwin 2.0's HDF5: `joint_action`, `endpose`, `observation/<camera>/rgb`, and instructions in separate files.
 
-Source: RoboTwin's pkl2hdf5.py and its description of the data. Its JPEGs have red and blue exchanged, because RGB was
-given to an encoder that expects BGR.
+Source: RoboTwin's pkl2hdf5.py and its description of the data. Its JPEGs have red and blue swapped, because RGB was
+passed to an encoder that expects BGR.
 """
 
 from __future__ import annotations
@@ -33,35 +33,35 @@ _SCHEMA: Final = documents.schema_text(
         ]
     }
 )
-"""Of a file of sentences: one, several, or several by whether training sees them."""
+"""Schema of an instruction file: one, several, or a map of those that training sees and those that it does not."""
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a set is one."""
+    """Tell whether a path is a dataset of this format."""
     return hdf5.is_hdf5_set(path, lambda file: "joint_action" in file and "observation" in file)
 
 
 def opened(path: Path) -> FolderSet:
-    """Return the set."""
+    """Return the dataset."""
     files = hdf5.OpenFileCache(storage.opened)
     return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _RobotwinEpisode((file, files), "", key, _STEPS))
 
 
 class _RobotwinEpisode(Hdf5Episode):
-    """An episode, whose sentences lie in `../instructions/<the same name>.json`."""
+    """An episode whose instructions are in `../instructions/<the same name>.json`."""
 
     def _sentences(self, extras: Extras) -> tuple[str, ...]:
-        """Return those of the file beside, in several wordings."""
+        """Return the instructions of that file, in several wordings."""
         del extras
         path = self._path.parent.parent / "instructions" / f"{self._path.stem}.json"
         try:
-            told = documents.validate_value(
+            instructions = documents.validate_value(
                 documents.parse_json(bounded.content(path, _MOST), str(path)), _SCHEMA, str(path)
             )
         except FileNotFoundError:
             return ()
         except OSError as error:
             raise DataError(f"{path} cannot be read: {error}") from None
-        if isinstance(told, dict):  # by whether training sees them
-            told = [sentence for key in ("seen", "unseen") for sentence in told.get(key) or []]
-        return sentences(told)
+        if isinstance(instructions, dict):  # those that training sees come first
+            instructions = [sentence for key in ("seen", "unseen") for sentence in instructions.get(key) or []]
+        return sentences(instructions)

@@ -1,4 +1,4 @@
-"""Frames of videos by their place in time."""
+"""Reading of video frames by time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _MOST_BETWEEN: Final = 10_000
-"""Frames that are decoded to reach one; encoders make a key frame of each 250th at least."""
+"""Most frames that are decoded to reach one; encoders write a key frame at least every 250 frames."""
 _CODECS: Final = {"libdav1d": "av1", "libsvtav1": "av1", "libaom-av1": "av1", "libx264": "h264"}
 
 
@@ -24,7 +24,7 @@ def described(path: Path) -> tuple[int, int, str]:
     """Return height, width and codec of a video.
 
     Raises:
-        DataError: it is none, or larger than is decoded.
+        DataError: the file is no video, or its frames are too large.
     """
     with opened(path) as (_, stream):
         name = stream.codec_context.name
@@ -38,11 +38,11 @@ def frames(path: Path, begins_s: float, rate_hz: float, start: int, stop: int) -
         path: the video, which may hold other episodes too.
         begins_s: when the episode begins in it.
         rate_hz: steps per second.
-        start: first frame, counted from there.
+        start: first frame, counted from the episode's first.
         stop: the frame after the last.
 
     Raises:
-        DataError: a frame is not there, or cannot be decoded.
+        DataError: a frame is missing, or cannot be decoded.
     """
     if start >= stop:
         return
@@ -53,10 +53,10 @@ def frames(path: Path, begins_s: float, rate_hz: float, start: int, stop: int) -
             for count, frame in enumerate(container.decode(stream)):
                 if count > _MOST_BETWEEN and due == start:
                     raise DataError(f"{path} has no key frame in {_MOST_BETWEEN} frames before frame {start}")
-                place = round((frame.time - begins_s) * rate_hz)
-                if place < due:
+                frame_index = round((frame.time - begins_s) * rate_hz)
+                if frame_index < due:
                     continue
-                if place > due:
+                if frame_index > due:
                     break
                 yield frame.to_ndarray(format="rgb24")
                 due += 1
@@ -72,7 +72,7 @@ def frames(path: Path, begins_s: float, rate_hz: float, start: int, stop: int) -
 
 @contextmanager
 def opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Open a video by the one reader that is meant: others would follow what a file names."""
+    """Open a video with the MP4 demuxer only: other demuxers would follow references to further files."""
     av = libraries.av()
     try:
         container = av.open(str(path), format="mp4", metadata_errors="replace")

@@ -1,4 +1,4 @@
-"""Videos written, copied and joined: one for each episode and camera, every frame at its step's time."""
+"""Writing, copying and joining of videos: one for each episode and camera, every frame at its step's time."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _GROUP: Final = "2"
-"""Frames between two that stand for themselves, as LeRobot has it: single frames are found fast."""
+"""Frames per group of pictures, as LeRobot has it: seeking to a single frame is fast."""
 _FINEST: Final = 1_000_000
 
 
 def encode_video(path: Path, frames: Iterable[NDArray[np.uint8]], rate_hz: float, codec: str, crf: int) -> int:
-    """Write a video of RGB frames (H, W, 3) uint8; return how many there were.
+    """Write a video of RGB frames (H, W, 3) uint8; return the number of frames.
 
     Raises:
-        DataError: the encoder does not take frames of this size, or there is none of that name.
+        DataError: the encoder rejects frames of this size, or is missing.
     """
     av = libraries.av()
     name = VIDEO[codec]
@@ -49,13 +49,13 @@ def encode_video(path: Path, frames: Iterable[NDArray[np.uint8]], rate_hz: float
             raise
         raise DataError(
             f"{path.name} cannot be written as {codec}: {error}",
-            hint="--images png keeps images of any size, --codec has another encoder",
+            hint="--images png takes images of any size, --codec selects another encoder",
         ) from None
     return count
 
 
 def copy_video(source: Path, begins_s: float, rate_hz: float, length: int, path: Path) -> bool:
-    """Copy an episode's part of a video without encoding it again; false where that cannot be done frame by frame."""
+    """Copy an episode's part of a video without re-encoding; return False where frames and packets do not match."""
     av = libraries.av()
     with _quiet(), video.opened(source) as (container, stream), av.open(str(path), "w", format="mp4") as output:
         target = output.add_stream_from_template(stream, opaque=True)
@@ -65,12 +65,12 @@ def copy_video(source: Path, begins_s: float, rate_hz: float, length: int, path:
         for packet in container.demux(stream):
             if packet.dts is None or packet.pts is None:
                 continue
-            place = round((packet.pts * tick_s - begins_s) * rate_hz)
-            if place < 0:
+            frame_index = round((packet.pts * tick_s - begins_s) * rate_hz)
+            if frame_index < 0:
                 continue
-            if place >= length:
+            if frame_index >= length:
                 break
-            if place != due or (due == 0 and not packet.is_keyframe):
+            if frame_index != due or (due == 0 and not packet.is_keyframe):
                 return False
             packet.pts = packet.dts = round(due / (rate_hz * tick_s))
             packet.stream = target
@@ -80,7 +80,7 @@ def copy_video(source: Path, begins_s: float, rate_hz: float, length: int, path:
 
 
 def join_videos(path: Path, parts: Iterable[tuple[Path, int]], rate_hz: float) -> None:
-    """Write one video of several that were made by the functions above, each with its number of frames."""
+    """Concatenate videos written by the functions above, each given with its number of frames."""
     av = libraries.av()
     target, frames = None, 0
     with _quiet(), av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as output:
@@ -90,8 +90,8 @@ def join_videos(path: Path, parts: Iterable[tuple[Path, int]], rate_hz: float) -
                     target = output.add_stream_from_template(stream, opaque=True)
                     target.time_base = stream.time_base
                 ticks = 1 / (rate_hz * float(stream.time_base))
-                for place, packet in enumerate(_packets(container, stream)):
-                    packet.pts = packet.dts = round((frames + place) * ticks)
+                for frame_index, packet in enumerate(_packets(container, stream)):
+                    packet.pts = packet.dts = round((frames + frame_index) * ticks)
                     packet.stream = target
                     output.mux(packet)
             frames += count
@@ -107,9 +107,9 @@ def _rate(rate_hz: float) -> fractions.Fraction:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what libraries say of their settings to themselves."""
+    """Silence the log messages of the video libraries."""
     av = libraries.av()
-    os.environ.setdefault("SVT_LOG", "1")  # its encoder tells its settings past everybody: errors only
+    os.environ.setdefault("SVT_LOG", "1")  # the encoder logs its settings past the library: errors only
     before = av.logging.get_level()
     av.logging.set_level(av.logging.ERROR)
     try:

@@ -1,4 +1,4 @@
-"""The formats that are written, by name."""
+"""The output formats, by name."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ WRITTEN: Final = tuple(writer.name for writer in WRITERS)
 
 
 def writer_of(name: str) -> DatasetWriter:
-    """Return what writes a format.
+    """Return the writer of a format.
 
     Raises:
-        UnknownNameError: nothing does.
+        UnknownNameError: there is none.
     """
-    wanted = one_of("--to", "lerobot-v3.0" if name == "lerobot" else name, WRITTEN)
-    return next(writer for writer in WRITERS if writer.name == wanted)
+    full_name = one_of("--to", "lerobot-v3.0" if name == "lerobot" else name, WRITTEN)
+    return next(writer for writer in WRITERS if writer.name == full_name)

@@ -1,4 +1,4 @@
-"""What every writer of a format offers: a piece for each episode, in any order and process, and what joins them."""
+"""The interface of dataset writers: episodes are written in any order and process, then joined."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Extras, RecordedEpisode
 
 CONVERTED: Final = "converted"
-"""Where a set that was made of another one says so: its format, and the names that had to change."""
+"""Key of a converted dataset's provenance: the source's format, and the names that were changed."""
 IMAGES: Final = ("auto", "video", "png", "jpeg", "raw")
 VIDEO: Final = {"av1": "libsvtav1", "h264": "libx264"}
 """Encoders of videos, by codec."""
@@ -19,13 +19,13 @@ VIDEO: Final = {"av1": "libsvtav1", "h264": "libx264"}
 
 @dataclass(frozen=True)
 class WriteOptions:
-    """How things are written where a format leaves a choice.
+    """Choices of an output format.
 
     Attributes:
-        images: how cameras are kept; `auto` is the format's own way.
+        images: encoding of camera images; `auto` is the format's default.
         codec: of videos.
-        crf: quality of videos, the smaller the better.
-        file_mb: size at which a format that joins episodes begins another file; None for the format's own.
+        crf: constant rate factor of videos; smaller is better.
+        file_mb: size at which a format that joins episodes starts another file, MB; None for the format's default.
     """
 
     images: str = "auto"
@@ -36,17 +36,17 @@ class WriteOptions:
 
 @dataclass(frozen=True)
 class WritePlan:
-    """What is known of a whole set before its first episode is written.
+    """Facts of the whole dataset, gathered before the first episode is written.
 
     Attributes:
-        rate_hz: steps per second, None if nobody knows.
-        robot: what the set calls its robot.
+        rate_hz: steps per second; None if unknown.
+        robot: the robot's name in the dataset.
         lengths: steps of each episode.
         instructions: of each episode.
         columns: of the first episode, by the names that are written.
         cameras: likewise.
-        extras: what else is said of the set.
-        options: the choices.
+        extras: other metadata of the dataset.
+        options: choices of the format.
     """
 
     rate_hz: float | None
@@ -60,25 +60,25 @@ class WritePlan:
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """The first step of each episode, counted over the set."""
-        total, found = 0, []
+        """The first step of each episode, counted over the whole dataset."""
+        total, starts = 0, []
         for length in self.lengths:
-            found.append(total)
+            starts.append(total)
             total += length
-        return tuple(found)
+        return tuple(starts)
 
 
 @dataclass(frozen=True)
 class NamingScheme:
-    """How a format calls what formats have in common; what none of it fits keeps its name.
+    """The names that a format gives to common columns; a column that matches none keeps its name.
 
     Attributes:
         action: the column of actions.
-        state: the column of the state, "" if there is no single one.
-        within: what stands before other observations.
-        camera: what stands before a camera.
-        separator: what stands between groups; another one in a name is exchanged for it.
-        environment: the column of the simulator's truth, "" if there is none.
+        state: the column of the state; "" if there is no single one.
+        within: prefix of other observations.
+        camera: prefix of cameras.
+        separator: between groups; it replaces `/` in names.
+        environment: the column of the simulator's ground truth; "" if there is none.
     """
 
     action: str
@@ -91,13 +91,13 @@ class NamingScheme:
 
 @dataclass(frozen=True)
 class WrittenEpisode:
-    """What was written of one episode, as the end of a conversion needs to know it; it is kept as JSON meanwhile.
+    """What `finish` needs to know of a written episode; it is stored as JSON until then.
 
     Attributes:
-        psnr_db: by camera whose images were encoded here and lost something, the lowest of a sample.
-        videos: by camera that became a video, its codec.
-        stats: by column and camera, its statistics.
-        extras: what else the episode says, where the format keeps it for all episodes together.
+        psnr_db: lowest PSNR of the sampled frames, by lossily encoded camera.
+        videos: codec, by camera that became a video.
+        stats: statistics, by column and camera.
+        extras: other metadata, where the format stores it for all episodes together.
     """
 
     psnr_db: Mapping[str, float] = field(default_factory=dict)
@@ -107,29 +107,29 @@ class WrittenEpisode:
 
 
 class DatasetWriter(Protocol):
-    """Writes sets of one format."""
+    """Writes datasets of one format."""
 
     name: str
     names: NamingScheme
 
     def column_rejection(self, column: ColumnInfo) -> str | None:
-        """Return why a column cannot be kept, None if it can."""
+        """Return why the format cannot hold a column; None if it can."""
 
     def camera_rejection(self, camera: CameraInfo) -> str | None:
-        """Return why a camera cannot be kept, None if it can."""
+        """Return why the format cannot hold a camera; None if it can."""
 
     def check(self, plan: WritePlan) -> None:
-        """Stop before anything is written.
+        """Check the plan before anything is written.
 
         Raises:
-            DataError: something is missing that the format needs.
+            DataError: the format needs something that the plan lacks.
         """
 
     def write_episode(self, folder: Path, plan: WritePlan, index: int, episode: RecordedEpisode) -> WrittenEpisode:
-        """Write one episode below a folder; return what the finish needs to know of it.
+        """Write one episode below a folder; return what `finish` needs to know of it.
 
-        It may be called again for an episode of which a part was written.
+        It may be called again for an episode that was written in part.
         """
 
     def finish(self, folder: Path, plan: WritePlan, pieces: list[WrittenEpisode]) -> Path:
-        """Join the pieces; return the file or folder that is the set."""
+        """Join the episodes; return the file or folder of the dataset."""

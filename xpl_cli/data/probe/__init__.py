@@ -1,1 +1,1 @@
-"""Conventions of demonstrations, measured: what commands are counted from, forms, units, orders, rates, cameras."""
+"""Measurement of the conventions of demonstrations: action reference, rotation form, units, orders, rate, cameras."""

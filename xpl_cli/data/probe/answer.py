@@ -1,4 +1,4 @@
-"""What a probe says: a value with its evidence and its margin, or that it cannot be known and what is missing."""
+"""Answers of the probe: a value with evidence and margin, or unknown with what would determine it."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 MARGIN: Final = 1.5
-"""How many times worse the second best has to be. Chosen on the sets of tests/data/probe/written.py, and left alone."""
+"""Least ratio of the second-best error to the best, chosen on the datasets of tests/data/probe/written.py."""
 
 MOST_MARGIN: Final = 1000.0
-"""Margins are told up to here: beyond it they say the same."""
+"""Margins are reported up to this value."""
 
 
 @dataclass(frozen=True)
 class ProbeAnswer:
-    """One convention.
+    """The probe's answer for one convention.
 
     Attributes:
-        topic: what it is about: `rate`, `reference`, `rotation form`; words of model_io.schema.json where it has some.
-        subject: what it is a convention of: a column, a part of one (`action[0:7]`), a camera, or `set`.
+        topic: of the convention: `rate`, `reference`, `rotation form`; terms of model_io.schema.json where it has one.
+        subject: a column, a part of one (`action[0:7]`), a camera, or `set`.
         value: the convention; None where it is unknown.
-        evidence: one sentence with the figure that it rests on; of what is unknown, why.
+        evidence: one sentence with the figure that supports the value; why, if it is unknown.
         margin: how many times worse the second best explains the data; None where there is no second.
         second: the second best.
-        needs: of what is unknown, what would tell.
+        needs: what would determine an unknown value.
         declared: the dataset states the value itself, and the probe did not measure it.
     """
 
@@ -46,23 +46,23 @@ class ProbeAnswer:
         return self.value is not None
 
     def document(self) -> dict[str, Any]:
-        """Return it as JSON."""
+        """Return the answer as JSON values."""
         margin = None if self.margin is None else round(min(self.margin, MOST_MARGIN), 2)
         return {**vars(self), "margin": margin}
 
 
 def unknown(topic: str, subject: str, why: str, needs: str) -> ProbeAnswer:
-    """Return that a convention cannot be known, why, and what would tell."""
+    """Return an answer without a value: why it is unknown, and what would determine it."""
     return ProbeAnswer(topic, subject, None, why, needs=needs)
 
 
 @dataclass(frozen=True)
 class HypothesisRanking:
-    """Hypotheses with their errors, from which the values of one facet after the other are judged.
+    """Hypotheses ranked by error, and the best value of each facet.
 
     Attributes:
         errors: the error of each hypothesis, which is a tuple of (facet, value) pairs.
-        floor: errors below it are alike.
+        floor: errors below it count as equal.
     """
 
     errors: Mapping[tuple[tuple[str, Any], ...], float]
@@ -71,7 +71,7 @@ class HypothesisRanking:
 
     @property
     def best(self) -> dict[str, Any]:
-        """The values of the hypothesis that explains most; of those alike the one that was named first."""
+        """The values of the best hypothesis; of equal ones the first."""
         if not self._best:
             least = min(self.errors.values())
             winner = next(key for key, error in self.errors.items() if error <= max(least, self.floor))
@@ -84,7 +84,7 @@ class HypothesisRanking:
         return min(self.errors.values())
 
     def judge(self, facet: str) -> tuple[Any, float | None, Any]:
-        """Return the value of a facet, its margin over the best with another value, and that value.
+        """Return the best value of a facet, its margin over the best hypothesis with another value, and that value.
 
         Returns:
             the margin is None where no hypothesis has another value.
@@ -98,10 +98,10 @@ class HypothesisRanking:
         return value, max(others[second], self.floor) / max(own, self.floor), second
 
     def ranked(self) -> list[tuple[tuple[tuple[str, Any], ...], float]]:
-        """Return hypotheses with their errors, the best first."""
+        """Return the hypotheses with their errors, best first."""
         return sorted(self.errors.items(), key=lambda entry: entry[1])
 
 
 def is_decisive(margin: float | None) -> bool:
-    """Tell whether a margin is one."""
+    """Tell whether a margin is large enough for an answer."""
     return margin is None or (math.isfinite(margin) and margin >= MARGIN) or margin == math.inf

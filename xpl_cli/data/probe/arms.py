@@ -1,4 +1,4 @@
-"""What the commands of an arm mean: readings of them, and how well each explains where the arm goes."""
+"""The reference and form of an arm's commands: hypotheses, and how well each explains the arm's motion."""
 
 from __future__ import annotations
 
@@ -34,28 +34,28 @@ FORMS: Final[Mapping[int, tuple[tuple[str, str | None], ...]]] = {
 }
 """The forms of rotations of each width, with the axes of Euler angles."""
 _SHARP: Final = 2.0
-"""How sharp the scale has to be at which summed steps stay with the state."""
+"""Least sharpness of the scale at which summed deltas follow the state."""
 _GOES_ON: Final = 0.1
-"""Share of the steps in which a command does not change, and the robot goes on, that shows a lag."""
+"""Share of the steps with a constant command and a moving robot that shows a lag."""
 _EXACT: Final = 2e-3
-"""Errors below which each command is reached in its step: counting from state and from command is one then."""
+"""Errors below which each command is reached in its step; then deltas to state and to the last command are the same."""
 
 
 def format_form(form: tuple[str, str | None], *, degrees: bool = False) -> str:
-    """Return a form as people read it."""
+    """Return a rotation form as text."""
     return " ".join([form[0], *([form[1]] if form[1] else []), *(["in degrees"] if degrees else [])])
 
 
 @dataclass(frozen=True)
 class Reference:
-    """From what steps are counted.
+    """What an action is relative to.
 
     Attributes:
-        value: absolute, delta_state or delta_command; None where it cannot be told.
-        errors: of each.
+        value: absolute, delta_state or delta_command; None where it cannot be determined.
+        errors: error of each.
         follow: how the state follows the best.
         margin: over the second best.
-        alike: whether steps explain the motion counted from the state and from the last command alike.
+        alike: whether deltas to the state and to the last command explain the motion equally well.
     """
 
     value: str | None
@@ -67,13 +67,13 @@ class Reference:
 
 
 def choose_reference(follows: Mapping[str, Follow], sharp: float, *, is_seen: bool = True) -> Reference:
-    """Return from what steps are counted, of how well each reading explains the motion.
+    """Choose the reference of actions by how well each hypothesis explains the motion.
 
     Args:
         follows: of absolute, delta_state and delta_command.
-        sharp: of summed steps, see `tracking.sharpness`.
-        is_seen: whether the robot is seen to go on where its command stands still. Steps whose scale is unknown sum up
-            to the motion at some scale, too, where they are counted from the state, as if each were reached.
+        sharp: sharpness of summed deltas, see `tracking.sharpness`.
+        is_seen: whether the robot keeps moving while its command is constant. Without that, deltas to the state whose
+            scale is unknown sum up to the motion at some scale, too.
     """
     errors = {name: one.error for name, one in follows.items()}
     best = min(errors, key=lambda name: errors[name])
@@ -90,7 +90,7 @@ def choose_reference(follows: Mapping[str, Follow], sharp: float, *, is_seen: bo
 
 
 def of_numbers(states: Rows, commands: Rows) -> Reference:
-    """Return from what commands (T, D) are counted that have the unit and order of the state, number by number."""
+    """Return the reference of commands (T, D) that have the unit and order of the state."""
     steps = [here + there for here, there in zip(states, commands, strict=True)]
     summed = tracking.cumulated(states, commands)
     follows = {
@@ -104,8 +104,8 @@ def of_numbers(states: Rows, commands: Rows) -> Reference:
 
 
 def of_scaled(states: Rows, commands: Rows) -> Reference:
-    """Return from what commands (T, D) are counted whose numbers are each scaled and shifted, as if normalised."""
-    found: dict[str, list[Follow]] = {ABSOLUTE: [], DELTA_STATE: [], DELTA_COMMAND: []}
+    """Return the reference of commands (T, D) whose numbers are each scaled and shifted, as by normalisation."""
+    follows_by_reference: dict[str, list[Follow]] = {ABSOLUTE: [], DELTA_STATE: [], DELTA_COMMAND: []}
     sharp, weights, going = [], [], []
     for index in range(states[0].shape[1]):
         here = [rows[:, index : index + 1] for rows in states]
@@ -114,46 +114,50 @@ def of_scaled(states: Rows, commands: Rows) -> Reference:
         if power <= 0 or np.ptp(np.concatenate(there)) <= 0:
             continue
         weights.append(power / float(np.var(np.concatenate(here)) or 1.0))
-        found[ABSOLUTE].append(tracking.follow(here, fitted(here, there), shifts=SHIFTS))
+        follows_by_reference[ABSOLUTE].append(tracking.follow(here, fitted(here, there), shifts=SHIFTS))
         rest = most_frequent(np.concatenate(there))
         steps = [rows - rest for rows in there]
         going.append(_goes_on(here, steps))
-        found[DELTA_STATE].append(tracking.follow(here, [a + b for a, b in zip(here, steps, strict=True)]))
-        if found[DELTA_STATE][-1].error > tracking.PLAIN:  # what sums up to the motion goes with it, too
-            found[DELTA_COMMAND].append(Follow(1.0, 0))
+        follows_by_reference[DELTA_STATE].append(
+            tracking.follow(here, [a + b for a, b in zip(here, steps, strict=True)])
+        )
+
+        # A delta that sums up to the motion also correlates with it.
+        if follows_by_reference[DELTA_STATE][-1].error > tracking.PLAIN:
+            follows_by_reference[DELTA_COMMAND].append(Follow(1.0, 0))
             sharp.append(0.0)
             continue
         scale, follow = tracking.scaled(here, steps)
-        found[DELTA_COMMAND].append(follow)
+        follows_by_reference[DELTA_COMMAND].append(follow)
         sharp.append(tracking.sharpness(here, steps, follow.shift, scale))
     if not weights:
         return Reference(None, {ABSOLUTE: 1.0, DELTA_STATE: 1.0, DELTA_COMMAND: 1.0}, Follow(1.0, 0), 1.0)
     follows = {
         name: Follow(float(np.average([one.error for one in ones], weights=weights)), ones[0].shift, ones[0].gain)
-        for name, ones in found.items()
+        for name, ones in follows_by_reference.items()
     }
     return choose_reference(follows, float(np.median(sharp)), is_seen=bool(np.median(going) > _GOES_ON))
 
 
 def _goes_on(states: Rows, steps: Rows) -> float:
-    """Return in which share of the rows without a step one number (T, 1) of the state goes on moving."""
+    """Return the share of the rows without a step in which one number (T, 1) of the state keeps moving."""
     speed = np.concatenate([np.abs(np.diff(rows[:, 0])) for rows in states])
     step = np.concatenate([np.abs(rows[:-1, 0]) for rows in steps])
-    held = step < 1e-6 * max(float(step.max()), 1e-12)
-    return float((speed[held] > 0.05 * np.quantile(speed, 0.95)).mean()) if held.sum() >= 10 else 0.0
+    is_still = step < 1e-6 * max(float(step.max()), 1e-12)
+    return float((speed[is_still] > 0.05 * np.quantile(speed, 0.95)).mean()) if is_still.sum() >= 10 else 0.0
 
 
 def most_frequent(values: np.ndarray) -> float:
-    """Return the number that comes most often: what steps are when nothing moves."""
+    """Return the most frequent number: the value of a delta when nothing moves."""
     edges = np.linspace(values.min(), values.max(), 201)
     counts, _ = np.histogram(values, edges)
-    place = int(counts.argmax())
-    inside = values[(values >= edges[place]) & (values <= edges[place + 1])]
+    bin_index = int(counts.argmax())
+    inside = values[(values >= edges[bin_index]) & (values <= edges[bin_index + 1])]
     return float(np.median(inside))
 
 
 def fitted(states: Rows, commands: Rows) -> list[np.ndarray]:
-    """Return commands of one number (T, 1), scaled and shifted to lie nearest to the state some steps later."""
+    """Fit commands of one number (T, 1) to the state some steps later by a scale and an offset."""
     best: tuple[float, float, float] = (np.inf, 1.0, 0.0)
     for lag in range(min(6, min(map(len, states)) // 2)):
         x = np.concatenate([rows[: len(rows) - lag, 0] for rows in commands])
@@ -168,11 +172,11 @@ def fitted(states: Rows, commands: Rows) -> list[np.ndarray]:
 
 
 def order_of(states: Rows, commands: Rows) -> tuple[tuple[int, ...], float]:
-    """Return which number of the commands moves which number of the state, and the margin over its own order's rivals.
+    """Return which number of the commands moves which number of the state, and the margin over other pairings.
 
     Returns:
-        for each number of the state the place of its command; how many times worse the best other pairing explains the
-        number of which it is least sure.
+        for each number of the state the index of its command; the least ratio of the error of the best other pairing
+        to that of this one.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -186,26 +190,26 @@ def order_of(states: Rows, commands: Rows) -> tuple[tuple[int, ...], float]:
             errors[one, other] = min(
                 tracking.follow(here, fitted(here, there)).error, tracking.follow(here, steps).error
             )
-    rows, places = linear_sum_assignment(np.log(errors + 1e-4))
+    rows, columns = linear_sum_assignment(np.log(errors + 1e-4))
     margins = [
-        (np.delete(errors[row], place).min() + 1e-4) / (errors[row, place] + 1e-4)
-        for row, place in zip(rows, places, strict=True)
+        (np.delete(errors[row], column).min() + 1e-4) / (errors[row, column] + 1e-4)
+        for row, column in zip(rows, columns, strict=True)
         if width > 1
     ]
-    return tuple(map(int, places)), float(min(margins, default=np.inf))
+    return tuple(map(int, columns)), float(min(margins, default=np.inf))
 
 
 def of_poses(
     positions: Rows, turns: Mapping[tuple[str, str | None], Rows], moves: Rows, spins: Rows, forms: Sequence[Any]
 ) -> tuple[HypothesisRanking, HypothesisRanking]:
-    """Return how well each reading of pose commands explains the motion, of positions and of rotations.
+    """Return how well each hypothesis on pose commands explains the motion, for positions and for rotations.
 
     Args:
         positions: of the state, (T, 3).
-        turns: its rotations (T, 4), in each form in which they may be written.
+        turns: its rotations (T, 4), in each form in which they may be given.
         moves: position (T, 3) of the commands.
         spins: their rotation (T, width).
-        forms: in which the rotations of the commands may be written.
+        forms: in which the rotations of the commands may be given.
     """
     errors: dict[tuple[tuple[str, Any], ...], float] = {}
     for form, quaternions in turns.items():
@@ -228,19 +232,23 @@ def of_poses(
 
 
 def _rotation_errors(states: Rows, commands: Rows, form: tuple[str, str | None], state: object) -> dict[Any, float]:
-    """Return the errors of the readings of rotations (T, width) in one form."""
+    """Return the error of each hypothesis on rotation commands (T, width) in one form."""
     try:
-        said = [rotations.decode(rows, *form) for rows in commands]
+        quaternions = [rotations.decode(rows, *form) for rows in commands]
     except ConversionError:
         return {}
-    found: dict[Any, float] = {}
+    errors: dict[Any, float] = {}
     follows: dict[tuple[str, str], Follow] = {}
-    summed_fixed = [_integrate_rotations(here, steps, body=False) for here, steps in zip(states, said, strict=True)]
-    summed_body = [_integrate_rotations(here, steps, body=True) for here, steps in zip(states, said, strict=True)]
+    summed_fixed = [
+        _integrate_rotations(here, steps, body=False) for here, steps in zip(states, quaternions, strict=True)
+    ]
+    summed_body = [
+        _integrate_rotations(here, steps, body=True) for here, steps in zip(states, quaternions, strict=True)
+    ]
     readings: dict[tuple[str, str], list[np.ndarray]] = {
-        (ABSOLUTE, FIXED): said,
-        (DELTA_STATE, FIXED): [rotation.multiply(step, here) for here, step in zip(states, said, strict=True)],
-        (DELTA_STATE, BODY): [rotation.multiply(here, step) for here, step in zip(states, said, strict=True)],
+        (ABSOLUTE, FIXED): quaternions,
+        (DELTA_STATE, FIXED): [rotation.multiply(step, here) for here, step in zip(states, quaternions, strict=True)],
+        (DELTA_STATE, BODY): [rotation.multiply(here, step) for here, step in zip(states, quaternions, strict=True)],
         (DELTA_COMMAND, FIXED): summed_fixed,
         (DELTA_COMMAND, BODY): summed_body,
     }
@@ -248,39 +256,39 @@ def _rotation_errors(states: Rows, commands: Rows, form: tuple[str, str | None],
         shifts = (0,) if reference == DELTA_STATE else (0, 1, 2)
         follow = tracking.follow(states, there, tracking.turns, shifts)
         key = (("reference", reference), ("applied", applied), ("form", form), ("state", state))
-        found[key] = follow.error
+        errors[key] = follow.error
         follows[reference, applied] = follow
     for applied, summed in ((FIXED, False), (BODY, True)):
-        _penalise_summed(found, follows, states, said, applied, body=summed, form=form, state=state)
-    return found
+        _penalise_summed(errors, follows, states, quaternions, applied, body=summed, form=form, state=state)
+    return errors
 
 
 def _penalise_summed(  # noqa: PLR0913 - what a reading consists of
-    found: dict[Any, float],
+    errors: dict[Any, float],
     follows: Mapping[tuple[str, str], Follow],
     states: Rows,
-    said: Rows,
+    quaternions: Rows,
     applied: str,
     *,
     body: bool,
     form: object,
     state: object,
 ) -> None:
-    """Where summed turns stay with the state at their own scale only, do not count them as counted from the state."""
+    """Reject deltas to the state where summed rotations follow the state at their own scale only."""
     key = (("reference", DELTA_STATE), ("applied", applied), ("form", form), ("state", state))
     summed, counted = follows[DELTA_COMMAND, applied], follows[DELTA_STATE, applied]
     if summed.error > tracking.PLAIN or (counted.error < _EXACT and abs(counted.gain - 1) < 0.05):
         return
-    longer = [rotation.from_axis_angle(1.25 * rotation.to_axis_angle(rows)) for rows in said]
+    longer = [rotation.from_axis_angle(1.25 * rotation.to_axis_angle(rows)) for rows in quaternions]
     other = [_integrate_rotations(here, steps, body=body) for here, steps in zip(states, longer, strict=True)]
     if tracking.follow(states, other, tracking.turns, (summed.shift,)).error > _SHARP * summed.error:
-        found[key] = max(found[key], 1.0)
+        errors[key] = max(errors[key], 1.0)
 
 
 def _integrate_rotations(states: np.ndarray, steps: np.ndarray, *, body: bool) -> np.ndarray:
-    """Return rotations (T, 4) that begin at the state and go on by a step each."""
-    at, found = states[0], []
+    """Return rotations (T, 4) that start at the state and add one delta per step."""
+    at, trajectory = states[0], []
     for step in steps:
         at = rotation.multiply(at, step) if body else rotation.multiply(step, at)
-        found.append(at)
-    return np.stack(found)
+        trajectory.append(at)
+    return np.stack(trajectory)

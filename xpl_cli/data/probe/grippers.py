@@ -1,4 +1,4 @@
-"""Grippers: which numbers, which end is open, and how state and command go together."""
+"""Grippers: range, direction, and how state and command correlate."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ _GRASPS: Final = frozenset(
     ["pick", "lift", "grasp", "take", "grab", "stack", "place", "put", "pull", "hand", "handover", "hold"]
 )
 _LEAST: Final = 3
-"""Changes of the gripper that are needed."""
+"""Least number of gripper movements."""
 _AGREE: Final = 0.9
 
 
 def probe_gripper(
     state: VectorPart | None, command: VectorPart | None, instructions: Sequence[Sequence[str]]
 ) -> list[ProbeAnswer]:
-    """Return what is known of an arm's gripper.
+    """Return range and direction of an arm's gripper.
 
     Args:
-        state: its numbers, if there are any.
+        state: its state, if recorded.
         command: likewise.
         instructions: of each episode.
     """
-    found = [_range(part) for part in (state, command) if part is not None]
+    answers = [_range(part) for part in (state, command) if part is not None]
     ends = _open_ends(state, command, instructions)
     for part, direction in zip((state, command), ends, strict=True):
         if part is None:
             continue
         if direction is None:
-            why = "nothing is grasped that one could tell the closed end by"
+            why = "no grasp was found that would show the closed end"
             needs = "episodes in which the robot grasps something that its instruction names"
-            found.append(unknown("gripper direction", part.subject, why, needs))
+            answers.append(unknown("gripper direction", part.subject, why, needs))
         else:
-            found.append(ProbeAnswer("gripper direction", part.subject, *direction))
-    return found
+            answers.append(ProbeAnswer("gripper direction", part.subject, *direction))
+    return answers
 
 
 def _range(part: VectorPart) -> ProbeAnswer:
@@ -73,7 +73,7 @@ def _is_two_valued(values: np.ndarray) -> bool:
 def _open_ends(
     state: VectorPart | None, command: VectorPart | None, instructions: Sequence[Sequence[str]]
 ) -> tuple[tuple[str, str, float] | None, tuple[str, str, float] | None]:
-    """Return for state and command which end is open, the evidence and its margin."""
+    """Return for state and command which end is open, with evidence and margin."""
     lead = command if command is not None else state
     if lead is None:
         return None, None
@@ -84,20 +84,20 @@ def _open_ends(
     by_words = _end_by_first_change(lead, instructions)
     if by_stop is not None and by_words is not None and by_stop[0] != by_words[0]:
         return None, None
-    said = by_stop or by_words
-    if said is None:
+    verdict = by_stop or by_words
+    if verdict is None:
         return None, None
-    other = said if turned == 1 else (SMALLER if said[0] == LARGER else LARGER, *said[1:])
+    other = verdict if turned == 1 else (SMALLER if verdict[0] == LARGER else LARGER, *verdict[1:])
     if lead is state:
-        return said, None
+        return verdict, None
     if state is None or turned == 0:
-        return None, said
-    linked = f"its command is open where it is {'larger' if said[0] == LARGER else 'smaller'}, and it follows that"
-    return (other[0], f"{linked}{'' if turned == 1 else ' the other way round'}", said[2]), said
+        return None, verdict
+    linked = f"its command is open where it is {'larger' if verdict[0] == LARGER else 'smaller'}, and it follows that"
+    return (other[0], f"{linked}{'' if turned == 1 else ' the other way round'}", verdict[2]), verdict
 
 
 def _correlation_sign(state: VectorPart | None, command: VectorPart | None) -> int:
-    """Return 1 if state and command grow together, -1 if one grows where the other shrinks, 0 if that is not clear."""
+    """Return the sign of the correlation of state and command; 0 if its magnitude is below 0.6."""
     if state is None or command is None:
         return 1
     best = 0.0
@@ -105,23 +105,28 @@ def _correlation_sign(state: VectorPart | None, command: VectorPart | None) -> i
         one = np.concatenate([rows[: max(len(rows) - lag, 0), 0] for rows in command.rows])
         other = np.concatenate([rows[lag:, 0] for rows in state.rows])
         if len(one) > 10 and np.ptp(one) > 0 and np.ptp(other) > 0:
-            found = float(np.corrcoef(one, other)[0, 1])
-            best = found if abs(found) > abs(best) else best
+            correlation = float(np.corrcoef(one, other)[0, 1])
+            best = correlation if abs(correlation) > abs(best) else best
     return 0 if abs(best) < 0.6 else int(np.sign(best))
 
 
 def _end_by_blocked_motion(state: VectorPart, command: VectorPart) -> tuple[str, str, float] | None:
-    """Return which end is open by where the gripper does not get: something is between its fingers there."""
+    """Return which end is open by where the gripper is blocked: an object is between its fingers there."""
     low, high = float(command.stacked[:, 0].min()), float(command.stacked[:, 0].max())
     span = high - low
-    seen = state.stacked[:, 0]
-    if span <= 0 or seen.min() < low - 0.1 * span or seen.max() > high + 0.1 * span or np.ptp(seen) < 0.15 * span:
+    positions = state.stacked[:, 0]
+    if (
+        span <= 0
+        or positions.min() < low - 0.1 * span
+        or positions.max() > high + 0.1 * span
+        or np.ptp(positions) < 0.15 * span
+    ):
         return None
     short: dict[str, list[float]] = {"low": [], "high": []}
     for here, there in zip(state.rows, command.rows, strict=True):
         for end, at in (("low", low), ("high", high)):
-            held = np.abs(there[:, 0] - at) < 0.02 * span
-            for begin, stop in _runs(held):
+            is_commanded = np.abs(there[:, 0] - at) < 0.02 * span
+            for begin, stop in _runs(is_commanded):
                 rest = here[begin:stop, 0]
                 if stop - begin >= 6 and abs(rest[-1] - rest[-3]) < 0.01 * span:
                     short[end].append(abs(float(rest[-1]) - at) / span)
@@ -130,28 +135,28 @@ def _end_by_blocked_motion(state: VectorPart, command: VectorPart) -> tuple[str,
     off = {end: float(np.median(values)) for end, values in short.items()}
     closed = max(off, key=lambda end: off[end])
     other = min(off.values())
-    if off[closed] < 0.08 or other > 0.03:  # where both ends are off, the two have other units
+    if off[closed] < 0.08 or other > 0.03:  # if both ends are off, state and command have different units
         return None
     at = low if closed == "low" else high
     short_by = f"{100 * off[closed]:.0f} % of its range short, at the other end {100 * other:.0f} %"
-    said = f"commanded to {at:.3g} it stops {short_by}"
-    return LARGER if closed == "low" else SMALLER, said, off[closed] / max(other, 0.02)
+    evidence = f"commanded to {at:.3g} it stops {short_by}"
+    return LARGER if closed == "low" else SMALLER, evidence, off[closed] / max(other, 0.02)
 
 
-def _runs(held: np.ndarray) -> list[tuple[int, int]]:
-    """Return where an array is true, from and to."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(int), [0]])))
+def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """Return start and stop of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def _end_by_first_change(part: VectorPart, instructions: Sequence[Sequence[str]]) -> tuple[str, str, float] | None:
-    """Return which end is open by the first change: who is to pick something up begins by closing."""
+    """Return which end is open by the first movement: episodes that grasp an object close the gripper first."""
     low, high = float(part.stacked[:, 0].min()), float(part.stacked[:, 0].max())
     if high <= low:
         return None
     falls = rises = 0
-    for rows, said in zip(part.rows, instructions, strict=True):
-        if not {word for sentence in said for word in words(sentence.replace(" ", "_"))} & _GRASPS:
+    for rows, evidence in zip(part.rows, instructions, strict=True):
+        if not {word for sentence in evidence for word in words(sentence.replace(" ", "_"))} & _GRASPS:
             continue
         share = (rows[:, 0] - low) / (high - low)
         is_high = share > 0.5
@@ -164,5 +169,5 @@ def _end_by_first_change(part: VectorPart, instructions: Sequence[Sequence[str]]
         return None
     direction = LARGER if falls > rises else SMALLER
     way = "falls" if falls > rises else "rises"
-    said = f"in {max(falls, rises)} of {count} episodes whose instruction asks for a grasp it {way} first"
-    return direction, said, (max(falls, rises) + 1) / (min(falls, rises) + 1)
+    evidence = f"in {max(falls, rises)} of {count} episodes whose instruction asks for a grasp it {way} first"
+    return direction, evidence, (max(falls, rises) + 1) / (min(falls, rises) + 1)

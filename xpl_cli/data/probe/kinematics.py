@@ -1,4 +1,4 @@
-"""Forward kinematics of many rows at once, and which robot, order of joints, point and frame explain poses."""
+"""Batched forward kinematics; which robot, joint order, point and frame explain recorded poses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from xpl import Embodiment
 
 FITS_MM: Final = 5.0
-"""Errors up to which a robot explains positions: calibration, rounding, and clocks that are not quite one."""
+"""Errors up to which a robot explains positions: calibration, rounding and clock skew."""
 _FEW: Final = 12
 _PLENTY: Final = 120
 _STILL: Final = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -30,11 +30,11 @@ _MOST_PERMUTED: Final = 7
 
 @dataclass(frozen=True)
 class KinematicFit:
-    """One way to read joints and the position that was recorded beside them.
+    """One hypothesis on recorded joints and positions, with its error.
 
     Attributes:
         robot: name of the embodiment.
-        side: arm, in the standard's words.
+        side: arm, as the standard names it.
         order: which of the recorded numbers is which joint of the embodiment: joint j is number order[j].
         point, frame, length: of the position.
         error: root mean square, mm.
@@ -68,48 +68,48 @@ def _frames(name: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 
 
 def candidates(dof: int, name: str | None) -> list[Embodiment]:
-    """Return the robots with kinematics and so many joints; the one that is named, if it is one of them."""
+    """Return the robots with kinematics and `dof` joints; only the one called `name`, if given."""
     names = [name] if name else embodiment_names()
-    found = []
+    matching = []
     for one in names:
         try:
             robot = get_embodiment(one)
         except UnknownEmbodimentError:
             continue
         if robots.has_frames(robot.data) and robot.arms[0].dof == dof:
-            found.append(robot)
-    return found
+            matching.append(robot)
+    return matching
 
 
 def tool_offsets(robot: Embodiment, side: str) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
-    """Return for each point and frame that the standard knows of an arm what lies outside and inside of its flange."""
-    found = {}
+    """Return for each point and frame of the standard the transforms before and after the arm's flange pose."""
+    offsets = {}
     for point, frame in itertools.product(("flange", "tcp"), ("world", "base")):
         try:
             outer = frames.mount(robot, side) if frame == "world" else _STILL
             inner = tool(robot) if point == "tcp" else _STILL
         except ConversionError:
             continue
-        found[point, frame] = (outer, inner)
-    return found
+        offsets[point, frame] = (outer, inner)
+    return offsets
 
 
 def kinematic_fits(
     joints: np.ndarray, position: np.ndarray, names: list[Embodiment], *, orders: bool = False
 ) -> list[KinematicFit]:
-    """Return every way to read joints (N, dof) rad and positions (N, 3) together, the best first.
+    """Fit joints (N, dof) rad to positions (N, 3) for every hypothesis, best first.
 
     Args:
         joints: of the arm.
-        position: recorded beside them.
+        position: recorded with them.
         names: robots.
-        orders: whether joints may be in another order than the embodiment's.
+        orders: whether to try other joint orders than the embodiment's.
     """
     dof = joints.shape[1]
     plain = tuple(range(dof))
     few = np.linspace(0, len(joints) - 1, _PLENTY).astype(int)
-    found = [one for robot in names for one in _fits_of_orders(robot, joints[few], position[few], np.array([plain]))]
-    found.sort(key=lambda one: one.error)
+    fits = [one for robot in names for one in _fits_of_orders(robot, joints[few], position[few], np.array([plain]))]
+    fits.sort(key=lambda one: one.error)
     if orders and dof <= _MOST_PERMUTED:
         every = np.array(list(itertools.permutations(range(dof))))
         sparse = np.linspace(0, len(joints) - 1, _FEW).astype(int)
@@ -117,36 +117,36 @@ def kinematic_fits(
             near = sorted(_fits_of_orders(robot, joints[sparse], position[sparse], every), key=lambda one: one.error)[
                 :24
             ]
-            kept = np.array(list({one.order for one in near}))
-            found += _fits_of_orders(robot, joints[few], position[few], kept)
-        found.sort(key=lambda one: one.error)
-    return found
+            best_orders = np.array(list({one.order for one in near}))
+            fits += _fits_of_orders(robot, joints[few], position[few], best_orders)
+        fits.sort(key=lambda one: one.error)
+    return fits
 
 
 def _fits_of_orders(
     robot: Embodiment, joints: np.ndarray, position: np.ndarray, orders: np.ndarray
 ) -> list[KinematicFit]:
-    """Return how well some orders of a robot's joints explain positions, in each place that the standard knows."""
+    """Return the fits of some joint orders of a robot, for each side, point, frame and length unit."""
     ends = flange(robot.data, np.moveaxis(joints[:, orders], 0, 1))
-    found = []
+    fits = []
     for side in robot.data["arms"]:
         for (point, frame), (outer, inner) in tool_offsets(robot, side).items():
             if frame == "base" and side != robot.data["arms"][0]:
-                continue  # it says nothing of the side
+                continue  # the base frame does not depend on the side
             there = poses.compose(poses.compose(outer, ends), inner)[..., :3]
             for length, factor in frames.UNITS.items():
                 off = there - position / factor
                 errors = 1000 * np.sqrt((off * off).sum(-1).mean(-1))
                 best = range(len(orders)) if len(orders) == 1 else np.argsort(errors)[:24]
-                found += [
+                fits += [
                     KinematicFit(robot.name, side, tuple(map(int, orders[k])), point, frame, length, float(errors[k]))
                     for k in best
                 ]
-    return found
+    return fits
 
 
 def robot_at_home(rows: Sequence[np.ndarray]) -> str | None:
-    """Return the robot at whose home pose most episodes begin, to 0.05 rad; None if there is none."""
+    """Return the robot whose home pose most episodes start at, within 0.05 rad; None if there is none."""
     first = np.stack([episode[0] for episode in rows])
     for unit in (1.0, np.pi / 180):
         for robot in candidates(first.shape[1], None):

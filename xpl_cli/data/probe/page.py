@@ -1,4 +1,4 @@
-"""What a probe found on one page that reaches nothing: answers, and lines that show them."""
+"""The probe's answers and plots as a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ b.command { color: #d1580b; }
 """)
 
 
-def page(found: ProbeResult, title: str) -> str:
+def page(result: ProbeResult, title: str) -> str:
     """Return the page as HTML."""
-    body = Markup("").join(_rows(found))
-    plots = Markup("").join(map(_figure, found.plots))
-    made = Markup(
+    body = Markup("").join(_rows(result))
+    plots = Markup("").join(map(_figure, result.plots))
+    template = Markup(
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         "<style>{style}</style></head><body><h1>{title}</h1><p>{count} episodes, {rows} steps were read.</p>"
         "<table><tr><th>convention</th><th>of</th><th>value</th><th>evidence</th><th>margin</th></tr>{body}</table>"
@@ -38,12 +38,14 @@ def page(found: ProbeResult, title: str) -> str:
         '<p><b class="state">Blue</b> is the state, <b class="command">orange</b> the command, each over its own range.'
         "</p>{plots}</body></html>\n"
     )
-    return str(made.format(title=title, style=_STYLE, count=found.episodes, rows=found.rows, body=body, plots=plots))
+    return str(
+        template.format(title=title, style=_STYLE, count=result.episodes, rows=result.rows, body=body, plots=plots)
+    )
 
 
-def _rows(found: ProbeResult) -> Iterator[Markup]:
+def _rows(result: ProbeResult) -> Iterator[Markup]:
     """Yield a row for each answer."""
-    for one in found.answers:
+    for one in result.answers:
         value = Markup("<b>{}</b>").format(one.value) if one.is_known else Markup('<b class="open">unknown</b>')
         needs = f" Needed: {one.needs}." if one.needs else ""
         margin = "" if one.margin is None else f"{min(one.margin, 1000):.3g}"
@@ -54,23 +56,23 @@ def _rows(found: ProbeResult) -> Iterator[Markup]:
 
 
 def _figure(plot: CommandPlot) -> Markup:
-    """Return two lines, each over its own range."""
+    """Return a plot of state and command, each scaled to its own range."""
     paths = Markup("").join(
         Markup('<path class="{}" d="{}"/>').format(name, _path(values))
         for name, values in (("state", plot.state), ("command", plot.command))
     )
-    drawn = Markup('<figure><figcaption>{}</figcaption><svg viewBox="0 0 {} {}" role="img">{}</svg></figure>')
-    return drawn.format(escape(plot.title), _WIDTH, _HEIGHT, paths)
+    template = Markup('<figure><figcaption>{}</figcaption><svg viewBox="0 0 {} {}" role="img">{}</svg></figure>')
+    return template.format(escape(plot.title), _WIDTH, _HEIGHT, paths)
 
 
 def _path(values: np.ndarray) -> str:
-    """Return a line over its own range."""
-    kept: Sequence[float] = values[:: max(1, -(-len(values) // _MOST))].tolist()
-    low, high = min(kept), max(kept)
+    """Return an SVG path scaled to the range of the values."""
+    sampled: Sequence[float] = values[:: max(1, -(-len(values) // _MOST))].tolist()
+    low, high = min(sampled), max(sampled)
     span = (high - low) or 1.0
-    right = (_WIDTH - 2 * _EDGE) / max(len(kept) - 1, 1)
+    right = (_WIDTH - 2 * _EDGE) / max(len(sampled) - 1, 1)
     up = _HEIGHT - 2 * _EDGE
     points = (
-        f"{_EDGE + at * right:.1f} {_EDGE + up * (1 - (value - low) / span):.1f}" for at, value in enumerate(kept)
+        f"{_EDGE + at * right:.1f} {_EDGE + up * (1 - (value - low) / span):.1f}" for at, value in enumerate(sampled)
     )
     return f"M{' L'.join(points)}"

@@ -1,4 +1,4 @@
-"""What a probe reads: the numbers of some episodes, evenly spread, and what each column is for."""
+"""The sample that a probe reads: the numbers of evenly spread episodes, and the role of each column."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ _OTHERS: Final = frozenset(
         "padding",
     ]
 )
-"""Words of columns that say neither where the robot is nor where it is to go."""
+"""Words in names of columns that are neither state nor command."""
 _WIDEST: Final = 64
 _ROWS: Final = 6000
-"""Rows that are looked at in all: more tell nothing new, and 6,000 are 4 minutes at 25 Hz."""
+"""Rows that are read in all: 6,000 are 4 minutes at 25 Hz, and more add nothing."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Series:
         name: the file's.
         role: state, command or other.
         rows: of each episode, (T, D) float64.
-        names: what the file calls each number, if it does.
+        names: the file's name of each number, if it has one.
     """
 
     name: str
@@ -95,12 +95,12 @@ class Series:
 
 @dataclass(frozen=True)
 class Sample:
-    """What was read of a set.
+    """A sample of a dataset.
 
     Attributes:
         series: its columns of numbers.
         episodes: the episodes.
-        steps: how many were read of them.
+        steps: number of steps that were read.
     """
 
     series: tuple[Series, ...]
@@ -113,10 +113,10 @@ class Sample:
 
 
 def spread(count: int, most: int) -> list[int]:
-    """Return up to `most` places of `count`, evenly spread, the first and the last included."""
+    """Return up to `most` of `count` indices, evenly spread, with the first and the last."""
     if count <= most:
         return list(range(count))
-    return sorted({round(place) for place in np.linspace(0, count - 1, most)})
+    return sorted({round(position) for position in np.linspace(0, count - 1, most)})
 
 
 def words(name: str) -> list[str]:
@@ -125,11 +125,11 @@ def words(name: str) -> list[str]:
 
 
 def role_of(name: str) -> str:
-    """Return what a column is for, by the words of its name."""
-    found = words(name)
-    is_command = bool(set(found) & _COMMANDS)
+    """Return the role of a column by the words of its name."""
+    name_words = words(name)
+    is_command = bool(set(name_words) & _COMMANDS)
     others = _OTHERS | _CLOCKS
-    if set(found) & (others - {"delta"} if is_command else others):
+    if set(name_words) & (others - {"delta"} if is_command else others):
         return OTHER
     return COMMAND if is_command else STATE
 
@@ -147,13 +147,13 @@ def read_sample(
     Raises:
         DataError: a column cannot be read.
     """
-    places = spread(len(demonstrations), most)
+    indices = spread(len(demonstrations), most)
     episodes: list[RecordedEpisode] = []
     rows: dict[str, list[np.ndarray]] = {}
     names: dict[str, tuple[str, ...]] = {}
     read = 0
-    for place in places:
-        episode = demonstrations[place]
+    for index in indices:
+        episode = demonstrations[index]
         if read >= _ROWS or episode.length < 2:
             continue
         report_progress(f"{episode.key}: numbers")

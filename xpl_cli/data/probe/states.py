@@ -1,4 +1,4 @@
-"""What an arm's state is: joints, poses, their units and forms; by kinematics where joints and poses are both there."""
+"""Analysis of an arm's state: joints, poses, units and forms; by kinematics where both joints and poses exist."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ DEGREES: Final = np.pi / 180
 _TURN: Final = 2 * np.pi
 _FITS_DEGREES: Final = 1.5
 _EXACT_MM: Final = 0.5
-"""Errors below it are alike: arms are not built more exactly than that."""
+"""Errors below it count as equal: arms are not built more exactly."""
 _LEAST_MOTION: Final = 0.02
 _BESIDE: Final = "the same arm's joints beside its pose, and a robot that `xpl spec show` knows (--robot)"
 
 
 @dataclass
 class ArmState:
-    """An arm's state, as far as it was found out.
+    """The analysis of an arm's state.
 
     Attributes:
         joints: the part with its joints; angles are those times `unit`.
-        unit: rad of one of its numbers; None where that is unknown.
+        unit: factor from its numbers to rad; None where it is unknown.
         position: the part with its position.
         rotation: the part with its rotation.
-        forms: in which the rotation may be written; one where it is known.
-        reading: what kinematics says.
-        angles: rad of one number of a rotation of three numbers.
+        forms: possible forms of the rotation; one where it is known.
+        reading: the kinematic fit, if one was found.
+        angles: factor to rad, for a rotation of three angles.
     """
 
     joints: VectorPart | None = None
@@ -55,24 +55,24 @@ class ArmState:
     answers: list[ProbeAnswer] = field(default_factory=list)
 
     def turns(self) -> dict[tuple[str, str | None], list[np.ndarray]]:
-        """Return the rotations (T, 4) of each episode, in each form in which they may be written."""
-        found = {}
+        """Return the rotations (T, 4) of each episode, decoded in each possible form."""
+        rotations_by_form = {}
         for form in self.forms:
             rows = self.rotation.rows if self.rotation is not None else []
             try:
-                found[form] = [rotations.decode(episode * self.angles, *form) for episode in rows]
+                rotations_by_form[form] = [rotations.decode(episode * self.angles, *form) for episode in rows]
             except ConversionError:
                 continue
-        return found
+        return rotations_by_form
 
 
 def of_arm(parts: Sequence[VectorPart], robot: str | None) -> ArmState:
-    """Return what the parts of one arm's state are."""
+    """Analyse the parts of one arm's state."""
     arm = ArmState()
     joints = [part for part in parts if part.kind in (JOINTS, ARM)]
-    places = [part for part in parts if part.kind in (POSITION, THREE)]
-    places += [part.cut(POSITION, 0, 3) for part in parts if part.kind == ARM]
-    _identify_by_kinematics(arm, joints, places, robot)
+    positions = [part for part in parts if part.kind in (POSITION, THREE)]
+    positions += [part.cut(POSITION, 0, 3) for part in parts if part.kind == ARM]
+    _identify_by_kinematics(arm, joints, positions, robot)
     for part in parts:
         _assign_part(arm, part)
     if arm.joints is not None:
@@ -84,13 +84,13 @@ def of_arm(parts: Sequence[VectorPart], robot: str | None) -> ArmState:
     if arm.rotation is not None:
         arm.answers += [_rotation_kind_answer(arm.rotation), *_rotation_form_answers(arm)]
     if arm.unsure is not None:
-        why = "six numbers that are no quaternion, matrix or 6D form: joints or a pose, and nothing tells which"
+        why = "six numbers that are no quaternion, matrix or 6D form: joints or a pose, without evidence for either"
         arm.answers.append(unknown("kind", arm.unsure.subject, why, f"names of the numbers, or {_BESIDE}"))
     return arm
 
 
 def plain(parts: Sequence[VectorPart]) -> ArmState:
-    """Return an arm's state of which nothing can be told but its numbers, as normalised ones are."""
+    """Return an arm's state without analysis, for normalised numbers."""
     arm = ArmState()
     arm.unsure = next((part for part in parts if part.kind in (JOINTS, ARM)), None)
     arm.position = next((part for part in parts if part.kind == POSITION), None)
@@ -101,35 +101,35 @@ def plain(parts: Sequence[VectorPart]) -> ArmState:
 
 
 def _identify_by_kinematics(
-    arm: ArmState, joints: Sequence[VectorPart], places: Sequence[VectorPart], robot: str | None
+    arm: ArmState, joints: Sequence[VectorPart], positions: Sequence[VectorPart], robot: str | None
 ) -> None:
-    """Let kinematics tell which parts are joints and which are a position, and of which robot."""
+    """Identify joints, position and robot by kinematics."""
     pairs = [
-        (part, place)
-        for part, place in itertools.product(joints, places)
-        if not _overlap(part, place) and np.ptp(place.stacked, axis=0).max() > 1e-9
+        (part, position)
+        for part, position in itertools.product(joints, positions)
+        if not _overlap(part, position) and np.ptp(position.stacked, axis=0).max() > 1e-9
     ]
     best = None
     for orders in (False, True):
-        for part, place in pairs:
+        for part, position in pairs:
             names = kinematics.candidates(part.width, robot)
             for unit in _units(part.stacked) if orders else (1.0, DEGREES):
-                found = kinematics.kinematic_fits(part.stacked * unit, place.stacked, names, orders=orders)
-                if found and (best is None or found[0].error < best[0]):
-                    best = (found[0].error, part, place, found[0], unit, found)
+                fits = kinematics.kinematic_fits(part.stacked * unit, position.stacked, names, orders=orders)
+                if fits and (best is None or fits[0].error < best[0]):
+                    best = (fits[0].error, part, position, fits[0], unit, fits)
         if best is not None and best[0] <= FITS_MM:
             break
     if best is None or best[0] > FITS_MM:
         return
-    _, part, place, reading, unit, found = best
-    span = float(np.linalg.norm(np.ptp(place.stacked, axis=0)))
+    _, part, position, reading, unit, fits = best
+    span = float(np.linalg.norm(np.ptp(position.stacked, axis=0)))
     if span * {"m": 1000.0, "cm": 10.0, "mm": 1.0}[reading.length] < 4 * FITS_MM:
-        return  # it hardly moves: any robot would do
-    arm.joints, arm.unit, arm.position, arm.reading = part, unit, place, reading
+        return  # it hardly moves: any robot would fit
+    arm.joints, arm.unit, arm.position, arm.reading = part, unit, position, reading
     arm.answers += [
-        _robot_answer(part, reading, found),
-        _joint_order_answer(part, reading, found),
-        *_position_answers(place, reading, found),
+        _robot_answer(part, reading, fits),
+        _joint_order_answer(part, reading, fits),
+        *_position_answers(position, reading, fits),
     ]
 
 
@@ -137,48 +137,50 @@ def _overlap(one: VectorPart, other: VectorPart) -> bool:
     return one.series is other.series and one.start < other.stop and other.start < one.stop
 
 
-def _robot_answer(part: VectorPart, reading: KinematicFit, found: Sequence[KinematicFit]) -> ProbeAnswer:
-    """Return which robot explains the poses."""
+def _robot_answer(part: VectorPart, reading: KinematicFit, fits: Sequence[KinematicFit]) -> ProbeAnswer:
+    """Return the answer for the robot."""
     least = max(reading.error, _EXACT_MM)
-    others = [one for one in found if one.robot != reading.robot]
+    others = [one for one in fits if one.robot != reading.robot]
     alike = {one.robot for one in others if one.error < MARGIN * least}
     if alike:
-        why = f"{' and '.join(sorted({reading.robot, *alike}))} explain the poses alike"
+        why = f"{' and '.join(sorted({reading.robot, *alike}))} explain the poses equally well"
         return unknown("robot", part.subject, why, "the robot's name: --robot")
     margin = others[0].error / least if others else None
     second = others[0].robot if others else None
     return ProbeAnswer("robot", part.subject, reading.robot, _explains(reading), margin, second)
 
 
-def _joint_order_answer(part: VectorPart, reading: KinematicFit, found: Sequence[KinematicFit]) -> ProbeAnswer:
-    """Return which number is which joint."""
+def _joint_order_answer(part: VectorPart, reading: KinematicFit, fits: Sequence[KinematicFit]) -> ProbeAnswer:
+    """Return the answer for the joint order."""
     least = max(reading.error, _EXACT_MM)
-    rivals = [one for one in found if one.robot == reading.robot and one.order != reading.order]
+    rivals = [one for one in fits if one.robot == reading.robot and one.order != reading.order]
     margin = rivals[0].error / least if rivals else None
     if not is_decisive(margin):
         why = f"other orders explain the poses within {rivals[0].error:.2g} mm too"
         return unknown("joint order", part.subject, why, "episodes in which each joint moves")
     names = get_embodiment(reading.robot).arms[0].joint_names or tuple(map(str, reading.order))
-    value = [names[reading.order.index(place)] for place in range(part.width)]
+    value = [names[reading.order.index(index)] for index in range(part.width)]
     is_plain = reading.order == tuple(range(part.width))
     what = "in the embodiment's order they explain the poses" if is_plain else "only in this order they do"
     return ProbeAnswer("joint order", part.subject, value, f"{what}, to {reading.error:.2g} mm", margin)
 
 
-def _position_answers(place: VectorPart, reading: KinematicFit, found: Sequence[KinematicFit]) -> Iterator[ProbeAnswer]:
-    """Yield frame, point and arm of a position."""
+def _position_answers(
+    position: VectorPart, reading: KinematicFit, fits: Sequence[KinematicFit]
+) -> Iterator[ProbeAnswer]:
+    """Yield the answers for frame, point and side of a position."""
     for facet in ("frame", "point", "side"):
         value = getattr(reading, facet)
         if facet == "side" and (reading.frame == "base" or value == "single"):
             continue
-        other = [one for one in found if one.robot == reading.robot and getattr(one, facet) != value]
+        other = [one for one in fits if one.robot == reading.robot and getattr(one, facet) != value]
         margin = other[0].error / max(reading.error, _EXACT_MM) if other else None
         second = getattr(other[0], facet) if other else None
         if is_decisive(margin):
-            yield ProbeAnswer(facet, place.subject, value, _explains(reading), margin, second)
+            yield ProbeAnswer(facet, position.subject, value, _explains(reading), margin, second)
         else:
-            why = f"{value} and {second} explain the poses alike"
-            yield unknown(facet, place.subject, why, "poses that turn the tool")
+            why = f"{value} and {second} explain the poses equally well"
+            yield unknown(facet, position.subject, why, "poses that turn the tool")
 
 
 def _explains(reading: KinematicFit) -> str:
@@ -186,12 +188,12 @@ def _explains(reading: KinematicFit) -> str:
 
 
 def _units(rows: np.ndarray) -> tuple[float, ...]:
-    """Return the unit that joints most likely have."""
+    """Return the most likely unit of joints."""
     return (DEGREES,) if np.abs(rows).max() > _TURN * 1.2 else (1.0,)
 
 
 def _assign_part(arm: ArmState, part: VectorPart) -> None:
-    """Take a part for what it can only be."""
+    """Assign a part to the field of the state that it fits."""
     if part.kind == JOINTS and arm.joints is None:
         arm.joints = part
     elif part.kind == POSITION and arm.position is None:
@@ -201,11 +203,11 @@ def _assign_part(arm: ArmState, part: VectorPart) -> None:
     elif part.kind == ARM and part is not arm.joints:
         is_place = arm.position is not None and arm.position.start == part.start and arm.position.series is part.series
         begins = bool(form_by_wraparound(part.cut(ROTATION, 3, 6)))
-        said = _kind_by_names(part)
-        if is_place or (arm.joints is not None and arm.joints.width >= 5) or begins or said == POSITION:
+        named_kind = _kind_by_names(part)
+        if is_place or (arm.joints is not None and arm.joints.width >= 5) or begins or named_kind == POSITION:
             arm.position = part.cut(POSITION, 0, 3)
             arm.rotation, arm.forms = part.cut(ROTATION, 3, 6), FORMS[3]
-        elif said == JOINTS or kinematics.robot_at_home(part.rows):
+        elif named_kind == JOINTS or kinematics.robot_at_home(part.rows):
             arm.joints = part
         else:
             arm.unsure = part
@@ -217,10 +219,10 @@ def _assign_part(arm: ArmState, part: VectorPart) -> None:
 
 
 def _kind_by_names(part: VectorPart) -> str | None:
-    """Return whether the file's own names say joints or a pose."""
+    """Return whether the file's names are those of joints or of a pose; None if neither."""
     names = [words(name) for name in part.series.names[part.start : part.stop]] or [words(part.series.name)]
-    every = {word for name in names for word in name}
-    if every & {"joint", "joints", "qpos"} or any(word.startswith("joint") for word in every):
+    every = {name_word for name in names for name_word in name}
+    if every & {"joint", "joints", "qpos"} or any(name_word.startswith("joint") for name_word in every):
         return JOINTS
     last = [name[-1] for name in names if name]
     if last[:3] == ["x", "y", "z"] or every & {"pose", "eef", "tcp", "cartesian"}:
@@ -229,78 +231,80 @@ def _kind_by_names(part: VectorPart) -> str | None:
 
 
 def _kind_answer(part: VectorPart, kind: str, arm: ArmState) -> ProbeAnswer:
-    """Return what a part is, with what tells it."""
+    """Return the answer for the kind of a part."""
     if arm.reading is not None:
-        said = f"kinematics of {arm.reading.robot} explains them to {arm.reading.error:.2g} mm"
-        return ProbeAnswer("kind", part.subject, kind, said)
+        evidence = f"kinematics of {arm.reading.robot} explains them to {arm.reading.error:.2g} mm"
+        return ProbeAnswer("kind", part.subject, kind, evidence)
     if kind == POSITION:
         return ProbeAnswer("kind", part.subject, kind, "three numbers beside a rotation")
     home = kinematics.robot_at_home(part.rows)
     if home is not None:
         return ProbeAnswer("kind", part.subject, kind, f"episodes begin at the home pose of {home}, to 0.05 rad")
     if _kind_by_names(part) == JOINTS:
-        return ProbeAnswer("kind", part.subject, kind, "the names in the file say so", declared=True)
+        return ProbeAnswer("kind", part.subject, kind, "by the names in the file", declared=True)
     return ProbeAnswer("kind", part.subject, kind, f"{part.width} numbers of an arm, and no rotation among them")
 
 
 def _rotation_kind_answer(part: VectorPart) -> ProbeAnswer:
-    """Return that a part is a rotation, with what tells it."""
+    """Return the answer that a part is a rotation."""
     if part.forms:
         what = {4: "a length of 1", 6: "two unit vectors at a right angle", 9: "three unit vectors at right angles"}
         return ProbeAnswer(
             "kind", part.subject, ROTATION, f"its {part.width} numbers have {what[part.width]} in every row"
         )
     if form_by_wraparound(part):
-        return ProbeAnswer("kind", part.subject, ROTATION, "it begins again at the other end, as no joint does")
+        return ProbeAnswer("kind", part.subject, ROTATION, "it wraps around, as no joint does")
     if _kind_by_names(part) is not None:
-        return ProbeAnswer("kind", part.subject, ROTATION, "the names in the file say so", declared=True)
-    return ProbeAnswer("kind", part.subject, ROTATION, "three numbers behind the position")
+        return ProbeAnswer("kind", part.subject, ROTATION, "by the names in the file", declared=True)
+    return ProbeAnswer("kind", part.subject, ROTATION, "three numbers after the position")
 
 
 def _angle_unit_answers(arm: ArmState) -> list[ProbeAnswer]:
-    """Return the unit of joints."""
+    """Return the answer for the unit of joints."""
     part = arm.joints
     assert part is not None  # noqa: S101 - asked only then
     rows = part.stacked
     most, span = float(np.abs(rows).max()), float(np.ptp(rows, axis=0).max())
     if arm.reading is not None:
         value = "deg" if arm.unit == DEGREES else "rad"
-        said = f"so they explain the poses, to {arm.reading.error:.2g} mm"
-        return [ProbeAnswer("angle unit", part.subject, value, said, _TURN)]
+        evidence = f"so they explain the poses, to {arm.reading.error:.2g} mm"
+        return [ProbeAnswer("angle unit", part.subject, value, evidence, _TURN)]
     if most > _TURN * 1.2:
         arm.unit = DEGREES
-        said = f"a joint stands at {most:.4g}, which is {most / _TURN:.1f} turns in radians"
-        return [ProbeAnswer("angle unit", part.subject, "deg", said, most / _TURN)]
+        evidence = f"a joint stands at {most:.4g}, which is {most / _TURN:.1f} turns in radians"
+        return [ProbeAnswer("angle unit", part.subject, "deg", evidence, most / _TURN)]
     if span > 0.15:
         arm.unit = 1.0
-        said = f"the joint that moves most moves through {span:.3g}, which in degrees would be hardly any motion"
-        return [ProbeAnswer("angle unit", part.subject, "rad", said, min(57.3, 10 * span / 0.15))]
+        evidence = f"the joint that moves most moves through {span:.3g}, which in degrees would be hardly any motion"
+        return [ProbeAnswer("angle unit", part.subject, "rad", evidence, min(57.3, 10 * span / 0.15))]
     return [unknown("angle unit", part.subject, f"no joint moves through more than {span:.2g}", "longer motion")]
 
 
 def _length_and_frame_answers(arm: ArmState) -> list[ProbeAnswer]:
-    """Return the unit of a position, and its frame where kinematics does not know it."""
+    """Return the answers for the unit of a position, and for its frame where kinematics does not give it."""
     part = arm.position
     assert part is not None  # noqa: S101 - asked only then
     if arm.reading is not None:
-        said = f"so kinematics explains it, to {arm.reading.error:.2g} mm"
-        return [ProbeAnswer("length unit", part.subject, arm.reading.length, said, 10.0)]
+        evidence = f"so kinematics explains it, to {arm.reading.error:.2g} mm"
+        return [ProbeAnswer("length unit", part.subject, arm.reading.length, evidence, 10.0)]
     most = float(np.abs(part.stacked).max())
-    found: list[ProbeAnswer] = []
+    answers: list[ProbeAnswer] = []
     if 0.08 <= most <= 3:
-        said = f"the farthest it is from its origin is {most:.3g}; an arm reaches as far in metres"
-        found.append(ProbeAnswer("length unit", part.subject, "m", said, 3 / most + 1))
+        evidence = f"the farthest it is from its origin is {most:.3g}; an arm reaches as far in metres"
+        answers.append(ProbeAnswer("length unit", part.subject, "m", evidence, 3 / most + 1))
     elif most > 80:
-        said = f"the farthest it is from its origin is {most:.4g}; an arm reaches as far in millimetres"
-        found.append(ProbeAnswer("length unit", part.subject, "mm", said, most / 40))
+        evidence = f"the farthest it is from its origin is {most:.4g}; an arm reaches as far in millimetres"
+        answers.append(ProbeAnswer("length unit", part.subject, "mm", evidence, most / 40))
     else:
-        found.append(unknown("length unit", part.subject, f"the farthest it is from its origin is {most:.3g}", _BESIDE))
-    why = "there are no joints that say where the arm is"
-    return [*found, *(unknown(facet, part.subject, why, _BESIDE) for facet in ("frame", "point"))]
+        answers.append(
+            unknown("length unit", part.subject, f"the farthest it is from its origin is {most:.3g}", _BESIDE)
+        )
+    why = "no joints were recorded from which the pose would follow"
+    return [*answers, *(unknown(facet, part.subject, why, _BESIDE) for facet in ("frame", "point"))]
 
 
 def _rotation_form_answers(arm: ArmState) -> list[ProbeAnswer]:
-    """Return how a rotation is written: by kinematics, or by where its numbers begin again."""
+    """Return the answer for the form of a rotation: by kinematics, or by how its angles wrap around."""
     part = arm.rotation
     assert part is not None  # noqa: S101 - asked only then
     if arm.reading is not None and arm.joints is not None:
@@ -311,24 +315,24 @@ def _rotation_form_answers(arm: ArmState) -> list[ProbeAnswer]:
         rows = part.stacked
         if float(np.abs(rows).max()) > _TURN * 1.2:
             arm.angles = DEGREES
-        found = form_by_wraparound(part)
-        if found:
-            form, said, margin = found
-            kept = tuple(one for one in FORMS[3] if one[0] == form)
-            arm.forms = kept
+        wraparound = form_by_wraparound(part)
+        if wraparound:
+            form, evidence, margin = wraparound
+            forms = tuple(one for one in FORMS[3] if one[0] == form)
+            arm.forms = forms
             if form == "axis_angle":
-                return [ProbeAnswer("rotation form", part.subject, form, said, margin)]
-            return _euler_axes_unknown(part, said)
+                return [ProbeAnswer("rotation form", part.subject, form, evidence, margin)]
+            return _euler_axes_unknown(part, evidence)
     why = {
-        3: "no number begins again at the other end, and three angles look alike in all forms until one does",
-        4: "a quaternion turns as far in either order",
-        6: "columns and rows are at right angles alike",
+        3: "no angle wraps around, and until one does three angles fit all forms",
+        4: "both orders of a quaternion give the same angles of rotation",
+        6: "both columns and rows are orthonormal",
     }[part.width]
     return [unknown("rotation form", part.subject, why, f"{_BESIDE}; or commands that are deltas")]
 
 
 def _by_kinematics(arm: ArmState, part: VectorPart) -> list[ProbeAnswer]:
-    """Return the form in which a rotation agrees with the joints."""
+    """Return the answer for the rotation form that agrees with the joints."""
     reading = arm.reading
     assert reading is not None  # noqa: S101 - asked only then
     assert arm.joints is not None  # noqa: S101 - likewise
@@ -347,24 +351,24 @@ def _by_kinematics(arm: ArmState, part: VectorPart) -> list[ProbeAnswer]:
                 continue
             off = np.rad2deg(rotation.angle_between(read, expected))
             errors[("form", form), ("unit", unit)] = float(np.sqrt(np.mean(off * off)))
-    contest = HypothesisRanking(errors, 0.1)
-    form, margin, second = contest.judge("form")
-    if contest.least > _FITS_DEGREES or not is_decisive(margin):
+    ranking = HypothesisRanking(errors, 0.1)
+    form, margin, second = ranking.judge("form")
+    if ranking.least > _FITS_DEGREES or not is_decisive(margin):
         turned = _form_up_to_tool_rotation(rows, expected, part.width)
         if turned is not None:
             arm.forms = (turned[0],)
-            said = f"with a fixed turn of the tool it agrees with the joints to {turned[1]:.2g} degrees"
-            return [ProbeAnswer("rotation form", part.subject, format_form(turned[0]), said, turned[2])]
-        why = f"no form agrees with the joints by less than {contest.least:.2g} degrees"
-        return [unknown("rotation form", part.subject, why, "the frame and the tool that poses are of")]
-    arm.forms, arm.angles = (form,), contest.best["unit"]
-    said = f"so it agrees with the joints to {contest.least:.2g} degrees"
+            evidence = f"with a fixed rotation of the tool it agrees with the joints to {turned[1]:.2g} degrees"
+            return [ProbeAnswer("rotation form", part.subject, format_form(turned[0]), evidence, turned[2])]
+        why = f"no form agrees with the joints by less than {ranking.least:.2g} degrees"
+        return [unknown("rotation form", part.subject, why, "frame and tool of the poses")]
+    arm.forms, arm.angles = (form,), ranking.best["unit"]
+    evidence = f"so it agrees with the joints to {ranking.least:.2g} degrees"
     name = format_form(form, degrees=arm.angles != 1.0)
-    return [ProbeAnswer("rotation form", part.subject, name, said, margin, format_form(second) if second else None)]
+    return [ProbeAnswer("rotation form", part.subject, name, evidence, margin, format_form(second) if second else None)]
 
 
 def _form_up_to_tool_rotation(rows: np.ndarray, expected: np.ndarray, width: int) -> tuple[Any, float, float] | None:
-    """Return the form in which a rotation agrees with the joints but for one fixed turn of the tool; error, margin."""
+    """Return the rotation form that agrees with the joints up to one fixed tool rotation, its error and margin."""
     errors: dict[Any, float] = {}
     for form in FORMS[width]:
         try:
@@ -382,8 +386,8 @@ def _form_up_to_tool_rotation(rows: np.ndarray, expected: np.ndarray, width: int
     return (ranked[0][0], ranked[0][1], margin) if margin >= MARGIN else None
 
 
-def _euler_axes_unknown(part: VectorPart, said: str) -> list[ProbeAnswer]:
-    """Return that the axes of Euler angles are open: every order begins again alike."""
-    why = f"{said}; which axes they are about it does not tell"
+def _euler_axes_unknown(part: VectorPart, evidence: str) -> list[ProbeAnswer]:
+    """Return that the axes of Euler angles are unknown: every order wraps around in the same way."""
+    why = f"{evidence}; it does not determine the axes"
     answer = unknown("rotation form", part.subject, why, _BESIDE)
     return [answer]

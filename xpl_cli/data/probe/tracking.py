@@ -1,9 +1,9 @@
-"""How well a reading of commands explains where the robot goes next.
+"""How well a hypothesis on commands explains the robot's next step.
 
-A robot follows its command: each step it goes part of the way from where it is to where it was told to be. So of a
-right reading C of commands the differences C[t-i] - S[t] explain the next step S[t+1] - S[t] with gains that are not
-negative, and of a wrong one they do not. What stays unexplained, a share of the step's squares, is the error of the
-reading; 1 is what a command explains that says nothing.
+A robot follows its command: each step covers part of the distance from the state to the commanded target. So for a
+correct hypothesis C on the commands, the differences C[t-i] - S[t] explain the next step S[t+1] - S[t] with
+non-negative gains; for a wrong one they do not. The error is the unexplained
+share of the squared steps; an uninformative command has error 1.
 """
 
 from __future__ import annotations
@@ -22,35 +22,35 @@ if TYPE_CHECKING:
     Minus = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 SHIFTS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, -1, -2, -3)
-"""Steps by which a command may come into effect late, or be written down late."""
+"""Steps by which a command may take effect late, or (negative) be recorded late."""
 PLAIN: Final = 0.3
-"""Errors up to which a reading explains the motion."""
+"""Errors up to which a hypothesis explains the motion."""
 _SCALES: Final = tuple(float(scale) for scale in 2.0 ** np.arange(-10, 10.1, 0.25))
 _SHARP: Final = (0.8, 1.25)
 _LAGS: Final = 3
 _LONGEST: Final = 15
-"""Steps within which a command is reached."""
+"""Most steps until a command is reached."""
 
 
 def numbers(there: np.ndarray, here: np.ndarray) -> np.ndarray:
-    """Return the way from one vector to another, number by number."""
+    """Return the difference of two vectors."""
     difference: np.ndarray = there - here
     return difference
 
 
 def turns(there: np.ndarray, here: np.ndarray) -> np.ndarray:
-    """Return the way from one rotation (..., 4) to another as a rotation vector (..., 3) in the fixed frame."""
+    """Return the rotation from `here` to `there` (..., 4) as a rotation vector (..., 3) in the fixed frame."""
     return rotation.to_axis_angle(rotation.multiply(there, rotation.conjugate(here)))
 
 
 @dataclass(frozen=True)
 class Follow:
-    """How a state follows a reading of its commands.
+    """How a state follows its commands.
 
     Attributes:
-        error: share of the motion that it leaves unexplained.
-        shift: steps by which commands come into effect late; below zero where they are written down late.
-        gain: which part of the way to its command it goes in a step.
+        error: unexplained share of the motion.
+        shift: steps by which commands take effect late; negative where they are recorded late.
+        gain: share of the distance to its command that it covers in a step.
     """
 
     error: float
@@ -66,18 +66,18 @@ def follow(
     Args:
         states: by episode, (T, D).
         commands: likewise, of the same unit and frame.
-        minus: the way between two of them.
-        shifts: how late commands may come into effect, steps.
+        minus: the difference of two of them.
+        shifts: steps by which commands may take effect late.
     """
-    found = [_follow_at_shift(states, commands, minus, shift) for shift in shifts]
-    least = min(one.error for one in found)
-    return next(one for one in found if one.error <= 1.02 * least + 1e-9)
+    candidates = [_follow_at_shift(states, commands, minus, shift) for shift in shifts]
+    least = min(one.error for one in candidates)
+    return next(one for one in candidates if one.error <= 1.02 * least + 1e-9)
 
 
 def tracking_delay(states: Sequence[np.ndarray], commands: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Return after how many steps commands are reached, and how far off they still are then, a share of the motion.
+    """Return after how many steps commands are reached, and the remaining error, a share of the motion.
 
-    Both are means: the first is where a parabola through the least error and its neighbours has its bottom.
+    Both are means: the first is the minimum of a parabola through the least error and its neighbours.
     """
     errors = []
     longest = min(_LONGEST, min(len(rows) for rows in states) // 2)
@@ -96,15 +96,15 @@ def tracking_delay(states: Sequence[np.ndarray], commands: Sequence[np.ndarray])
 
 
 def cumulated(states: Sequence[np.ndarray], steps: Sequence[np.ndarray], scale: float = 1.0) -> list[np.ndarray]:
-    """Return commands (T, D) that begin at the state and go on by a step each."""
+    """Return commands (T, D) that start at the state and add one delta per step."""
     return [here[:1] + scale * np.cumsum(step, axis=0) for here, step in zip(states, steps, strict=True)]
 
 
 def sharpness(states: Sequence[np.ndarray], steps: Sequence[np.ndarray], shift: int, scale: float = 1.0) -> float:
-    """Return how much better summed steps explain the motion than the same steps a fifth shorter or a quarter longer.
+    """Return how much better summed deltas explain the motion than the same deltas scaled by 0.8 or 1.25.
 
-    Steps that are counted from the state explain motion at any scale, as gains are free. Summed over an episode they
-    stay with the state at one scale only.
+    Deltas to the state explain the motion at any scale, as gains are free. Summed over an episode they follow the state
+    at one scale only.
     """
     own = _follow_at_shift(states, cumulated(states, steps, scale), numbers, shift).error
     others = [
@@ -114,7 +114,7 @@ def sharpness(states: Sequence[np.ndarray], steps: Sequence[np.ndarray], shift: 
 
 
 def scaled(states: Sequence[np.ndarray], steps: Sequence[np.ndarray]) -> tuple[float, Follow]:
-    """Return the scale at which summed steps explain one number (T, 1) best, and how well."""
+    """Return the scale at which summed deltas explain one number (T, 1) best, and the fit."""
     tried = [(scale, follow(states, cumulated(states, steps, scale), numbers, (0, 1))) for scale in _SCALES]
     about, _ = min(tried, key=lambda entry: entry[1].error)
     near = [about * factor for factor in np.linspace(0.86, 1.16, 31)]
@@ -123,7 +123,7 @@ def scaled(states: Sequence[np.ndarray], steps: Sequence[np.ndarray]) -> tuple[f
 
 
 def _follow_at_shift(states: Sequence[np.ndarray], commands: Sequence[np.ndarray], minus: Minus, shift: int) -> Follow:
-    """Return the share of the motion that commands leave unexplained, and their gain."""
+    """Return error and gain of commands at one shift."""
     begin, late = max(shift + _LAGS - 1, _LAGS - 1), max(-shift, 0)
     gram, moment, power = np.zeros((_LAGS, _LAGS)), np.zeros(_LAGS), 0.0
     for state, command in zip(states, commands, strict=True):
@@ -144,15 +144,15 @@ def _follow_at_shift(states: Sequence[np.ndarray], commands: Sequence[np.ndarray
 
 
 def _unexplained_share(gram: np.ndarray, moment: np.ndarray, power: float) -> tuple[float, float]:
-    """Return what the best gains that are not negative leave of a power, and their sum; all sets of gains are tried."""
+    """Return the unexplained share with the best non-negative gains, and their sum; all subsets of lags are tried."""
     best, gain = power, 0.0
     size = len(moment)
     ridge = 1e-9 * float(np.trace(gram)) / size + 1e-300
     for count in range(1, size + 1):
-        for chosen in itertools.combinations(range(size), count):
-            part = gram[np.ix_(chosen, chosen)] + ridge * np.eye(count)
-            gains = np.linalg.solve(part, moment[list(chosen)])
-            left = power - float(gains @ moment[list(chosen)])
+        for lags in itertools.combinations(range(size), count):
+            part = gram[np.ix_(lags, lags)] + ridge * np.eye(count)
+            gains = np.linalg.solve(part, moment[list(lags)])
+            left = power - float(gains @ moment[list(lags)])
             if (gains >= 0).all() and left < best:
                 best, gain = left, float(gains.sum())
     return max(best, 0.0) / power, gain

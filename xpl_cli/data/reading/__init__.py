@@ -1,6 +1,6 @@
-"""Sets of others, read in a process of its own that bounds what this takes.
+"""Reading of untrusted datasets in a separate process with limits on memory and processor time.
 
-demonstrations = open_set(path)   # finds the format by looking
+demonstrations = open_set(path)   # detects the format
 demonstrations[0].read("action")
 """
 

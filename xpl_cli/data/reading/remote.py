@@ -1,4 +1,4 @@
-"""A set whose files are read in a process of its own, within bounds (`limits.py`)."""
+"""A dataset whose files a separate process reads, within limits (`sets/limits.py`)."""
 
 from __future__ import annotations
 
@@ -36,17 +36,16 @@ _FRUGAL: Final = {
     "BLOSC_NTHREADS": "2",
     "OMP_NUM_THREADS": "2",
 }
-"""Threads take memory for their stacks, and pools take it ahead, whether or not there is work for them."""
+"""Fewer threads and no memory pools: both reserve memory, used or not."""
 
 
 def open_set(path: str | Path) -> Demonstrations:
-    """Return the demonstrations in a file or folder. Opening it lists episodes at most, and reads none.
+    """Open the dataset in a file or folder. This lists episodes at most, and reads none.
 
-    Whatever its format is, a process of its own reads it: one that takes too much time or memory is ended, with one
-    error.
+    A separate process reads the files; if it exceeds its time or memory limit, it is killed and `DataError` is raised.
 
     Raises:
-        DataError: there is nothing, nothing that is known, or it is damaged.
+        DataError: the path does not exist, no format recognises it, or the files are damaged.
         EntryPointError: a format of an installed package cannot be used.
     """
     path = Path(path)
@@ -56,16 +55,16 @@ def open_set(path: str | Path) -> Demonstrations:
 
 
 class _ReaderProcess:
-    """The process that reads a set: started when something is asked, once more after it was lost or this one forked.
+    """The process that reads a dataset; restarted after it died or this process forked.
 
     Args:
-        path: of the set.
+        path: of the dataset.
 
     Attributes:
-        opened: path, format and length of the set.
+        opened: path, format and length of the dataset.
 
     Raises:
-        DataError: it cannot be opened.
+        DataError: the dataset cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
@@ -77,10 +76,10 @@ class _ReaderProcess:
         self._start()
 
     def request(self, do: str, *arguments: Any) -> Any:
-        """Return what the process answers; its arrays are read-only.
+        """Send a request and return the answer; its arrays are read-only.
 
         Raises:
-            DataError: it cannot.
+            DataError: the process failed, or exceeded its limits.
         """
         with self._lock:
             if self._process is None or self._owner != os.getpid():  # a forked process must not share the link
@@ -88,7 +87,7 @@ class _ReaderProcess:
             return self._request_locked(do, *arguments)
 
     def end_frames(self, number: int) -> None:
-        """Let go of images of which no more are asked for, where the process that reads them is still there."""
+        """Close a frame iterator in the reader process, if that is still running."""
         with self._lock:
             if self._process is not None and self._owner == os.getpid():
                 self._request_locked("end", number)
@@ -113,12 +112,16 @@ class _ReaderProcess:
         if "entry_point" in head:
             raise EntryPointError(head["entry_point"])
         if "error" in head:
-            told = head["error"]
-            message = told["message"] if told["code"] is not None else f"{self._path} cannot be read: {told['message']}"
-            code = ExitCode.FINDINGS if told["code"] is None else ExitCode(told["code"])
+            failure = head["error"]
+            message = (
+                failure["message"]
+                if failure["code"] is not None
+                else f"{self._path} cannot be read: {failure['message']}"
+            )
+            code = ExitCode.FINDINGS if failure["code"] is None else ExitCode(failure["code"])
             if code == ExitCode.FINDINGS and str(self._path) not in message:
                 message = f"{self._path}: {message}"
-            raise DataError(message, hint=told["hint"], code=code)
+            raise DataError(message, hint=failure["hint"], code=code)
         return packed.decode(buffers[0])
 
 
@@ -128,7 +131,7 @@ def _end(process: Process, owner: int) -> None:
 
 
 class _RemoteSet(Demonstrations):
-    """A set that another process reads."""
+    """A dataset that another process reads."""
 
     def __init__(self, path: Path) -> None:
         self._reader = _ReaderProcess(path)
@@ -142,25 +145,25 @@ class _RemoteSet(Demonstrations):
 
     @property
     def rate_hz(self) -> float | None:
-        """Steps per second, if the set says so."""
+        """Steps per second, if the dataset has them."""
         return self._about["rate_hz"]  # type: ignore[no-any-return]
 
     @property
     def robot(self) -> str | None:
-        """What the set calls its robot, if it does."""
+        """The robot's name in the dataset, if it has one."""
         return self._about["robot"]  # type: ignore[no-any-return]
 
     @property
     def extras(self) -> Extras:
-        """What else the set says of itself."""
+        """Other metadata of the dataset."""
         return self._about["extras"]  # type: ignore[no-any-return]
 
     def __len__(self) -> int:
-        """How many episodes there are."""
+        """The number of episodes."""
         return self._length
 
     def __getitem__(self, index: int) -> _RemoteEpisode:
-        """Return an episode, by its place."""
+        """Return an episode by its index."""
         return _RemoteEpisode(self._reader, range(len(self))[index])
 
 
@@ -172,11 +175,11 @@ class _RemoteEpisode(OutlinedEpisode):
 
     @functools.cached_property
     def key(self) -> str:
-        """Its name in the set."""
+        """Its name in the dataset."""
         return self._reader.request("key", self._index)  # type: ignore[no-any-return]
 
     def outline(self) -> Outline:
-        """Return what the file says without rows and images."""
+        """Read everything but rows and images."""
         self.key, length, instructions, columns, cameras, extras = self._reader.request("outline", self._index)
         return Outline(
             length,
@@ -188,17 +191,17 @@ class _RemoteEpisode(OutlinedEpisode):
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
-        known = self.columns[column]
+        info = self.columns[column]
         rows = self._reader.request("read", self._index, column, start, stop)
-        return np.asarray(rows, dtype=str) if known.dtype == "str" else rows
+        return np.asarray(rows, dtype=str) if info.dtype == "str" else rows
 
     def video(self, camera: str) -> VideoClip | None:
-        """Return where a camera's video lies."""
-        told = self._reader.request("video", self._index, camera)
-        return None if told is None else VideoClip(**told)
+        """Return a camera's video clip; None if it has none."""
+        clip = self._reader.request("video", self._index, camera)
+        return None if clip is None else VideoClip(**clip)
 
     def stats(self, camera: str) -> Mapping[str, Any] | None:
-        """Return the statistics of a camera's images that the set has."""
+        """Return the dataset's own statistics of a camera's images; None if it has none."""
         return self._reader.request("stats", self._index, camera)  # type: ignore[no-any-return]
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:

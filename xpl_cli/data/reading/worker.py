@@ -1,4 +1,4 @@
-"""The process that reads a set: opens it with the reader of its format, and answers what `remote.py` asks."""
+"""The reader process: opens a dataset with the reader of its format, and answers the requests of `remote.py`."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Demonstrations
 
 _FRAMES_BYTES: Final = 8 << 20
-"""Of the images that are answered at once; one is always."""
+"""Most bytes of images per answer; an answer has one image at least."""
 
 
 def main(descriptor: int) -> NoReturn:
-    """Answer until the other end of the link is closed."""
+    """Answer requests until the parent closes the link."""
     child.serve(descriptor, _ReaderService().handle)
 
 
 class _ReaderService:
-    """One set, and the images that are being read of it."""
+    """One dataset, and its open frame iterators."""
 
     def __init__(self) -> None:
         self._bounds = ReadLimits(0, 0.0)
@@ -44,13 +44,13 @@ class _ReaderService:
         self._films: dict[int, Iterator[np.ndarray]] = {}
 
     def handle(self, head: Head, _buffers: Sequence[memoryview]) -> tuple[Head, list[Data]]:
-        """Return the answer to a message: a packed value, or an error."""
+        """Return the answer to a request: a packed value, or an error."""
         try:
             if head["do"] != "open":
                 self._bounds.start_cpu_limit()
             return {}, [self._answer(head["do"], head["arguments"])]
         except Exception as error:  # noqa: BLE001 - libraries raise almost anything on damaged files
-            return self._told(error), []
+            return self._failure(error), []
 
     def _answer(self, do: str, arguments: Sequence[Any]) -> bytes:
         data = b"".join(packed.encode(getattr(self, f"_{do}")(*arguments)))
@@ -58,12 +58,12 @@ class _ReaderService:
             self._claims.add_metadata(arguments[0], len(data))
         return data
 
-    def _told(self, error: Exception) -> Head:
-        """Return the head of an answer that says what went wrong."""
+    def _failure(self, error: Exception) -> Head:
+        """Return the head of an error answer."""
         if isinstance(error, EntryPointError):
             return {"entry_point": str(error)}
         if isinstance(error, UserError):
-            # What reads a set raises as where a check could not run; that the set is damaged is a finding.
+            # Readers raise NOT_RUN; here the cause is a damaged dataset, which is a finding.
             is_damaged = error.code == ExitCode.NOT_RUN and not isinstance(error, LibraryMissingError)
             return _error(str(error), error.hint, ExitCode.FINDINGS if is_damaged else error.code)
         if isinstance(error, MemoryError):
@@ -77,14 +77,14 @@ class _ReaderService:
         self._bounds.apply()
         self._bounds.start_cpu_limit()
         self._claims = SizeClaims(path, self._bounds.size)
-        self._set = found = open_here(Path(path))
-        self._claims.add_set(found)
-        return {"path": found.path, "format": found.format, "length": len(found)}
+        self._set = dataset = open_here(Path(path))
+        self._claims.add_set(dataset)
+        return {"path": dataset.path, "format": dataset.format, "length": len(dataset)}
 
     def _about(self) -> dict[str, Any]:
-        found = self._opened
-        self._claims.check_rate(found.rate_hz)
-        return {"rate_hz": found.rate_hz, "robot": found.robot, "extras": dict(found.extras)}
+        dataset = self._opened
+        self._claims.check_rate(dataset.rate_hz)
+        return {"rate_hz": dataset.rate_hz, "robot": dataset.robot, "extras": dict(dataset.extras)}
 
     def _key(self, index: int) -> str:
         return self._opened[index].key
@@ -106,8 +106,8 @@ class _ReaderService:
         return None if clip is None else asdict(clip)
 
     def _stats(self, index: int, camera: str) -> dict[str, Any] | None:
-        known = self._opened[index].stats(camera)
-        return None if known is None else dict(known)
+        statistics = self._opened[index].stats(camera)
+        return None if statistics is None else dict(statistics)
 
     def _film(self, index: int, camera: str, start: int, stop: int | None) -> int:
         number, episode = next(self._numbers), self._opened[index]
@@ -116,12 +116,12 @@ class _ReaderService:
         return number
 
     def _frames(self, number: int) -> list[np.ndarray]:
-        found: list[np.ndarray] = []
+        images: list[np.ndarray] = []
         for image in self._films[number]:
-            found.append(np.ascontiguousarray(image))
-            if sum(one.nbytes for one in found) >= _FRAMES_BYTES:
+            images.append(np.ascontiguousarray(image))
+            if sum(one.nbytes for one in images) >= _FRAMES_BYTES:
                 break
-        return found
+        return images
 
     def _end(self, number: int) -> None:
         self._films.pop(number, None)
@@ -129,7 +129,7 @@ class _ReaderService:
     @property
     def _opened(self) -> Demonstrations:
         if self._set is None:
-            raise RuntimeError("no set was opened")
+            raise RuntimeError("no dataset was opened")
         return self._set
 
 

@@ -1,1 +1,1 @@
-"""What a set of demonstrations is, whatever its format: episodes with columns of numbers, cameras and sentences."""
+"""The dataset interface, independent of the format: episodes with columns, cameras and instructions."""

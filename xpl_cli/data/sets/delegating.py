@@ -1,4 +1,4 @@
-"""A set, or an episode, that stands around another one: what it does not say otherwise is the other's."""
+"""Wrappers of a dataset and of an episode, which delegate to the wrapped one by default."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 class DelegatingSet(Demonstrations):
-    """A set around another one; `_around` makes its episodes.
+    """A wrapper of a dataset; `_wrap` wraps its episodes.
 
     Args:
-        inner: the other one.
-        name: of the format that it speaks; None for that of the other one.
+        inner: the wrapped dataset.
+        name: of the format whose names the wrapper has; None for that of `inner`.
     """
 
     def __init__(self, inner: Demonstrations, name: str | None = None) -> None:
@@ -29,30 +29,30 @@ class DelegatingSet(Demonstrations):
 
     @property
     def base_format(self) -> str:
-        """The name of the format of the files."""
+        """The format of the files."""
         return base_format(self._inner)
 
     @property
     def rate_hz(self) -> float | None:
-        """Steps per second, if the set says so."""
+        """Steps per second, if the dataset has them."""
         return self._inner.rate_hz
 
     @property
     def robot(self) -> str | None:
-        """What the set calls its robot, if it does."""
+        """The robot's name in the dataset, if it has one."""
         return self._inner.robot
 
     @property
     def extras(self) -> Extras:
-        """What else the set says of itself."""
+        """Other metadata of the dataset."""
         return self._inner.extras
 
     def __len__(self) -> int:
-        """How many episodes there are."""
+        """The number of episodes."""
         return len(self._inner)
 
     def __getitem__(self, index: int) -> RecordedEpisode:
-        """Return an episode, by its place."""
+        """Return an episode by its index."""
         return self._wrap(self._inner[index])
 
     def _wrap(self, episode: RecordedEpisode) -> RecordedEpisode:
@@ -60,10 +60,10 @@ class DelegatingSet(Demonstrations):
 
 
 class DelegatingEpisode(DescribedEpisode):
-    """An episode around another one.
+    """A wrapper of an episode.
 
     Args:
-        inner: the other one.
+        inner: the wrapped episode.
     """
 
     def __init__(self, inner: RecordedEpisode) -> None:
@@ -84,5 +84,5 @@ class DelegatingEpisode(DescribedEpisode):
 
 
 def base_format(demonstrations: Demonstrations) -> str:
-    """Return the name of the format of the files of a set, whatever stands around it."""
+    """Return the format of a dataset's files, below all wrappers."""
     return demonstrations.base_format if isinstance(demonstrations, DelegatingSet) else demonstrations.format

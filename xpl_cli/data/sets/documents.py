@@ -1,4 +1,4 @@
-"""JSON that others wrote, held against a schema before a value of it is used."""
+"""Parsing and schema validation of third-party JSON."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from xpl_cli.data.sets.errors import DataError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-_MOST_TOLD: Final = 200
+_MOST_CHARACTERS: Final = 200
 
 
 def parse_json(text: str | bytes, where: str) -> Any:
-    """Return what a text of JSON holds.
+    """Parse JSON.
 
     Raises:
-        DataError: it is none that is taken (`json_text.parse`).
+        DataError: the text is no JSON that `json_text.parse` accepts.
     """
     try:
         return json_text.parse(text)
@@ -28,28 +28,28 @@ def parse_json(text: str | bytes, where: str) -> Any:
 
 
 def validate_value(value: Any, schema: str, where: str) -> Any:
-    """Return a value that its schema takes.
+    """Validate a JSON value against a schema and return it.
 
     Args:
-        value: as JSON has it.
+        value: the value.
         schema: JSON Schema, as text.
-        where: of the value, for the error.
+        where: location of the value, for the error.
 
     Raises:
-        DataError: the schema does not take it; with the first key that it does not.
+        DataError: the value violates the schema; the message has the first key that does.
     """
     try:
         fault = next(_validator(schema).iter_errors(value), None)
-    except (ValueError, OverflowError, RecursionError, TypeError) as error:  # numbers beyond what JSON has elsewhere
-        raise DataError(f"{where} holds what JSON does not: {str(error)[:_MOST_TOLD]}") from None
+    except (ValueError, OverflowError, RecursionError, TypeError) as error:  # numbers that other JSON parsers reject
+        raise DataError(f"{where} holds a value that JSON cannot represent: {str(error)[:_MOST_CHARACTERS]}") from None
     if fault is not None:
         key = "/".join(str(part) for part in fault.instance_path)
-        raise DataError(f"{where}{f': {key}' if key else ''}: {fault.message[:_MOST_TOLD]}")
+        raise DataError(f"{where}{f': {key}' if key else ''}: {fault.message[:_MOST_CHARACTERS]}")
     return value
 
 
 def schema_text(schema: Mapping[str, Any]) -> str:
-    """Return a schema as `checked` takes it."""
+    """Return a schema in the form that `validate_value` takes."""
     return json.dumps(schema)
 
 

@@ -1,4 +1,4 @@
-"""What goes wrong with demonstrations."""
+"""Errors of datasets."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from xpl_cli.basics.errors import ExitCode, UserError
 
 
 class DataError(UserError, ValueError):
-    """Demonstrations, or a part of them, cannot be read or written; the text says what, where and what to do.
+    """A dataset, or a part of one, cannot be read or written; the message says what, where and what to do.
 
-    Commands need not catch it: it ends them with its sentence, and with the exit code of what could not run.
+    Commands need not catch it: the command line prints it and exits with its code.
     """
 
     def __init__(self, message: str, *, hint: str | None = None, code: ExitCode = ExitCode.NOT_RUN) -> None:
@@ -16,4 +16,4 @@ class DataError(UserError, ValueError):
 
 
 class LibraryMissingError(DataError):
-    """What reads a format is not installed here."""
+    """The library that reads a format is not installed."""

@@ -1,9 +1,9 @@
-"""What every reader of demonstrations offers, in the words and conventions of the file that it reads.
+"""The interface of dataset readers: datasets and episodes, under the names and conventions of the file.
 
-A reader's classes inherit from these two, and leave out what their format does not say.
+A reader's classes inherit from `Demonstrations` and `RecordedEpisode`, and omit what their format does not have.
 
-Nothing is converted here: a column is what the file has, under the file's own name. Which column is which part of the
-standard, and under which conventions, is said by a mapping, or measured by a probe.
+Nothing is converted here: a column has the file's name and values. A mapping states, or the probe measures, which
+column is which part of the standard, and under which conventions.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 
 Extras = Mapping[str, Any]
-"""What is said of a set or an episode beside columns and cameras: plain data under the file's own names."""
+"""Metadata of a dataset or an episode besides columns and cameras: JSON values under the file's own names."""
 
 
 @dataclass(frozen=True)
 class ColumnInfo:
-    """A column of numbers: one row for each step.
+    """A column of numbers: one row per step.
 
     Attributes:
         shape: the shape of a row, `(7,)` for seven joints, `()` for a number.
         dtype: numpy's name of its type, as stored.
-        names: what the file calls each entry of a row, if it does; else empty.
+        names: the file's name of each entry of a row; empty if it has none.
     """
 
     shape: tuple[int, ...]
@@ -41,13 +41,13 @@ class ColumnInfo:
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """A camera: one image for each step.
+    """A camera: one image per step.
 
     Attributes:
         height: in pixels.
         width: in pixels.
-        kind: `color`, (H, W, 3) uint8 in the file's own order of channels, or `depth`, (H, W) in the file's unit.
-        encoding: how images lie in the file: `raw`, `jpeg`, `png`, or a video's codec (`av1`, `h264`).
+        kind: `color`, (H, W, 3) uint8 in the file's own channel order, or `depth`, (H, W) in the file's unit.
+        encoding: of the images in the file: `raw`, `jpeg`, `png`, or a video's codec (`av1`, `h264`).
         intrinsics: (3, 3) or (T, 3, 3) float, in pixels, if the file has them.
         extrinsics: (4, 4) or (T, 4, 4) float, as the file has them.
     """
@@ -65,9 +65,9 @@ class VideoClip:
     """An episode's part of a video.
 
     Attributes:
-        path: the file.
-        begins_s: when it begins there.
-        codec: as the set names it.
+        path: of the video.
+        begins_s: start of the episode in the video, seconds.
+        codec: as the dataset names it.
     """
 
     path: str
@@ -80,28 +80,28 @@ class RecordedEpisode(Protocol):
 
     @property
     def key(self) -> str:
-        """Its name in the set, unique there: `episode_000003`, `demo_12`."""
+        """Its name, unique in the dataset: `episode_000003`, `demo_12`."""
 
     @property
     def length(self) -> int:
-        """How many steps it has."""
+        """The number of steps."""
 
     @property
     def instructions(self) -> tuple[str, ...]:
-        """What the robot was told; several where the file has several wordings; empty where it has none."""
+        """The language instruction; several where the file has several wordings; empty where it has none."""
         return ()
 
     @property
     def columns(self) -> Mapping[str, ColumnInfo]:
-        """The columns of numbers, by the file's names; groups are joined by `/`."""
+        """The columns, by the file's names; groups are joined by `/`."""
 
     @property
     def cameras(self) -> Mapping[str, CameraInfo]:
-        """The cameras, by the file's names; groups are joined by `/`, as of columns."""
+        """The cameras, by the file's names; groups are joined by `/`."""
 
     @property
     def extras(self) -> Extras:
-        """What else the file says of this episode, plain data under the file's names."""
+        """Other metadata of this episode: JSON values under the file's names."""
         return {}
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
@@ -113,24 +113,24 @@ class RecordedEpisode(Protocol):
         """
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
-        """Yield images `start` to `stop` of a camera, decoded one after the other: uint8, or depth as it is stored.
+        """Yield images `start` to `stop` of a camera, decoded one by one: (H, W, 3) uint8, or depth as stored.
 
         Raises:
             KeyError: there is no such camera.
-            DataError: an image cannot be decoded; it says which.
+            DataError: an image cannot be decoded; the message says which.
         """
 
-    def video(self, camera: str) -> VideoClip | None:  # noqa: ARG002 - of most formats there is none
-        """Return where a camera's video lies, which a writer of videos copies; None where its images are none."""
+    def video(self, camera: str) -> VideoClip | None:  # noqa: ARG002 - most formats have none
+        """Return a camera's video clip, which a writer can copy; None where the images are not a video."""
         return None
 
     def stats(self, camera: str) -> Mapping[str, Any] | None:  # noqa: ARG002 - likewise
-        """Return the statistics of a camera's images that the set has, as LeRobot names them; None if it has none."""
+        """Return the dataset's own statistics of a camera's images, named as in LeRobot; None if it has none."""
         return None
 
 
 class Demonstrations(Protocol):
-    """A set of episodes. Opening it lists them and reads none.
+    """A dataset of recorded episodes. Opening it lists them and reads none.
 
     Args:
         path: the file or folder.
@@ -139,7 +139,7 @@ class Demonstrations(Protocol):
     Attributes:
         path: the file or folder.
         format: the name of its format: `xpl`, `lerobot-v2.1`, `lerobot-v3.0`, `robomimic`, `aloha`, `robotwin`, ...
-        is_forkable: whether processes that are forked from one that opened it may read it: not where threads do it.
+        is_forkable: whether a forked process may read the dataset; False for readers that use threads.
     """
 
     path: str
@@ -151,21 +151,21 @@ class Demonstrations(Protocol):
 
     @property
     def rate_hz(self) -> float | None:
-        """Steps per second, if the set says so."""
+        """Steps per second, if the dataset has them."""
         return None
 
     @property
     def robot(self) -> str | None:
-        """What the set calls its robot, if it does."""
+        """The robot's name in the dataset, if it has one."""
         return None
 
     @property
     def extras(self) -> Extras:
-        """What else the set says of itself, plain data under its own names."""
+        """Other metadata of the dataset."""
         return {}
 
     def __len__(self) -> int:
-        """How many episodes there are."""
+        """The number of episodes."""
 
     def __getitem__(self, index: int) -> RecordedEpisode:
-        """Return an episode, by its place."""
+        """Return an episode by its index."""

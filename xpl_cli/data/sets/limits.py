@@ -1,7 +1,7 @@
-"""What reading a set may take: memory and processor time, by its size.
+"""Limits on memory and processor time of a process that reads a dataset.
 
-A small file can claim any size and cost any time: compressed blocks, links in circles, counts in a header. The process
-that reads it is ended there (setrlimit(2)), whatever library it is in.
+A small file can claim any size and cost any time: compressed blocks, link cycles, counts in a header. The kernel kills
+the reading process at the limit (setrlimit(2)), whatever library it is in.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ _WAIT_FACTOR: Final = 12.0
 _MOST_MEASURED: Final = 10_000
 _MOST_LISTED: Final = 1 << 18
 _BLOCK: Final = 512
-"""Bytes of what `st_blocks` counts (inode(7))."""
+"""Bytes per unit of `st_blocks` (inode(7))."""
 _PAGE: Final = resource.getpagesize()
 
 
 @dataclass(frozen=True)
 class ReadLimits:
-    """Of a process that reads one set.
+    """Limits of a process that reads one dataset.
 
     Attributes:
-        memory: bytes that it may take beyond what its libraries have taken when they were imported.
-        seconds: of processor time for one answer.
-        size: bytes of the set's files.
+        memory: bytes that it may allocate beyond those of imported libraries.
+        seconds: processor time per answer.
+        size: of the dataset's files, bytes.
     """
 
     memory: int
@@ -48,10 +48,10 @@ class ReadLimits:
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        """Return the bounds for a file or folder: what any needs, and more for a large one.
+        """Return the limits for a file or folder: a base that every dataset needs, plus a share of its size.
 
         Raises:
-            DataError: it is, or holds, something else than files and folders, such as a pipe that waits for a writer.
+            DataError: the path is, or holds, something other than files and folders, such as a named pipe.
         """
         try:
             size = _size(path)
@@ -61,17 +61,17 @@ class ReadLimits:
 
     @property
     def wait_s(self) -> float:
-        """Seconds to wait for an answer, on a machine that has other work too."""
+        """Seconds to wait for an answer, with room for other load on the machine."""
         return _WAIT_FACTOR * self.seconds
 
     def apply(self) -> None:
-        """Hold this process to the memory from here on; it writes no file and leaves no core either."""
+        """Limit the memory of this process from now on, and forbid writing files and core dumps."""
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
         _limit_memory(_data_memory() + self.memory)
 
     def start_cpu_limit(self) -> None:
-        """Count the processor time of one answer from here on."""
+        """Limit the processor time of the answer that begins now."""
         used = resource.getrusage(resource.RUSAGE_SELF)
         _, hard = resource.getrlimit(resource.RLIMIT_CPU)
         end = int(used.ru_utime + used.ru_stime + self.seconds) + 1
@@ -80,10 +80,10 @@ class ReadLimits:
 
 @contextlib.contextmanager
 def outside_limits(more: int = 0) -> Iterator[None]:
-    """Leave what a library takes when it is imported out of the bounds.
+    """Exclude the memory that a library allocates on import from the limit.
 
     Args:
-        more: bytes that it takes for itself when it is first used.
+        more: bytes that the library allocates on first use.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     if soft in (resource.RLIM_INFINITY, hard):
@@ -103,36 +103,36 @@ def _limit_memory(size: int) -> None:
 
 
 def _data_memory() -> int:
-    """Return what counts for RLIMIT_DATA: private memory that can be written to, bytes (proc_pid_statm(5))."""
+    """Return the memory that counts for RLIMIT_DATA, private and writable, in bytes (proc_pid_statm(5))."""
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5]) * _PAGE
 
 
 def _size(path: Path) -> int:
-    """Return the bytes of a file, or of the files of a folder: each once, however many links lead to it.
+    """Return the bytes of a file, or of the files of a folder; a file with several links counts once.
 
-    Of a folder of very many files it is by the first ones and their number.
+    For a folder of more than 10,000 files the size is extrapolated from the first ones.
     """
     if not path.is_dir():
         _refuse_unless_file(path)
         return path.stat().st_size
     total = count = 0
-    seen: set[tuple[int, int]] = set()
+    inodes: set[tuple[int, int]] = set()
     for entry in itertools.islice(_entries(path), _MOST_LISTED):
         count += 1
         if count <= _MOST_MEASURED:
             status = entry.stat()
-            is_new = (status.st_dev, status.st_ino) not in seen
-            seen.add((status.st_dev, status.st_ino))
-            stored = status.st_blocks * _BLOCK if entry.is_symlink() else status.st_size  # /proc has any sizes
+            is_new = (status.st_dev, status.st_ino) not in inodes
+            inodes.add((status.st_dev, status.st_ino))
+            stored = status.st_blocks * _BLOCK if entry.is_symlink() else status.st_size  # sizes in /proc are arbitrary
             total += min(status.st_size, stored) * is_new
     return total * count // max(min(count, _MOST_MEASURED), 1)
 
 
 def _entries(path: Path) -> Iterator[os.DirEntry[str]]:
-    """Yield the files below a folder, also those that links lead to, but not what is below linked folders.
+    """Yield the files below a folder and targets of links to files; linked folders are not entered.
 
     Raises:
-        DataError: something is neither.
+        DataError: an entry is neither file nor folder.
     """
     folders = [os.fspath(path)]
     while folders:
@@ -149,11 +149,11 @@ def _entries(path: Path) -> Iterator[os.DirEntry[str]]:
 def _is_file(entry: os.DirEntry[str]) -> bool:
     try:
         return entry.is_file()
-    except OSError:  # links in a circle
+    except OSError:  # a link cycle
         return False
 
 
 def _refuse_unless_file(path: Path) -> None:
-    """Refuse what is no file, folder or broken link."""
+    """Raise `DataError` for a path that is no file, folder or broken link."""
     if path.exists() and not path.is_file() and not path.is_dir():
-        raise DataError(f"{path} is neither file nor folder; a set has only these", code=ExitCode.FINDINGS)
+        raise DataError(f"{path} is neither a file nor a folder", code=ExitCode.FINDINGS)

@@ -1,4 +1,4 @@
-"""Episodes of which all but rows and images is read at once, when something is asked for."""
+"""Episodes whose outline (everything but rows and images) is read once, on first access."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outline:
-    """What an episode says without its rows and images: see `Episode`."""
+    """An episode without its rows and images; the fields are those of `RecordedEpisode`."""
 
     length: int
     instructions: tuple[str, ...]
@@ -25,10 +25,10 @@ class Outline:
 
 
 class DescribedEpisode(RecordedEpisode):
-    """An episode that something else describes: an outline, or another episode.
+    """An episode whose properties come from an outline or from another episode.
 
     Args:
-        key: its name in the set.
+        key: its name in the dataset.
     """
 
     def __init__(self, key: str) -> None:
@@ -40,22 +40,22 @@ class DescribedEpisode(RecordedEpisode):
 
     @property
     def key(self) -> str:
-        """Its name in the set."""
+        """Its name in the dataset."""
         return self._key
 
     @property
     def length(self) -> int:
-        """How many steps it has."""
+        """The number of steps."""
         return self._described.length
 
     @property
     def instructions(self) -> tuple[str, ...]:
-        """What the robot was told."""
+        """The language instructions."""
         return self._described.instructions
 
     @property
     def columns(self) -> Mapping[str, ColumnInfo]:
-        """The columns of numbers and texts."""
+        """The columns."""
         return self._described.columns
 
     @property
@@ -65,17 +65,17 @@ class DescribedEpisode(RecordedEpisode):
 
     @property
     def extras(self) -> Extras:
-        """What else is said of it."""
+        """Other metadata."""
         return self._described.extras
 
 
 class OutlinedEpisode(DescribedEpisode):
-    """An episode that answers from its outline; `outline`, `read` and `frames` are its format's."""
+    """An episode that takes its properties from its outline; formats implement `outline`, `read` and `frames`."""
 
     @functools.cached_property
     def _described(self) -> Outline:
         return self.outline()
 
     def outline(self) -> Outline:
-        """Read all but rows and images; asked once."""
+        """Read everything but rows and images; called once."""
         raise NotImplementedError

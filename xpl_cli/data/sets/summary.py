@@ -1,4 +1,4 @@
-"""What a set of demonstrations holds, in short: as plain data and as text."""
+"""A summary of a dataset, as JSON values and as text."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ _MOST_SHOWN: Final = 20
 
 @dataclass(frozen=True)
 class PrivilegedRecord:
-    """Which of a simulator's facts an episode says that it holds, and why others were left out."""
+    """Which privileged information of a simulator an episode holds, and why other parts were left out."""
 
     recorded: list[str]
     left_out: dict[str, str]
 
     @classmethod
     def of(cls, episode: RecordedEpisode) -> Self | None:
-        """Return what an episode says; None where it says nothing."""
-        told = episode.extras.get(sdk.Obs.PRIVILEGED)
-        if not isinstance(told, Mapping) or not isinstance(told.get(RECORDED), list):
+        """Return the record of an episode; None if it has none."""
+        record = episode.extras.get(sdk.Obs.PRIVILEGED)
+        if not isinstance(record, Mapping) or not isinstance(record.get(RECORDED), list):
             return None
-        left_out = told.get(LEFT_OUT)
-        return cls(list(map(str, told[RECORDED])), dict(left_out) if isinstance(left_out, Mapping) else {})
+        left_out = record.get(LEFT_OUT)
+        return cls(list(map(str, record[RECORDED])), dict(left_out) if isinstance(left_out, Mapping) else {})
 
 
 @dataclass(frozen=True)
 class EpisodeSummary:
-    """One episode."""
+    """Key, length and instructions of one episode."""
 
     key: str
     steps: int
@@ -43,13 +43,13 @@ class EpisodeSummary:
 
     @classmethod
     def of(cls, episode: RecordedEpisode) -> Self:
-        """Return what is listed of an episode; the rest of what it says is let go."""
+        """Summarise an episode, without keeping a reference to it."""
         return cls(episode.key, episode.length, episode.instructions)
 
 
 @dataclass(frozen=True)
 class DatasetSummary:
-    """A set's facts, and those of each episode; columns, cameras and truth are those of the first."""
+    """A dataset's metadata and its episodes; columns, cameras and privileged information are those of the first."""
 
     path: str
     format: str
@@ -62,7 +62,7 @@ class DatasetSummary:
 
     @classmethod
     def of(cls, demonstrations: Demonstrations) -> Self:
-        """Return the summary of a set."""
+        """Summarise a dataset."""
         first = demonstrations[0] if len(demonstrations) else None
         return cls(
             demonstrations.path,
@@ -76,7 +76,7 @@ class DatasetSummary:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return it for programs."""
+        """The summary as JSON values."""
         columns = {
             name: {"shape": list(column.shape), "dtype": column.dtype, "names": list(column.names)}
             for name, column in self.columns.items()
@@ -96,7 +96,7 @@ class DatasetSummary:
 
     @property
     def text(self) -> str:
-        """The same for people."""
+        """The summary as text."""
         rate = f"{self.rate_hz:g} Hz" if self.rate_hz else "rate unknown"
         lines = [f"{self.path}: {self.format}, {self.robot or 'robot unknown'}, {rate}"]
         if self.episodes:
@@ -108,19 +108,19 @@ class DatasetSummary:
             left_out = ", ".join(self.privileged.left_out)
             without = f", without {left_out}" if left_out else ""
             recorded = ", ".join(self.privileged.recorded)
-            lines.append(f"  holds what a simulator tells privileged policies: {recorded}{without}")
+            lines.append(f"  privileged information: {recorded}{without}")
         sentences = Counter(
-            sentence for episode in self.episodes for sentence in episode.instructions or ["(told nothing)"]
+            sentence for episode in self.episodes for sentence in episode.instructions or ["(no instruction)"]
         )
         lines += [f"  {count:5d} x {sentence}" for sentence, count in sentences.most_common(_MOST_SHOWN)]
         if len(sentences) > _MOST_SHOWN:
-            lines.append(f"  and {len(sentences) - _MOST_SHOWN} other sentences")
+            lines.append(f"  and {len(sentences) - _MOST_SHOWN} other instructions")
         return "\n".join(lines)
 
 
-def _rows(word: str, entries: Mapping[str, str]) -> list[str]:
+def _rows(kind: str, entries: Mapping[str, str]) -> list[str]:
     width = max(map(len, entries), default=0)
-    return [f"  {word}  {name.ljust(width)}  {what}" for name, what in entries.items()]
+    return [f"  {kind}  {name.ljust(width)}  {what}" for name, what in entries.items()]
 
 
 def _column(column: ColumnInfo) -> str:

@@ -1,1 +1,1 @@
-"""An episode to look at: frames and curves on a page, on a sheet, or in Rerun's viewer."""
+"""Views of an episode: frames and curves as an HTML page, a picture, or a Rerun recording."""

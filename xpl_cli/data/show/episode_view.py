@@ -1,4 +1,4 @@
-"""What is shown of an episode: frames at even distances, and every column as curves."""
+"""The content of an episode view: evenly spaced frames, and every column as curves."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 FRAMES: Final = 8
 MOST_CURVES: Final = 32
-"""Entries of a row that are still drawn."""
+"""Most entries of a row that are drawn."""
 _MOST_POINTS: Final = 400
 _BLOCK: Final = 1 << 20
-"""Numbers of a column that are looked at together."""
+"""Numbers of a column that are read at once."""
 _WIDEST: Final = 1280
-"""Pixels of an image that is kept: a sheet is as wide."""
+"""Width of a kept image in pixels: that of the picture."""
 _DEPTHS: Final = (2.0, 98.0)
-"""Percentiles of a depth image between which it is shown."""
+"""Percentiles of a depth image that map to black and white."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Strip:
         name: the camera.
         what: its size and encoding.
         steps: which steps they are.
-        images: (H, W, 3) uint8 each, in the file's own order of channels, made smaller where they are large.
+        images: (H, W, 3) uint8 each, in the file's own channel order, downscaled if large.
     """
 
     name: str
@@ -57,11 +57,11 @@ class Chart:
         name: the column.
         what: its shape and type.
         names: of the curves.
-        steps: (N,) at which they are drawn.
+        steps: (N,) steps of the points.
         curves: (N, width) numbers; empty where there are too many.
-        beside: (N, width) of the column that it is drawn beside, the state of an action; None for none.
-        low, high: range of all numbers that are finite.
-        lost: how many are not.
+        beside: (N, width) of the column that is drawn for comparison, the state of an action; None for none.
+        low, high: range of the finite numbers.
+        lost: count of numbers that are not finite.
     """
 
     name: str
@@ -77,14 +77,14 @@ class Chart:
 
 @dataclass(frozen=True)
 class EpisodeView:
-    """An episode as it is shown.
+    """An episode with everything that is shown of it.
 
     Attributes:
-        path, format, key: which one it is.
+        path, format, key: of the episode.
         steps: its length.
         rate_hz: steps per second, if known.
-        robot: what the set calls it.
-        instructions: what it was told.
+        robot: its name in the dataset, if known.
+        instructions: language instructions.
         strips: cameras.
         charts: columns.
     """
@@ -100,30 +100,30 @@ class EpisodeView:
     charts: tuple[Chart, ...]
 
 
-def find_episode(demonstrations: Demonstrations, wanted: str) -> RecordedEpisode:
-    """Return an episode by its place, counted from 0, or by its key.
+def find_episode(demonstrations: Demonstrations, name: str) -> RecordedEpisode:
+    """Return an episode by its index, from 0, or by its key.
 
     Raises:
-        DataError: there is none.
+        DataError: there is no such episode.
     """
     count = len(demonstrations)
-    if wanted.isdecimal() and len(wanted) <= len(str(count)) and int(wanted) < count:
-        return demonstrations[int(wanted)]
+    if name.isdecimal() and len(name) <= len(str(count)) and int(name) < count:
+        return demonstrations[int(name)]
     for index in range(count):
-        if demonstrations[index].key == wanted:
+        if demonstrations[index].key == name:
             return demonstrations[index]
     raise DataError(
-        f"{demonstrations.path} has no episode {wanted}: it has {count}, from 0",
+        f"{demonstrations.path} has no episode {name}: it has {count}, from 0",
         hint=f"`xpl data list {demonstrations.path}` lists them",
         code=ExitCode.NOT_FOUND,
     )
 
 
 def view(demonstrations: Demonstrations, episode: RecordedEpisode, frames: int = FRAMES) -> EpisodeView:
-    """Return what is shown of an episode.
+    """Read what is shown of an episode.
 
     Raises:
-        DataError: something of it cannot be read.
+        DataError: a column or an image cannot be read.
     """
     return EpisodeView(
         demonstrations.path,
@@ -150,10 +150,10 @@ def _strip(episode: RecordedEpisode, name: str, count: int) -> Strip:
 
 
 def _grey(depth: np.ndarray) -> NDArray[np.uint8]:
-    """Return a depth image as grey levels, near is bright."""
+    """Return a depth image as grey levels; near is bright."""
     values = depth.astype(np.float64)
-    known = values[np.isfinite(values)]
-    low, high = np.percentile(known, _DEPTHS) if known.size else (0.0, 1.0)
+    finite = values[np.isfinite(values)]
+    low, high = np.percentile(finite, _DEPTHS) if finite.size else (0.0, 1.0)
     share = np.clip((np.nan_to_num(values, nan=high) - low) / max(high - low, 1e-9), 0, 1)
     return np.repeat((255 * (1 - share)).astype(np.uint8)[..., None], 3, axis=2)
 
@@ -166,8 +166,8 @@ def _chart(episode: RecordedEpisode, name: str) -> Chart:
     low, high, lost, picked = np.inf, -np.inf, 0, [np.zeros((0, width if is_drawn else 0))]
     for start, rows in _blocks(episode, name, width):
         finite = np.isfinite(rows)
-        known = rows[finite]
-        low, high = min(low, known.min(initial=np.inf)), max(high, known.max(initial=-np.inf))
+        values = rows[finite]
+        low, high = min(low, values.min(initial=np.inf)), max(high, values.max(initial=-np.inf))
         lost += int((~finite).sum())
         if is_drawn:
             picked.append(_picked(rows, start, steps))
@@ -183,7 +183,7 @@ def _chart(episode: RecordedEpisode, name: str) -> Chart:
 
 
 def _blocks(episode: RecordedEpisode, name: str, width: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Yield rows of a column, (steps, width), as many at a time as take little memory, with the first one's place."""
+    """Yield blocks of a column, (steps, width), each with the step of its first row."""
     count = max(1, _BLOCK // max(width, 1))
     for start in range(0, episode.length, count):
         rows = episode.read(name, start, start + count)
@@ -191,5 +191,5 @@ def _blocks(episode: RecordedEpisode, name: str, width: int) -> Iterator[tuple[i
 
 
 def _picked(rows: NDArray[np.float64], start: int, steps: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return those of rows that lie at these steps, where the first row is that of a step."""
+    """Return the rows at the given steps; `start` is the step of the first row."""
     return rows[steps[(steps >= start) & (steps < start + len(rows))] - start]

@@ -1,4 +1,4 @@
-"""An episode as a page: one file that holds its pictures and curves, and may reach nothing else."""
+"""An episode as a self-contained HTML page with frames and curves."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _chart(chart: Chart, steps: int) -> dict[str, Any]:
 
 
 def _svg(chart: Chart) -> Markup:
-    """Return the curves of a column, each entry in a colour of its own; what it is drawn beside is dashed."""
+    """Return the curves of a column, one colour per entry; the column drawn for comparison is dashed."""
     lines = []
     for rows, kind in ((chart.beside, "beside"), (chart.curves, "curve")):
         for index in range(0 if rows is None else rows.shape[1]):
@@ -87,7 +87,7 @@ def _svg(chart: Chart) -> Markup:
 
 
 def _points(chart: Chart, values: NDArray[np.float64]) -> list[str]:
-    """Return the points of a curve, in pieces between numbers that are not finite."""
+    """Return the points of a curve, split at numbers that are not finite."""
     span = max(chart.high - chart.low, 1e-12)
     last = max(int(chart.steps[-1]), 1)
     across = chart.steps / last * _WIDE

@@ -1,4 +1,4 @@
-"""An episode as a recording for Rerun's viewer, where rerun-sdk is installed."""
+"""An episode as a recording for the Rerun viewer; needs rerun-sdk."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _STEP, _TIME = "step", "time"
 
 
 def write(demonstrations: Demonstrations, episode: RecordedEpisode, path: Path) -> None:
-    """Write an episode as an .rrd: cameras and columns below their names, by step and, where the rate is known, time.
+    """Write an episode as an .rrd: cameras and columns under their names, by step and, if the rate is known, by time.
 
     Raises:
         DataError: rerun-sdk is not installed, or the episode cannot be read.
@@ -41,8 +41,8 @@ def write(demonstrations: Demonstrations, episode: RecordedEpisode, path: Path) 
     for name, camera in episode.cameras.items():
         for index, image in enumerate(episode.frames(name)):
             _at(recording, index, demonstrations.rate_hz)
-            shown = rerun.DepthImage(image) if camera.kind == sdk.Camera.DEPTH else rerun.Image(image).compress()
-            recording.log(name, shown)
+            entity = rerun.DepthImage(image) if camera.kind == sdk.Camera.DEPTH else rerun.Image(image).compress()
+            recording.log(name, entity)
     recording.flush()
 
 

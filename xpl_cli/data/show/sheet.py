@@ -39,7 +39,7 @@ def _heading(view: EpisodeView) -> Image.Image:
     lines = [
         f"{view.key} of {view.path}",
         f"{view.format}, {view.robot or 'robot unknown'}, {view.steps} steps, {rate}",
-        *(f"told: {sentence}" for sentence in view.instructions[:3]),
+        *(f"instruction: {sentence}" for sentence in view.instructions[:3]),
     ]
     row = Image.new("RGB", (_WIDE, _LINE * len(lines)), _PAPER)
     pen = ImageDraw.Draw(row)
@@ -73,16 +73,16 @@ def _chart(chart: Chart) -> Image.Image:
     row = Image.new("RGB", (wide, _LINE + _CHART), _PAPER)
     pen = ImageDraw.Draw(row)
     lost = f", {chart.lost} not finite" if chart.lost else ""
-    told = f"{chart.name}  {chart.what}, {chart.low:.4g} to {chart.high:.4g}{lost}"
-    pen.text((0, 0), told, fill=_SOFT, font=_font(13))
+    caption = f"{chart.name}  {chart.what}, {chart.low:.4g} to {chart.high:.4g}{lost}"
+    pen.text((0, 0), caption, fill=_SOFT, font=_font(13))
     pen.rectangle((0, _LINE, wide - 1, _LINE + _CHART - 1), outline=_RULE)
     span = max(chart.high - chart.low, 1e-12)
     last = max(int(chart.steps[-1]), 1)
     for index in range(chart.curves.shape[1]):
         values = chart.curves[:, index]
-        known = np.isfinite(values)
-        across = chart.steps[known] / last * (wide - 8) + 4
-        down = _LINE + 5 + (1 - (values[known] - chart.low) / span) * (_CHART - 10)
+        finite = np.isfinite(values)
+        across = chart.steps[finite] / last * (wide - 8) + 4
+        down = _LINE + 5 + (1 - (values[finite] - chart.low) / span) * (_CHART - 10)
         if len(across) > 1:
             pen.line(list(zip(across, down, strict=True)), fill=_CURVES[index % len(_CURVES)], width=1)
     return row

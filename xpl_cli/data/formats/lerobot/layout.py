@@ -1,4 +1,4 @@
-"""Where the files of a LeRobot dataset lie, and what its `meta/` says.
+"""File layout of a LeRobot dataset, and the metadata in `meta/`.
 
 Source: LeRobot 0.3 (v2.1) and 0.4 (v3.0), lerobot/datasets/utils.py and lerobot_dataset.py.
 """
@@ -31,20 +31,20 @@ DEFAULTS: Final = {
     "index": "int64",
     "task_index": "int64",
 }
-"""Columns that every dataset has; each is one number."""
+"""Scalar columns that every dataset has."""
 DATA_PATH: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES: Final = "meta/episodes"
 EPISODES_PATH: Final = EPISODES + "/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 CHUNKS_SIZE: Final = 1000
-"""Most files of a folder."""
+"""Most files per folder."""
 EXTRAS: Final = "extras"
-"""Where what LeRobot has no place for is kept: a key of info.json, and JSON text of each episode."""
-_PLACE: Final = re.compile(r"\{([a-z_]+)(?::0?([0-9])d)?\}")
+"""Key of metadata that LeRobot has no field for: in info.json, and as JSON text of each episode."""
+_TEMPLATE_FIELD: Final = re.compile(r"\{([a-z_]+)(?::0?([0-9])d)?\}")
 _MOST_META: Final = 512 << 20
 _FEW_ROWS: Final = 1000
 _ROW_BYTES: Final = 8
-"""Bytes of a table of episodes for each, at least: where an episode begins is another number in each row."""
+"""Fewest bytes of the episode table per row: each row has another start index."""
 _POINTERS: Final = ("data/", "meta/", "videos/", "stats/")
 _NAMED: Final = ("codebase_version", "features", "fps", "robot_type", "data_path", "video_path")
 _COUNTS: Final = ("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb", "splits")
@@ -75,7 +75,7 @@ _INFO_SCHEMA: Final = documents.schema_text(
         },
     }
 )
-"""What is used of `meta/info.json`; what else it says stays as it is."""
+"""The keys of `meta/info.json` that are read; others are kept unchanged."""
 _EPISODE_SCHEMA: Final = documents.schema_text(
     {
         "type": "object",
@@ -100,16 +100,16 @@ _KNOWN: Final = ("episode_index", "tasks", "length", "dataset_from_index", "data
 
 @dataclass(frozen=True)
 class EpisodeEntry:
-    """What `meta/` says of one episode.
+    """The metadata of one episode.
 
     Attributes:
         index: its number.
         length: steps.
-        tasks: sentences.
-        data: file of its numbers, from the root.
+        tasks: language instructions.
+        data: path of its parquet file, relative to the root.
         first: its first row in that file.
-        videos: by camera, the file from the root and when the episode begins in it, seconds.
-        extras: what else it says.
+        videos: by camera, the video's path relative to the root and the episode's start in it, seconds.
+        extras: other metadata.
     """
 
     index: int
@@ -123,13 +123,13 @@ class EpisodeEntry:
 
 @dataclass(frozen=True)
 class Feature:
-    """What `meta/info.json` says of one column or camera.
+    """A column or camera in `meta/info.json`.
 
     Attributes:
         dtype: `video`, `image`, `string`, or numpy's name of a type.
-        shape: of a row or an image; sets of 2024 have an image's channels first.
-        names: of the numbers of a row, or of the axes of an image; empty where it has none.
-        codec: of a video; "" where it is not said.
+        shape: of a row or an image; datasets of 2024 have an image's channels first.
+        names: of the numbers of a row, or of the axes of an image; empty if not given.
+        codec: of a video; "" if not given.
     """
 
     dtype: str
@@ -139,22 +139,22 @@ class Feature:
 
     @property
     def is_camera(self) -> bool:
-        """Whether it is one of images."""
+        """Whether it holds images."""
         return self.dtype in ("video", "image")
 
 
 @dataclass(frozen=True)
 class Info:
-    """What `meta/info.json` says.
+    """The content of `meta/info.json`.
 
     Attributes:
-        version: v2.1 or v3.0, by which the files lie.
+        version: v2.1 or v3.0, which sets the file layout.
         rate_hz: steps per second.
-        robot: what the set calls its robot; None where it does not.
+        robot: the robot's name in the dataset; None if not given.
         features: by name.
         data_path, video_path: templates of the paths of files.
-        chunk: most episodes of a folder, where each has files of its own.
-        rest: what else it says, without its counts.
+        chunk: most episodes per folder, in v2.1.
+        rest: other metadata, without counts.
     """
 
     version: str
@@ -173,16 +173,16 @@ class Info:
 
 
 def read_info(root: Path) -> Info:
-    """Return what `meta/info.json` says.
+    """Read `meta/info.json`.
 
     Raises:
-        DataError: it cannot be read, or says something that cannot be.
+        DataError: the file cannot be read, or has an invalid value.
     """
     path = root / INFO
     info = documents.validate_value(documents.parse_json(_text(path), str(path)), _INFO_SCHEMA, str(path))
-    kept = info.get(EXTRAS)
-    known = (*_NAMED, *_COUNTS, EXTRAS)
-    rest = {key: value for key, value in info.items() if key not in known and not key.startswith("total_")}
+    extras = info.get(EXTRAS)
+    used_keys = (*_NAMED, *_COUNTS, EXTRAS)
+    rest = {key: value for key, value in info.items() if key not in used_keys and not key.startswith("total_")}
     return Info(
         version=_version(root, str(info.get("codebase_version"))),
         rate_hz=float(info["fps"]),
@@ -191,7 +191,7 @@ def read_info(root: Path) -> Info:
         data_path=info["data_path"],
         video_path=str(info.get("video_path") or ""),
         chunk=info.get("chunks_size") or CHUNKS_SIZE,
-        rest={**(kept if isinstance(kept, dict) else {}), **rest},
+        rest={**(extras if isinstance(extras, dict) else {}), **rest},
     )
 
 
@@ -201,40 +201,40 @@ def _feature(entry: Mapping[str, Any]) -> Feature:
         names = [one for value in names.values() if isinstance(value, list) for one in value]
     about = entry.get("info") or entry.get("video_info") or {}
     codec = about.get("video.codec")
-    listed = tuple(map(str, names)) if isinstance(names, list) else ()
-    return Feature(entry["dtype"], tuple(entry["shape"]), listed, str(codec or ""))
+    labels = tuple(map(str, names)) if isinstance(names, list) else ()
+    return Feature(entry["dtype"], tuple(entry["shape"]), labels, str(codec or ""))
 
 
-def _version(root: Path, told: str) -> str:
-    """Return v2.1 or v3.0, by which the files lie."""
-    if told.startswith("v3."):
+def _version(root: Path, stated: str) -> str:
+    """Return v2.1 or v3.0, which sets the file layout."""
+    if stated.startswith("v3."):
         return V30
-    if told.startswith("v2."):
+    if stated.startswith("v2."):
         return V21
-    raise DataError(f"{root / INFO} says version {told[:40]}; v2.0, v2.1 and v3.0 are read")
+    raise DataError(f"{root / INFO} has version {stated[:40]}; supported are v2.0, v2.1 and v3.0")
 
 
 def read_entries(root: Path, info: Info) -> list[EpisodeEntry]:
-    """Return what there is of each episode, in the order of their numbers.
+    """Read the metadata of the episodes, ordered by episode index.
 
     Raises:
-        DataError: the files below `meta/` cannot be read, or lack something.
+        DataError: a file below `meta/` cannot be read, or lacks a key.
     """
     try:
-        found = list(_entries_of_lines(root, info) if info.version == V21 else _entries_of_tables(root, info))
+        entries = list(_entries_of_lines(root, info) if info.version == V21 else _entries_of_tables(root, info))
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, DataError):
             raise
         raise DataError(f"{root}: the lists of episodes below meta/ are damaged: {error!r:.200}") from None
-    _refuse_shared_rows(root, found)
-    return sorted(found, key=lambda entry: entry.index)
+    _refuse_shared_rows(root, entries)
+    return sorted(entries, key=lambda entry: entry.index)
 
 
 def _refuse_shared_rows(root: Path, entries: list[EpisodeEntry]) -> None:
-    """Refuse a list in which a number stands twice, or a row of a table belongs to two episodes.
+    """Check that no episode index occurs twice and that no table row belongs to two episodes.
 
     Raises:
-        DataError: it does.
+        DataError: one does.
     """
     for index, count in collections.Counter(entry.index for entry in entries).items():
         if count > 1:
@@ -248,16 +248,16 @@ def _refuse_shared_rows(root: Path, entries: list[EpisodeEntry]) -> None:
 
 
 def read_statistics(root: Path, version: str, feature: str) -> dict[int, dict[str, Any]]:
-    """Return the statistics of a feature, by episode; nothing of those that a set does not have.
+    """Return the statistics of a feature by episode, for the episodes that have them.
 
     Raises:
-        DataError: the files below `meta/` cannot be read.
+        DataError: a file below `meta/` cannot be read.
     """
     if version == V21:
         path = root / "meta/episodes_stats.jsonl"
-        found = lines(path) if path.is_file() else iter(())
-        told = {line.get("episode_index"): (line.get("stats") or {}).get(feature) for line in found}
-        return {int(index): stats for index, stats in told.items() if isinstance(index, int) and stats}
+        records = lines(path) if path.is_file() else iter(())
+        by_episode = {line.get("episode_index"): (line.get("stats") or {}).get(feature) for line in records}
+        return {int(index): stats for index, stats in by_episode.items() if isinstance(index, int) and stats}
     prefix = f"stats/{feature}/"
     return {
         int(row["episode_index"]): {key.removeprefix(prefix): row[key] for key in row if key.startswith(prefix)}
@@ -266,10 +266,10 @@ def read_statistics(root: Path, version: str, feature: str) -> dict[int, dict[st
 
 
 def fill_path(template: str, values: Mapping[str, Any]) -> str:
-    """Return a path with values in the places of a template; it never leads out of the dataset.
+    """Fill a path template with values.
 
     Raises:
-        DataError: it does, or has a place that there is no value for.
+        DataError: the path leads out of the dataset, or the template has a field without a value.
     """
 
     def put(match: re.Match[str]) -> str:
@@ -277,9 +277,9 @@ def fill_path(template: str, values: Mapping[str, Any]) -> str:
         return str(value) if match[2] is None else f"{int(value):0{match[2]}d}"
 
     try:
-        path = _PLACE.sub(put, template)
+        path = _TEMPLATE_FIELD.sub(put, template)
     except KeyError as error:
-        raise DataError(f"{INFO}: the path {template[:200]!r} has a place {error} that is not known") from None
+        raise DataError(f"{INFO}: the path {template[:200]!r} has the unknown field {error}") from None
     if "{" in path or path.startswith("/") or ".." in Path(path).parts or "\0" in path:
         raise DataError(f"{INFO}: the path {template[:200]!r} leads out of the dataset, or is damaged")
     return path
@@ -289,7 +289,7 @@ def lines(path: Path) -> Iterator[dict[str, Any]]:
     """Yield the objects of a file of JSON lines.
 
     Raises:
-        DataError: it cannot be read, or a line is no object.
+        DataError: the file cannot be read, or a line is no JSON object.
     """
     for number, line in enumerate(_text(path).splitlines(), 1):
         if not line.strip():
@@ -302,10 +302,10 @@ def lines(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def object_of(text: str, where: str) -> dict[str, Any]:
-    """Return the object that a text of JSON is.
+    """Parse a JSON object.
 
     Raises:
-        DataError: it is none.
+        DataError: the text is none.
     """
     value = documents.parse_json(text, f"{where}: {EXTRAS}")
     if not isinstance(value, dict):
@@ -318,22 +318,22 @@ def _entries_of_lines(root: Path, info: Info) -> Iterator[EpisodeEntry]:
     for number, line in enumerate(lines(path), 1):
         documents.validate_value(line, _EPISODE_SCHEMA, f"{path}, episode {number}")
         index = line["episode_index"]
-        places = {"episode_index": index, "episode_chunk": index // info.chunk}
+        values = {"episode_index": index, "episode_chunk": index // info.chunk}
         yield EpisodeEntry(
             index,
             line["length"],
             tuple(map(str, line.get("tasks") or ())),
-            fill_path(info.data_path, places),
+            fill_path(info.data_path, values),
             0,
-            {name: (fill_path(info.video_path, {**places, "video_key": name}), 0.0) for name in info.videos},
+            {name: (fill_path(info.video_path, {**values, "video_key": name}), 0.0) for name in info.videos},
             {key: value for key, value in line.items() if key not in _KNOWN},
         )
 
 
 def _entries_of_tables(root: Path, info: Info) -> Iterator[EpisodeEntry]:
     read = enumerate(_rows(root), 1)
-    found = (documents.validate_value(row, _ROW_SCHEMA, f"{root / EPISODES}, row {number}") for number, row in read)
-    rows = sorted(found, key=lambda row: int(row["episode_index"]))
+    checked = (documents.validate_value(row, _ROW_SCHEMA, f"{root / EPISODES}, row {number}") for number, row in read)
+    rows = sorted(checked, key=lambda row: int(row["episode_index"]))
     begins: dict[str, int] = {}
     for row in rows:
         path = fill_path(info.data_path, _pointer(row, "data"))
@@ -363,7 +363,7 @@ def _pointer(row: Mapping[str, Any], prefix: str) -> dict[str, Any]:
 
 
 def _rows(root: Path, statistics: str = "") -> Iterator[dict[str, Any]]:
-    """Yield the rows of the tables of episodes: without statistics, or numbers and those whose names begin so."""
+    """Yield the rows of the episode tables: without statistics, or only the statistics whose names have a prefix."""
     parquet = libraries.parquet()
     paths = sorted((root / EPISODES).glob("*/*.parquet"))
     if not paths:

@@ -1,4 +1,4 @@
-"""Episodes of LeRobot's datasets: rows of parquet files, frames of videos or of images in the tables."""
+"""Reader of LeRobot datasets: rows of parquet files, frames of videos or of images in the tables."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _MOST_ROW: Final = 64 << 20
-"""Bytes of one row of a column."""
+"""Most bytes of one row of a column."""
 _TYPES: Final = ("bool", *(f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)))
 _NUMBERS: Final = (*_TYPES, "float16", "float32", "float64")
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a folder is one."""
+    """Tell whether a folder is a LeRobot dataset."""
     return (path / layout.INFO).is_file()
 
 
 def opened(path: Path) -> LeRobotSet:
-    """Return the set."""
+    """Return the dataset."""
     return LeRobotSet(path)
 
 
@@ -42,7 +42,7 @@ class LeRobotSet(Demonstrations):
     """A folder with `meta/info.json`."""
 
     def __init__(self, root: Path) -> None:
-        self.root, self._said = root, root / layout.INFO
+        self.root, self._info_path = root, root / layout.INFO
         self.info = layout.read_info(root)
         super().__init__(root, f"lerobot-{self.info.version}")
 
@@ -53,44 +53,44 @@ class LeRobotSet(Demonstrations):
 
     @property
     def robot(self) -> str | None:
-        """What the set calls its robot."""
+        """The robot's name in the dataset, if it has one."""
         return self.info.robot
 
     @property
     def extras(self) -> Extras:
-        """What else `meta/info.json` says, without its counts."""
+        """Other keys of `meta/info.json`, without counts."""
         return self.info.rest
 
     def __len__(self) -> int:
-        """How many episodes there are."""
+        """The number of episodes."""
         return len(self._entries)
 
     def __getitem__(self, index: int) -> LeRobotEpisode:
-        """Return an episode, by its place."""
+        """Return an episode by its index."""
         return LeRobotEpisode(self, self._entries[index])
 
     @functools.cached_property
     def columns(self) -> Mapping[str, ColumnInfo]:
         """The columns of every episode."""
         features = self.info.features.items()
-        return {name: _column(self._said, name, feature) for name, feature in features if not feature.is_camera}
+        return {name: _column(self._info_path, name, feature) for name, feature in features if not feature.is_camera}
 
     @functools.cached_property
     def cameras(self) -> Mapping[str, CameraInfo]:
         """The cameras of every episode."""
         features = self.info.features.items()
-        return {name: _camera(self._said, name, feature) for name, feature in features if feature.is_camera}
+        return {name: _camera(self._info_path, name, feature) for name, feature in features if feature.is_camera}
 
     @functools.lru_cache(maxsize=8)  # noqa: B019 - a set lives as long as what reads it
     def group(self, path: str, number: int, column: str) -> np.ndarray:
-        """Return a column of one group of rows: episodes share groups, which are unpacked as a whole."""
+        """Return a column of one row group; episodes share row groups, which are decompressed as a whole."""
         with _opened(self.root / path) as file:
             self._require(file, column, path)
             return self._numbers(file.read_row_group(number, columns=[column]), column, path)
 
     @functools.lru_cache(maxsize=8)  # noqa: B019 - as above
     def _sizes(self, path: str) -> tuple[int, ...]:
-        """Return how many rows each group of a file has."""
+        """Return the number of rows of each row group of a file."""
         with _opened(self.root / path) as file:
             return tuple(file.metadata.row_group(number).num_rows for number in range(file.metadata.num_row_groups))
 
@@ -104,33 +104,33 @@ class LeRobotSet(Demonstrations):
         pieces = []
         for number, first, last in _groups(self._sizes(entry.data), entry.first + start, entry.first + stop):
             pieces.append(self.group(entry.data, number, column)[first:last])
-        found = sum(map(len, pieces))
-        if found != stop - start:
+        count = sum(map(len, pieces))
+        if count != stop - start:
             raise DataError(
-                f"{self.root / entry.data} ends before the episode {entry.index} does: {column} has {found} of "
+                f"{self.root / entry.data} ends before the episode {entry.index} does: {column} has {count} of "
                 f"{stop - start} rows"
             )
         return np.concatenate(pieces) if pieces else self._empty(column)
 
     def pictures(self, entry: layout.EpisodeEntry, camera: str, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
-        """Yield the encoded images of a camera that lie in the table, with their places."""
+        """Yield the encoded images of a camera that are stored in the table, with their step."""
         where = f"{self.root / entry.data}, {camera}"
         due = start
         with _opened(self.root / entry.data) as file:
             most = storage.most_read((self.root / entry.data).stat().st_size)
             self._require(file, camera, entry.data)
             for number, first, last in _groups(self._sizes(entry.data), entry.first + start, entry.first + stop):
-                seen = 0
+                row = 0
                 for batch in file.iter_batches(batch_size=16, row_groups=[number], columns=[camera]):
                     for value in batch.column(0).to_pylist():
-                        if first <= seen < last:
+                        if first <= row < last:
                             data = self._image(value, f"{where}, image {due}")
                             most -= len(data)
                             if most < 0:
                                 raise DataError(f"{where}: up to image {due} they claim more than the file holds")
                             yield due, data
                             due += 1
-                        seen += 1
+                        row += 1
         if due != stop:
             raise DataError(f"{where} has {due} images, and {stop} are expected")
 
@@ -143,34 +143,34 @@ class LeRobotSet(Demonstrations):
             raise DataError(f"{self.root / path} has no column {column}, which {layout.INFO} lists")
 
     def _empty(self, column: str) -> np.ndarray:
-        known = self.columns[column]
-        return np.empty((0, *known.shape), known.dtype)
+        info = self.columns[column]
+        return np.empty((0, *info.shape), info.dtype)
 
     def _numbers(self, table: Any, column: str, path: str) -> np.ndarray:
         """Return a column of a table as (rows, *shape)."""
-        known = self.columns[column]
+        info = self.columns[column]
         values = table.column(0).combine_chunks()
-        if known.dtype == "str":
+        if info.dtype == "str":
             return np.array([str(value) for value in values.to_pylist()], dtype=str)
         arrow = libraries.arrow()
         values = getattr(values, "storage", values)  # an array of a type of `datasets`, where that is loaded
         while arrow.types.is_list(values.type) or arrow.types.is_fixed_size_list(values.type):
             values = _inner(values)
         flat = values.to_numpy(zero_copy_only=False)
-        shape = (table.num_rows, *known.shape)
+        shape = (table.num_rows, *info.shape)
         if flat.size != math.prod(shape) or flat.dtype.kind not in "biuf":
             raise DataError(
                 f"{self.root / path}: {column} holds {flat.size} {flat.dtype} in {table.num_rows} rows, "
-                f"and {layout.INFO} says {known.shape} {known.dtype}"
+                f"and {layout.INFO} says {info.shape} {info.dtype}"
             )
-        rows: np.ndarray = flat.reshape(shape).astype(known.dtype, copy=False)
+        rows: np.ndarray = flat.reshape(shape).astype(info.dtype, copy=False)
         return rows
 
     def _image(self, value: object, where: str) -> bytes:
         data = value.get("bytes") if isinstance(value, dict) else value
         if isinstance(data, bytes):
             return data
-        raise DataError(f"{where} is not in the table; sets that keep images in files of their own are not read")
+        raise DataError(f"{where} is not in the table; datasets with images in separate files are not supported")
 
 
 class LeRobotEpisode(OutlinedEpisode):
@@ -181,24 +181,24 @@ class LeRobotEpisode(OutlinedEpisode):
         self._owner, self.entry = owner, entry
 
     def outline(self) -> Outline:
-        """Return what `meta/` says of it; cameras are in the order of the features."""
+        """Return the outline from `meta/`; cameras are in the order of the features."""
         entry, extras = self.entry, self.entry.extras
-        if isinstance(told := extras.get(layout.EXTRAS), str):
+        if isinstance(text := extras.get(layout.EXTRAS), str):
             rest = {key: value for key, value in extras.items() if key != layout.EXTRAS}
-            extras = {**layout.object_of(told, f"{self._owner.root}, {self.key}"), **rest}
+            extras = {**layout.object_of(text, f"{self._owner.root}, {self.key}"), **rest}
         return Outline(entry.length, entry.tasks, self._owner.columns, self._owner.cameras, extras)
 
     def video(self, camera: str) -> VideoClip | None:
-        """Return where a camera's video lies; None if its images are in the table."""
+        """Return a camera's video clip; None if its images are in the table."""
         if camera not in self.entry.videos:
             return None
         path, begins = self.entry.videos[camera]
         return VideoClip(str(self._owner.root / path), begins, self.cameras[camera].encoding)
 
     def stats(self, camera: str) -> dict[str, Any] | None:
-        """Return the statistics of a camera's images that the set has; None if it has none."""
-        found = self._owner.statistics(camera).get(self.entry.index)
-        return found if found and {"min", "max", "mean", "std", "count"} <= set(found) else None
+        """Return the dataset's statistics of a camera's images; None if it has none."""
+        statistics = self._owner.statistics(camera).get(self.entry.index)
+        return statistics if statistics and {"min", "max", "mean", "std", "count"} <= set(statistics) else None
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
@@ -229,7 +229,7 @@ def _camera(where: Path, name: str, feature: layout.Feature) -> CameraInfo:
 
 
 def _sizes(feature: layout.Feature) -> tuple[int, int]:
-    """Return height and width; sets of 2024 have the channels first, and say so in their names."""
+    """Return height and width; datasets of 2024 have the channels first, as their `names` show."""
     first, second, last = feature.shape
     is_first = feature.names[0].startswith("channel") if feature.names else first == 3 != last
     return (second, last) if is_first else (first, second)
@@ -247,7 +247,7 @@ def _column(where: Path, name: str, feature: layout.Feature) -> ColumnInfo:
 
 
 def _groups(sizes: Sequence[int], start: int, stop: int) -> Iterator[tuple[int, int, int]]:
-    """Yield the groups of rows that hold rows `start` to `stop`, with the first and the one after the last in each."""
+    """Yield the row groups that hold rows `start` to `stop`, with the first row and the one after the last in each."""
     begins = 0
     for number, count in enumerate(sizes):
         first, last = max(start - begins, 0), min(stop - begins, count)
@@ -264,12 +264,12 @@ def _inner(values: Any) -> Any:
         ends = [0, size * len(values)] if size is not None else [values.offsets[at].as_py() for at in (0, -1)]
         if ends == [0, len(inner)]:
             return inner
-    return values.flatten()  # which imports all functions that there are, for a fifth of a second
+    return values.flatten()  # imports every compute function, which takes 0.2 s
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """Open a parquet file; what goes wrong with it is said in one sentence."""
+    """Open a parquet file; turn errors of pyarrow into `DataError`."""
     try:
         with libraries.parquet().ParquetFile(path) as file:
             yield file

@@ -1,7 +1,7 @@
-"""Statistics of columns and cameras, of one episode and of all, as LeRobot's policies normalise by them.
+"""Statistics of columns and cameras, per episode and per dataset, which LeRobot's policies normalise with.
 
-Source: lerobot/datasets/compute_stats.py. Quantiles of an episode are exact here, where LeRobot reads them from a
-histogram; those of the set are the episodes' means weighted by steps, as LeRobot has them.
+Source: lerobot/datasets/compute_stats.py. Quantiles of an episode are exact here; LeRobot reads them from a
+histogram. Quantiles of the dataset are step-weighted means over episodes, as in LeRobot.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _FEWEST, _MOST = 100, 10_000
 _SMALL, _WANTED = 300, 150
 
 Stats = Mapping[str, list[Any]]
-"""By name: min, max, mean, std, quantiles, count; nested lists of numbers."""
+"""min, max, mean, std, quantiles and count, by name; nested lists of numbers."""
 
 
 def of_numbers(rows: np.ndarray) -> Stats:
@@ -29,14 +29,14 @@ def of_numbers(rows: np.ndarray) -> Stats:
 
 
 def sampled_steps(length: int) -> list[int]:
-    """Return the steps whose images count, as many as LeRobot takes."""
+    """Return the steps whose images are sampled, as many as LeRobot samples."""
     count = max(min(length, _FEWEST), min(int(length**0.75), _MOST))
-    found: list[int] = np.round(np.linspace(0, length - 1, count)).astype(int).tolist()
-    return found
+    steps: list[int] = np.round(np.linspace(0, length - 1, count)).astype(int).tolist()
+    return steps
 
 
 def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return an image with fewer pixels, where it is large."""
+    """Return an image subsampled to about 150 pixels on the longer side, if that has 300 or more."""
     height, width = image.shape[:2]
     if max(width, height) < _SMALL:
         return image
@@ -55,21 +55,21 @@ def of_images(images: Sequence[NDArray[np.uint8]]) -> Stats:
     mean = counts @ levels / totals
     std = np.sqrt(np.maximum(counts @ levels**2 / totals - mean**2, 0))
     present = [np.flatnonzero(row) for row in counts]
-    found: dict[str, Any] = {
+    values: dict[str, Any] = {
         "min": np.array([levels[row[0]] for row in present]),
         "max": np.array([levels[row[-1]] for row in present]),
         "mean": mean,
         "std": std,
     }
     for name, share in QUANTILES.items():
-        found[name] = np.array(
+        values[name] = np.array(
             [levels[np.searchsorted(np.cumsum(row), share * total)] for row, total in zip(counts, totals, strict=True)]
         )
-    return {**{name: value.reshape(3, 1, 1).tolist() for name, value in found.items()}, "count": [len(images)]}
+    return {**{name: value.reshape(3, 1, 1).tolist() for name, value in values.items()}, "count": [len(images)]}
 
 
 def of_all(episodes: Sequence[Mapping[str, Stats]]) -> dict[str, Stats]:
-    """Return the statistics of a set, by feature, of those of its episodes."""
+    """Aggregate the statistics of episodes to those of the dataset, by feature."""
     return {name: _joined([episode[name] for episode in episodes]) for name in episodes[0]}
 
 

@@ -1,4 +1,4 @@
-"""LeRobot's parquet files written: what pandas and `datasets`, which read them there, expect of types and metadata."""
+"""Writing of LeRobot's parquet files, with the types and metadata that pandas and `datasets` expect."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ if TYPE_CHECKING:
 
 
 def schema(features: Mapping[str, Feature]) -> Any:
-    """Return the types of the columns of info.json's features, but for videos."""
+    """Return the arrow schema of info.json's features, without videos."""
     arrow = libraries.arrow()
     fields = [arrow.field(name, _type(feature)) for name, feature in features.items() if feature.dtype != "video"]
     return arrow.schema(fields)
 
 
 def write(path: Path, types: Any, columns: Mapping[str, Any]) -> None:
-    """Write the rows of one episode, columns in the order of the types, as one group of rows."""
+    """Write the rows of one episode as one row group, columns in the order of `types`."""
     arrow = libraries.arrow()
     arrays = [_array(columns[field.name], field.type) for field in types]
     libraries.parquet().write_table(arrow.Table.from_arrays(arrays, schema=types), path, compression="snappy")
 
 
 def join(path: Path, parts: list[Path]) -> None:
-    """Write one file of several; each keeps its group of rows."""
+    """Concatenate parquet files; each keeps its row group."""
     parquet = libraries.parquet()
     writer = None
     try:
@@ -45,10 +45,10 @@ def join(path: Path, parts: list[Path]) -> None:
 
 
 def write_tasks(path: Path, tasks: list[str]) -> None:
-    """Write the table of sentences, which pandas reads with the sentences as its index."""
+    """Write the table of tasks, with the instruction as pandas index."""
     arrow = libraries.arrow()
     index = "__index_level_0__"
-    told = {
+    metadata = {
         "index_columns": [index],
         "column_indexes": [
             {
@@ -73,19 +73,19 @@ def write_tasks(path: Path, tasks: list[str]) -> None:
         "pandas_version": "2.0.0",
     }
     types = arrow.schema(
-        [("task_index", arrow.int64()), (index, arrow.string())], metadata={"pandas": json.dumps(told)}
+        [("task_index", arrow.int64()), (index, arrow.string())], metadata={"pandas": json.dumps(metadata)}
     )
     columns = [arrow.array(range(len(tasks)), arrow.int64()), arrow.array(tasks, arrow.string())]
     libraries.parquet().write_table(arrow.Table.from_arrays(columns, schema=types), path)
 
 
 def write_episodes(path: Path, rows: list[dict[str, Any]], pieces: list[WrittenEpisode]) -> None:
-    """Write the table of episodes: a row each, with its statistics as columns `stats/<feature>/<name>`."""
+    """Write the episode table: one row each, with statistics in columns `stats/<feature>/<name>`."""
     arrow = libraries.arrow()
     keys = list(dict.fromkeys(key for row in rows for key in row))
     columns: dict[str, list[Any]] = {key: [row.get(key) for row in rows] for key in keys}
-    for feature, told in pieces[0].stats.items():
-        for name in told:
+    for feature, statistics in pieces[0].stats.items():
+        for name in statistics:
             columns[f"stats/{feature}/{name}"] = [piece.stats[feature][name] for piece in pieces]
     path.parent.mkdir(parents=True, exist_ok=True)
     libraries.parquet().write_table(arrow.Table.from_pydict(columns), path, compression="snappy")

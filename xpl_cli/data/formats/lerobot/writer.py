@@ -1,4 +1,4 @@
-"""LeRobot's datasets written, v3.0: a file for each episode first, which are joined to files of many."""
+"""Writer of LeRobot datasets, v3.0: one file per episode first, then joined to files of many episodes."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 _SET, _EPISODES = "set", "episodes"
 _IMAGES: Final = ("auto", "video", "png")
 _SAMPLED: Final = 8
-"""Frames of each video that are decoded again, to tell what encoding lost."""
+"""Frames of each video that are decoded again, to measure the loss."""
 _EXACT: Final = 100.0
-"""PSNR in dB of frames that are the same."""
+"""PSNR in dB that stands for identical frames."""
 _MB: Final = 1 << 20
 _DATA_MB, _VIDEO_MB = 100.0, 200.0
 
@@ -44,26 +44,26 @@ class LeRobotWriter:
     )
 
     def column_rejection(self, column: ColumnInfo) -> str | None:
-        """Return why a column cannot be kept."""
+        """Return why the format cannot hold a column; None if it can."""
         if len(column.shape) > 5:
-            return f"LeRobot keeps arrays of 5 axes at most, this has {len(column.shape)}"
+            return f"LeRobot takes arrays of 5 axes at most, this has {len(column.shape)}"
         return "it is empty" if 0 in column.shape else None
 
     def camera_rejection(self, camera: CameraInfo) -> str | None:
-        """Return why a camera cannot be kept."""
-        return None if camera.kind == "color" else "LeRobot's sets have no depth images"
+        """Return why the format cannot hold a camera; None if it can."""
+        return None if camera.kind == "color" else "LeRobot datasets have no depth images"
 
     def check(self, plan: WritePlan) -> None:
-        """Stop before anything is written."""
+        """Check the plan before anything is written."""
         if plan.options.images not in _IMAGES:
             raise DataError(
-                f"LeRobot keeps images as video or png, got --images {plan.options.images}",
+                f"LeRobot stores images as video or png, got --images {plan.options.images}",
                 code=ExitCode.USAGE,
             )
         if plan.rate_hz is None:
-            raise DataError("LeRobot needs the steps per second, which this set does not say", hint="give --rate HZ")
+            raise DataError("LeRobot needs the steps per second, which this dataset lacks", hint="give --rate HZ")
         if 0 in plan.lengths:
-            raise DataError(f"the episode {plan.lengths.index(0)} has no steps, and LeRobot has none without")
+            raise DataError(f"the episode {plan.lengths.index(0)} has no steps; LeRobot needs one at least")
         wrong = [name for name in (*plan.columns, *plan.cameras) if "/" in name]
         if wrong:
             raise DataError(f"LeRobot takes no / in names, got {', '.join(wrong)}")
@@ -72,42 +72,42 @@ class LeRobotWriter:
         """Write the numbers and videos of one episode."""
         _require_same_features(plan, index, episode)
         rate = float(plan.rate_hz or 0)
-        found: dict[str, stats.Stats] = {}
+        statistics: dict[str, stats.Stats] = {}
         columns: dict[str, Any] = {}
         for name in plan.columns:
             rows = episode.read(name)
             columns[name] = rows
             if rows.dtype.kind in "biuf":
-                found[name] = stats.of_numbers(rows)
+                statistics[name] = stats.of_numbers(rows)
         videos: dict[str, str] = {}
         psnr_db: dict[str, float] = {}
         for name in plan.cameras:
             if _is_video(plan, name):
                 path = _video_path(folder, index, name)
                 path.parent.mkdir(parents=True, exist_ok=True)
-                videos[name], worst, found[name] = _write_video(path, episode, name, plan, rate)
+                videos[name], worst, statistics[name] = _write_video(path, episode, name, plan, rate)
                 psnr_db |= {} if worst is None else {name: worst}
             else:
-                columns[name], found[name] = _pngs(episode, name)
+                columns[name], statistics[name] = _pngs(episode, name)
         columns |= _default_columns(plan, index, rate, _tasks(plan))
-        found |= {name: stats.of_numbers(columns[name]) for name in layout.DEFAULTS}
+        statistics |= {name: stats.of_numbers(columns[name]) for name in layout.DEFAULTS}
         path = _table_path(folder, index)
         path.parent.mkdir(parents=True, exist_ok=True)
         tables.write(path, tables.schema(_features(plan)), columns)
-        return WrittenEpisode(psnr_db, videos, found, dict(episode.extras))
+        return WrittenEpisode(psnr_db, videos, statistics, dict(episode.extras))
 
     def finish(self, folder: Path, plan: WritePlan, pieces: list[WrittenEpisode]) -> Path:
-        """Join the files of episodes, and write `meta/`."""
+        """Join the episodes' files, and write `meta/`."""
         result = folder / _SET
-        if result.exists():  # of a run that ended here
+        if result.exists():  # an earlier run was interrupted here
             shutil.rmtree(result)
         meta = result / "meta"
         meta.mkdir(parents=True, exist_ok=True)
         rows = [_row(plan, index, piece) for index, piece in enumerate(pieces)]
         tasks = list(_tasks(plan))
         starts = plan.starts
-        for index, place in enumerate(_join_files(folder, plan)):
-            rows[index] |= place
+        for index, location in enumerate(_join_files(folder, plan)):
+            rows[index] |= location
             rows[index]["dataset_from_index"] = starts[index]
             rows[index]["dataset_to_index"] = starts[index] + plan.lengths[index]
             rows[index] |= {f"meta/episodes/{key}": value for key, value in _file(0).items()}
@@ -157,10 +157,10 @@ def _info_json(plan: WritePlan, pieces: list[WrittenEpisode], tasks: list[str]) 
 
 
 def _join_files(folder: Path, plan: WritePlan) -> list[dict[str, Any]]:
-    """Join the files of episodes, and return where each episode went."""
+    """Join the episodes' files; return the location of each episode, as columns of the episode table."""
     rate = float(plan.rate_hz or 0)
     result = folder / _SET
-    places: list[dict[str, Any]] = [{} for _ in plan.lengths]
+    locations: list[dict[str, Any]] = [{} for _ in plan.lengths]
     each = range(len(plan.lengths))
     paths = [_table_path(folder, index) for index in each]
     for number, indices in enumerate(_groups_by_size(paths, plan.options.file_mb or _DATA_MB)):
@@ -168,7 +168,7 @@ def _join_files(folder: Path, plan: WritePlan) -> list[dict[str, Any]]:
         target.parent.mkdir(parents=True, exist_ok=True)
         tables.join(target, [paths[index] for index in indices])
         for index in indices:
-            places[index] |= {f"data/{key}": value for key, value in _file(number).items()}
+            locations[index] |= {f"data/{key}": value for key, value in _file(number).items()}
     for name in (camera for camera in plan.cameras if _is_video(plan, camera)):
         paths = [_video_path(folder, index, name) for index in each]
         for number, indices in enumerate(_groups_by_size(paths, plan.options.file_mb or _VIDEO_MB)):
@@ -177,92 +177,92 @@ def _join_files(folder: Path, plan: WritePlan) -> list[dict[str, Any]]:
             video_encoding.join_videos(target, [(paths[index], plan.lengths[index]) for index in indices], rate)
             begins = 0
             for index in indices:
-                place = places[index]
-                place |= {f"videos/{name}/{key}": value for key, value in _file(number).items()}
-                place[f"videos/{name}/from_timestamp"] = begins / rate
+                location = locations[index]
+                location |= {f"videos/{name}/{key}": value for key, value in _file(number).items()}
+                location[f"videos/{name}/from_timestamp"] = begins / rate
                 begins += plan.lengths[index]
-                place[f"videos/{name}/to_timestamp"] = begins / rate
-    return places
+                location[f"videos/{name}/to_timestamp"] = begins / rate
+    return locations
 
 
 def _write_video(
     path: Path, episode: RecordedEpisode, name: str, plan: WritePlan, rate: float
 ) -> tuple[str, float | None, stats.Stats]:
-    """Write a camera's video, copied where it is one already.
+    """Write a camera's video; copy it where the source is a video already.
 
     Returns:
-        codec, PSNR in dB of the worst frame of a sample (None for a copy), and its statistics.
+        codec, lowest PSNR of the sampled frames in dB (None for a copy), and statistics.
     """
-    wanted = stats.sampled_steps(episode.length)
+    steps = stats.sampled_steps(episode.length)
     source = episode.video(name)
     if source is not None and video_encoding.copy_video(Path(source.path), source.begins_s, rate, episode.length, path):
-        seen = _video_statistics(episode, name, wanted)
-        return source.codec, None, seen
-    kept: list[NDArray[np.uint8]] = []
+        statistics = _video_statistics(episode, name, steps)
+        return source.codec, None, statistics
+    sampled: list[NDArray[np.uint8]] = []
 
-    def shown() -> Iterator[NDArray[np.uint8]]:
-        places = iter([*wanted, -1])
-        due = next(places)
+    def frames_with_sampling() -> Iterator[NDArray[np.uint8]]:
+        due_steps = iter([*steps, -1])
+        due = next(due_steps)
         for index, frame in enumerate(episode.frames(name)):
             while index == due:
-                kept.append(stats.downsample(frame))
-                due = next(places)
+                sampled.append(stats.downsample(frame))
+                due = next(due_steps)
             yield np.ascontiguousarray(frame)
 
-    video_encoding.encode_video(path, shown(), rate, plan.options.codec, plan.options.crf)
+    video_encoding.encode_video(path, frames_with_sampling(), rate, plan.options.codec, plan.options.crf)
     sample = min(episode.length, _SAMPLED)
     back = video.frames(path, 0.0, rate, 0, sample)
     worst = min(image_codec.psnr(one, other) for one, other in zip(episode.frames(name, 0, sample), back, strict=True))
-    return plan.options.codec, min(worst, _EXACT), stats.of_images(kept)
+    return plan.options.codec, min(worst, _EXACT), stats.of_images(sampled)
 
 
-def _video_statistics(episode: RecordedEpisode, name: str, wanted: list[int]) -> stats.Stats:
-    """Return the statistics of a copied video: those that the set has, else of frames of it."""
-    known = episode.stats(name)
-    if known is not None:
-        return dict(known)
-    places = set(wanted)
+def _video_statistics(episode: RecordedEpisode, name: str, steps: list[int]) -> stats.Stats:
+    """Return the statistics of a copied video: the dataset's own, else computed from sampled frames."""
+    recorded = episode.stats(name)
+    if recorded is not None:
+        return dict(recorded)
+    chosen_steps = set(steps)
     return stats.of_images(
-        [stats.downsample(frame) for index, frame in enumerate(episode.frames(name)) if index in places]
+        [stats.downsample(frame) for index, frame in enumerate(episode.frames(name)) if index in chosen_steps]
     )
 
 
 def _pngs(episode: RecordedEpisode, name: str) -> tuple[list[dict[str, Any]], stats.Stats]:
     """Return a camera's images for the table, and their statistics."""
-    wanted = set(stats.sampled_steps(episode.length))
-    rows, kept = [], []
+    steps = set(stats.sampled_steps(episode.length))
+    rows, sampled = [], []
     for index, frame in enumerate(episode.frames(name)):
         rows.append({"bytes": images.encode_png(frame), "path": f"frame-{index:06d}.png"})
-        if index in wanted:
-            kept.append(stats.downsample(frame))
-    return rows, stats.of_images(kept)
+        if index in steps:
+            sampled.append(stats.downsample(frame))
+    return rows, stats.of_images(sampled)
 
 
 def _default_columns(plan: WritePlan, index: int, rate: float, tasks: Mapping[str, int]) -> dict[str, Any]:
-    """Return the columns that every dataset has."""
+    """Return the default columns of an episode."""
     length = plan.lengths[index]
     steps = np.arange(length, dtype=np.int64)
-    told = plan.instructions[index]
+    instructions = plan.instructions[index]
     return {
         "timestamp": (steps / rate).astype(np.float32),
         "frame_index": steps,
         "episode_index": np.full(length, index, np.int64),
         "index": steps + plan.starts[index],
-        "task_index": np.full(length, tasks[told[0] if told else ""], np.int64),
+        "task_index": np.full(length, tasks[instructions[0] if instructions else ""], np.int64),
     }
 
 
 def _tasks(plan: WritePlan) -> dict[str, int]:
-    """Return the number of each sentence; LeRobot has one for each step, an empty one if need be."""
-    first = dict.fromkeys(told[0] if told else "" for told in plan.instructions)
-    others = dict.fromkeys(sentence for told in plan.instructions for sentence in told)
+    """Return the task index of each instruction; LeRobot needs one for each step, possibly an empty one."""
+    first = dict.fromkeys(sentences[0] if sentences else "" for sentences in plan.instructions)
+    others = dict.fromkeys(sentence for sentences in plan.instructions for sentence in sentences)
     return {sentence: number for number, sentence in enumerate(first | others)}
 
 
 def _is_video(plan: WritePlan, camera: str) -> bool:
-    """Tell whether a camera's images become a video; those that are PNG already stay exact, unless asked otherwise."""
-    wanted = plan.options.images
-    return wanted == "video" or (wanted == "auto" and plan.cameras[camera].encoding != "png")
+    """Tell whether a camera's images become a video; by default PNG images stay PNG, and so exact."""
+    form = plan.options.images
+    return form == "video" or (form == "auto" and plan.cameras[camera].encoding != "png")
 
 
 def _features(plan: WritePlan) -> dict[str, Feature]:
@@ -278,7 +278,7 @@ def _features(plan: WritePlan) -> dict[str, Feature]:
 
 
 def _row(plan: WritePlan, index: int, piece: WrittenEpisode) -> dict[str, Any]:
-    """Return what `meta/` says of an episode, in every version."""
+    """Return the version-independent columns of an episode's metadata."""
     row: dict[str, Any] = {
         "episode_index": index,
         "tasks": list(plan.instructions[index]) or [""],
@@ -290,7 +290,7 @@ def _row(plan: WritePlan, index: int, piece: WrittenEpisode) -> dict[str, Any]:
 
 
 def _require_same_features(plan: WritePlan, index: int, episode: RecordedEpisode) -> None:
-    """Stop where an episode has not what the first one has: a dataset has the same features throughout."""
+    """Check that an episode has the features of the first one, as LeRobot requires."""
     where = f"the episode {episode.key} (number {index})"
     for name in (*plan.columns, *plan.cameras):
         if name not in episode.columns and name not in episode.cameras:
@@ -301,17 +301,17 @@ def _require_same_features(plan: WritePlan, index: int, episode: RecordedEpisode
             raise DataError(
                 f"{where} has {has.shape} {has.dtype} in each row of {name}, the first one {first.shape} {first.dtype}"
             )
-    for name, shown in plan.cameras.items():
+    for name, first_camera in plan.cameras.items():
         camera = episode.cameras[name]
-        if (camera.height, camera.width) != (shown.height, shown.width):
+        if (camera.height, camera.width) != (first_camera.height, first_camera.width):
             raise DataError(
                 f"{where} has images of {camera.height} x {camera.width} in {name}, "
-                f"the first one of {shown.height} x {shown.width}"
+                f"the first one of {first_camera.height} x {first_camera.width}"
             )
 
 
 def _groups_by_size(paths: list[Path], most_mb: float) -> Iterator[list[int]]:
-    """Yield the indices of files that are joined to one of at most so many MB, unless a single one is larger."""
+    """Yield indices of files that together have at most `most_mb` MB, or of a single larger file."""
     group: list[int] = []
     size = 0
     for index, path in enumerate(paths):
