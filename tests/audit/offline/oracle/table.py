@@ -3,9 +3,9 @@
 python -m tests.audit.offline.oracle.table [FIRST [AFTER]]
 python -m tests.audit.offline.oracle.table --again OUT
 
-FIRST is the OUT of the search as it was when the mistakes were planted, AFTER that of the mended one. Without any, the
-page is made of results.json as it is; with --again, what OUT says of contract, parity and success goes into it first,
-and of demonstrations as of the mended search: of another training of these policies, for example.
+FIRST is the OUT of the search as it was when the mistakes were planted, AFTER that of the improved one. Without any,
+the page is made of results.json as it is; with --again, what OUT says of contract, parity and success goes into it
+first, and of demonstrations as of the improved search: of another training of these policies, for example.
 """
 
 from __future__ import annotations
@@ -134,13 +134,13 @@ def results() -> list[Row]:
 def tables(rows: list[Row]) -> str:
     """Return the tables of the page."""
     large = "without small ones"
-    lines = _heads("demonstrations name, of the mistakes", "at first sight", large, "after mending", large)
-    somebody = "of somebody who had not read the rules"
+    lines = _heads("demonstrations name, of the mistakes", "first search", large, "second search", large)
+    independent = "of the independent author"
     for words, chosen, sample in (
-        (somebody, rows, "out"),
-        (f"{somebody}, in the block `model_io`", [row for row in rows if not _is_in_code(row)], "out"),
-        (f"{somebody}, in code", [row for row in rows if _is_in_code(row)], "out"),
-        ("of who wrote the search", rows, "in"),
+        (independent, rows, "out"),
+        (f"{independent}, in the block `model_io`", [row for row in rows if not _is_in_code(row)], "out"),
+        (f"{independent}, in code", [row for row in rows if _is_in_code(row)], "out"),
+        ("of the author of the search", rows, "in"),
     ):
         first, after = rates(chosen, sample, "first"), rates(chosen, sample, "after")
         cells = [_rate(first["all"]), _rate(first["told"]), _rate(after["all"]), _rate(after["told"])]
@@ -149,7 +149,7 @@ def tables(rows: list[Row]) -> str:
     accused = [row for row in right if (row["after"] or row["first"])["words"]]
     lines += [
         "",
-        f"Right adapters accused: {len(accused)} of {len(right)}, too few for a rate.",
+        f"Correct adapters accused: {len(accused)} of {len(right)}, too few for a rate.",
         "",
         *_counts(rows),
         "",
@@ -183,7 +183,7 @@ def _is_in_code(row: Row) -> bool:
 
 
 def distinct(rows: list[Row]) -> list[Row]:
-    """Return rows of different adapters: of what is in both lists, that of somebody who had not read the rules."""
+    """Return rows of different adapters: of what is in both lists, that of the independent author."""
     found: dict[str, Row] = {}
     for row in sorted(rows, key=lambda row: row["sample"] == "in"):
         found.setdefault(_subject(row).same, row)
@@ -202,7 +202,7 @@ def _known(rows: list[Row]) -> set[str]:
 
 def _counts(rows: list[Row]) -> list[str]:
     """Return a table of how many mistakes each proof tells, for each policy: of those that it was asked about."""
-    heads = ("contract fails or warns", "parity sees", "parity names", "demonstrations name", "no success")
+    heads = ("contract fails or warns", "parity detects", "parity names", "demonstrations name", "no success")
     lines, sums = _heads("of different adapters", *heads), [(0, 0)] * len(heads)
     different = distinct(rows)
     for policy in _policies(rows):
@@ -268,7 +268,7 @@ def _parity(row: Row) -> str:
         return "equal"
     if _is_named_by_parity(row):
         return f"`{_quoted(told['words'])}`"
-    return "seen, not named" if told["outcome"] == "fail" else "refused"
+    return "detected, not named" if told["outcome"] == "fail" else "refused"
 
 
 def _demonstrations(row: Row) -> str:
@@ -276,7 +276,7 @@ def _demonstrations(row: Row) -> str:
     if row["mistake"] == RIGHT:
         return f"accused: `{_quoted(told['words'])}`" if told["words"] else "fits"
     if told["right"]:
-        later = " (mended)" if row["first"] is not None and not row["first"]["right"] else ""
+        later = " (second search)" if row["first"] is not None and not row["first"]["right"] else ""
         return f"`{_quoted(told['words'])}`{later}"
     what = f"misnamed: `{_quoted(told['words'])}`" if told["words"] else "missed"
     return f"{what} (small)" if not is_told(row) else what
@@ -306,14 +306,14 @@ _WIDTH, _BAR, _LEFT = 720, 15, 290
 
 
 def picture(rows: list[Row]) -> str:
-    """Return a bar for each of somebody else's mistakes in Tiny_VLA: its success, and which proofs name it."""
+    """Return a bar for each mistake of the independent author in Tiny_VLA: its success, and which proofs name it."""
     shown = [row for row in rows if row["policy"].startswith("Tiny_VLA") and row["success"]]
     shown = [row for row in shown if row["mistake"] == RIGHT or row["sample"] == "out"]
     height = _BAR * len(shown) + 50
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" font-size="11">',
         "<style>text { font-family: sans-serif }</style>",
-        "<title>Success of Tiny_VLA with each mistake that somebody else planted, and the proofs that tell it</title>",
+        "<title>Success of Tiny_VLA with each mistake of the independent author, and the proofs that find it</title>",
         f'<rect width="{_WIDTH}" height="{height}" fill="#ffffff"/>',
     ]
     for place, (proof, colour) in enumerate(_COLOURS.items()):
