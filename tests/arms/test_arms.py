@@ -36,7 +36,7 @@ from xpl.arms.lerobot import LeRobotDriver, Words, make
 from xpl.arms.simulated import SimulatedRobot
 from xpl.manifest import EnvManifest
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.environments import desk as desks
+from xpl_cli.environments import operator_questions
 
 ARM = get_embodiment("so101")
 RATE = 100.0
@@ -299,9 +299,9 @@ def test_the_plan_of_trials_follows_from_the_seed() -> None:
 @pytest.fixture
 def answering(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Keep a desk without a terminal."""
-    monkeypatch.setattr(desks, "_is_terminal", lambda: False)
+    monkeypatch.setattr(operator_questions, "_is_terminal", lambda: False)
     monkeypatch.delenv(people.DESK, raising=False)
-    with desks.desk() as folder:
+    with operator_questions.serve_questions() as folder:
         yield folder
 
 
@@ -312,7 +312,7 @@ def test_a_question_from_any_process_is_answered_by_file_or_http(
     asked: list[str] = []
     asker = threading.Thread(target=lambda: asked.append(people.ask("How far?", ("none", "near", "touched"))))
     asker.start()
-    wait_until(lambda: desks.waiting(answering), "the question is there")
+    wait_until(lambda: operator_questions.open_questions(answering), "the question is there")
     shown: str = wait_until(lambda: capfd.readouterr().err, "it is shown")
     url = next(word for word in shown.split() if word.startswith("http://")).rstrip(",")
     with pytest.raises(urllib.error.HTTPError) as caught:
@@ -328,7 +328,7 @@ def test_a_question_from_any_process_is_answered_by_file_or_http(
     asker.join()
     again = threading.Thread(target=lambda: asked.append(people.ask("Ready?", ("ready", "skip"))))
     again.start()
-    (number,) = wait_until(lambda: desks.waiting(answering), "the next question is there")
+    (number,) = wait_until(lambda: operator_questions.open_questions(answering), "the next question is there")
     assert number == "002"
     (answering / f"{number}.answer").write_text("sk\n")
     again.join()
@@ -340,8 +340,8 @@ def test_a_question_of_another_process_is_answered_on_the_leaders_terminal() -> 
     ask = "from xpl.arms import people; print(people.ask('Ready?', ('ready', 'skip')))"
     lead = f"""
 import subprocess, sys
-from xpl_cli.environments.desk import desk
-with desk():
+from xpl_cli.environments.operator_questions import serve_questions
+with serve_questions():
     subprocess.run([sys.executable, "-c", {ask!r}], stdin=subprocess.DEVNULL, check=True)
 """
     ours, theirs = pty.openpty()
@@ -439,8 +439,8 @@ def test_however_the_leader_ends_the_arm_holds(ending: signal.Signals, project: 
         [sys.executable, "-c", _LEADER], cwd=project, env=environment, stderr=subprocess.DEVNULL, start_new_session=True
     )
     try:
-        (number,) = wait_until(lambda: desks.waiting(answers), "the scene is asked for")
-        desks.answer(answers, number, "ready")
+        (number,) = wait_until(lambda: operator_questions.open_questions(answers), "the scene is asked for")
+        operator_questions.answer_question(answers, number, "ready")
         wait_until(lambda: log.exists() and log.read_text().count("command") > 20, "it moves")
         leader.send_signal(ending)
         leader.wait(DEADLINE_S)
@@ -481,8 +481,10 @@ def test_a_recorded_evaluation_asks_and_keeps_what_people_say(
 
     def person() -> None:
         while not done.wait(_GLANCE_S):
-            for number, question in desks.waiting(answers).items():
-                desks.answer(answers, number, "ready" if "lay out" in question["text"] else "near")
+            for number, question in operator_questions.open_questions(answers).items():
+                operator_questions.answer_question(
+                    answers, number, "ready" if "lay out" in question["text"] else "near"
+                )
 
     threading.Thread(target=person, daemon=True).start()
     folder = tmp_path / "project"

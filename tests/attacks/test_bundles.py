@@ -256,7 +256,7 @@ def test_documents_of_a_size_that_none_has_are_not_read(
     else:
         bundles.archived(tmp_path / "huge.zip", {**files, name: huge}, told)
     with pytest.raises(UserError, match=f"{name} of the bundle cannot be read.* more than the limit") as caught:
-        list(bundle.opened(tmp_path / "huge.zip", _empty(tmp_path), limit=1 << 30).problems())
+        list(bundle.open_bundle(tmp_path / "huge.zip", _empty(tmp_path), limit=1 << 30).problems())
     assert caught.value.code == ExitCode.FINDINGS
 
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from xpl.manifest import Task
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.environments import check, play
+from xpl_cli.environments import check, rollout
 from xpl_cli.main import app
 from xpl_cli.packages import environments
 
@@ -39,7 +39,7 @@ def test_list_shows_what_is_offered() -> None:
     assert listed["schema"] == "xpl.env-list/1"
     tasks = next(entry for entry in listed["environments"] if entry["name"] == "mujoco")["tasks"]
     for task, entry in FACTS["tasks"].items():
-        why = {robot: play.unsupported(Task.parse(entry), robot) for robot in FACTS["embodiments"]}
+        why = {robot: rollout.unsupported(Task.parse(entry), robot) for robot in FACTS["embodiments"]}
         assert tasks[task]["embodiments"] == [robot for robot, reason in why.items() if reason is None]
         assert tasks[task]["unsupported"] == {robot: reason for robot, reason in why.items() if reason is not None}
         assert tasks[task]["stages"] == entry["stages"]
@@ -74,7 +74,7 @@ def test_check_reports_the_same_however_many_processes_play() -> None:
 def test_check_exits_with_findings_where_the_expert_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     """The seed is named, not replaced; the file of seeds stays as it is."""
     before = {file.name: file.read_bytes() for file in (FOLDER / check.SEEDS).iterdir()}
-    monkeypatch.setattr(play, "expert", lambda what: play.at_random(what, 0))
+    monkeypatch.setattr(rollout, "expert", lambda what: rollout.random_actions(what, 0))
     answer = _run("check", "mujoco", *LIFT, "--episodes", "1", "--workers", "1", "--json")
     assert answer.exit_code == ExitCode.FINDINGS
     report = json.loads(answer.stdout)
@@ -88,7 +88,7 @@ def test_check_exits_with_findings_where_the_expert_fails(monkeypatch: pytest.Mo
 def test_check_says_what_is_missing() -> None:
     assert "no frozen seeds" in str(_run("check", "offline").exception)
     with pytest.raises(NotFoundError, match="names no expert"):
-        play.expert(play.scenario("offline"))
+        rollout.expert(rollout.scenario("offline"))
 
 
 # -- render, sheet and play --------------------------------------------------------------------------------------------

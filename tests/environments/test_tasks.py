@@ -13,8 +13,8 @@ from xpl.manifest import Task
 from xpl_cli.basics.content import load_module, room
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.progress import Progress
-from xpl_cli.environments import check, play
-from xpl_cli.environments.play import Scenario
+from xpl_cli.environments import check, rollout
+from xpl_cli.environments.rollout import Scenario
 
 pytest.importorskip("mujoco")
 
@@ -33,7 +33,7 @@ PAIRS = [
 
 
 def _started(task: str, setting: str, seed: int, embodiment: str = "arx_x5") -> Any:
-    env = play.make(Scenario("mujoco", task, embodiment, setting))
+    env = rollout.make(Scenario("mujoco", task, embodiment, setting))
     env.reset([seed])
     return env
 
@@ -60,7 +60,7 @@ def test_a_pair_that_is_not_offered_says_why() -> None:
     for task, robot, why in pairs:
         assert robot in FACTS["embodiments"]
         with pytest.raises(UserError, match=re.escape(why)):
-            play.make(Scenario("mujoco", task, robot, "clean"))
+            rollout.make(Scenario("mujoco", task, robot, "clean"))
 
 
 # -- experts and chance ------------------------------------------------------------------------------------------------
@@ -68,7 +68,7 @@ def test_a_pair_that_is_not_offered_says_why() -> None:
 
 def test_frozen_seeds_are_solved_by_the_expert_and_not_by_chance() -> None:
     """Of one task; the slow tests play all of all tasks."""
-    report = check.check("mujoco", check.Choice(["lift_cube"], ["arx_x5"], episodes=1), Progress())
+    report = check.check("mujoco", check.CheckSelection(["lift_cube"], ["arx_x5"], episodes=1), Progress())
     assert [row["setting"] for row in report["pairs"]] == SETTINGS
     assert report["ok"], report["pairs"]
 
@@ -89,9 +89,9 @@ def test_every_frozen_seed_is_solved_by_the_expert_and_not_by_chance(
     for setting in SETTINGS:
         numbers = check.seeds(FOLDER, task, setting)[share :: len(ways)]
         what = Scenario("mujoco", task, embodiment, setting, action_type)
-        with closing(play.make(what)) as env:
-            results = {seed: play.play(env, play.expert(what), seed) for seed in (*numbers, 0, 1)}
-            guessed = play.play(env, play.at_random(what, numbers[0]), numbers[0])
+        with closing(rollout.make(what)) as env:
+            results = {seed: rollout.run_episode(env, rollout.expert(what), seed) for seed in (*numbers, 0, 1)}
+            guessed = rollout.run_episode(env, rollout.random_actions(what, numbers[0]), numbers[0])
         assert [seed for seed, result in results.items() if not result["success"]] == []
         assert {result["score"] for result in results.values()} == {1.0}
         assert not guessed["success"]
@@ -106,14 +106,14 @@ def test_stages_come_in_order_and_success_must_hold(task: str) -> None:
     what = Scenario("mujoco", task, "arx_x5", "clean")
     earned: list[str] = []
     held = [0]
-    with closing(play.make(what)) as env:
+    with closing(rollout.make(what)) as env:
 
         def watch() -> None:
             earned.extend(name for name, done in env.results()[0]["stages"].items() if done and name not in earned)
             judge, physics = env.episodes[0]._task, env.episodes[0].physics
             held.append(held[-1] + 1 if judge.solved(physics) and judge._at_rest(physics) else 0)
 
-        result = play.play(env, play.expert(what), 100003, watch)
+        result = rollout.run_episode(env, rollout.expert(what), 100003, watch)
     assert earned == list(FACTS["tasks"][task]["stages"])
     assert result["score"] == 1.0
     assert held[-1] == FACTS["success"]["hold_steps"] > max(held[:-1])
@@ -132,7 +132,7 @@ def test_doing_nothing_earns_nothing(task: str) -> None:
 
 def test_the_expert_plays_in_poses_too() -> None:
     what = Scenario("mujoco", "stack_blocks_two", "arx_x5", "clean", "ee")
-    result = play.play(play.make(what), play.expert(what), 100000)
+    result = rollout.run_episode(rollout.make(what), rollout.expert(what), 100000)
     assert result["success"], result
 
 
@@ -209,15 +209,15 @@ def test_the_instruction_names_the_block_that_counts() -> None:
     assert len({target for _, target in named}) == 3
 
     what = Scenario("mujoco", "pick_by_language", "arx_x5", "clean")
-    expert = play.expert(what)
-    with closing(play.make(what)) as env:
+    expert = rollout.expert(what)
+    with closing(rollout.make(what)) as env:
 
         def misled(obs: Any) -> Any:
             names = sorted(obs["privileged"]["objects"])
             names.remove(obs["privileged"]["target"])
             return expert({**obs, "privileged": {**obs["privileged"], "target": names[0]}})
 
-        result = play.play(env, misled, 100000)
+        result = rollout.run_episode(env, misled, 100000)
     assert (result["success"], result["score"]) == (False, 0.0)
 
 
@@ -284,14 +284,14 @@ def test_memory_needs_what_is_seen_no_more() -> None:
         red = [np.sum((image[..., 0] > 110) & (image[..., 1] < 70) & (image[..., 2] < 70)) for image in pictures]
         assert min(red[:20]) > 20
         assert red[-1] == 0
-    expert = play.expert(what)
-    with closing(play.make(what)) as env:
+    expert = rollout.expert(what)
+    with closing(rollout.make(what)) as env:
 
         def misled(obs: Any) -> Any:
             wrong = next(f"cover_{place}" for place in (1, 2, 3) if f"cover_{place}" != obs["privileged"]["target"])
             return expert({**obs, "privileged": {**obs["privileged"], "target": wrong}})
 
-        assert not play.play(env, misled, 100000)["success"]
+        assert not rollout.run_episode(env, misled, 100000)["success"]
 
 
 # -- seeds -------------------------------------------------------------------------------------------------------------

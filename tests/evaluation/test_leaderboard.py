@@ -86,7 +86,7 @@ def test_a_run_whose_adapter_could_reach_its_judge_is_neither_ranked_nor_submitt
         _rank(runs[1])
     assert caught.value.code == ExitCode.NOT_RUN
     with pytest.raises(UserError, match="Trusted is not submitted: in 1 of its 80 episodes"):
-        prepare.submit(prepare.Request(package.load(EXPERT), (runs[1].folder,), tmp_path / "bundle.zip"))
+        prepare.submit(prepare.SubmitRequest(package.load(EXPERT), (runs[1].folder,), tmp_path / "bundle.zip"))
 
 
 def test_a_run_with_too_many_infrastructure_errors_is_not_ranked(tmp_path: Path) -> None:

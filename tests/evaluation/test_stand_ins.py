@@ -78,6 +78,6 @@ def test_a_result_file_in_such_a_folder_is_none(tmp_path: Path) -> None:
 
 def test_it_is_not_submitted(tmp_path: Path) -> None:
     run = _run(tmp_path)
-    request = prepare.Request(SimpleNamespace(name="Foo"), (run.folder,), tmp_path / "bundle")  # type: ignore[arg-type]
+    request = prepare.SubmitRequest(SimpleNamespace(name="Foo"), (run.folder,), tmp_path / "bundle")  # type: ignore[arg-type]
     with pytest.raises(UserError, match="is not submitted"):
         prepare.submit(request)

@@ -17,7 +17,7 @@ from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.records import records
 from xpl_cli.standard.validate import validate
 from xpl_cli.submission import archive, bundle, claims, consistency, prepare, replay
-from xpl_cli.submission.replay import Match, Pair, Verdict
+from xpl_cli.submission.replay import ReplayMatch, ReplayPair, ReplayVerdict
 
 if TYPE_CHECKING:
     from xpl_cli.evaluation.records.records import Run
@@ -123,10 +123,10 @@ class TestClaims:
     def test_the_manifest_is_valid_and_repeats_itself(self, tmp_path: Path) -> None:
         """It tells counts by task and setting, and neither times nor places."""
         run = _run(tmp_path / "run")
-        policy = prepare.described(run)
+        policy = prepare.describe_adapter(run)
         audit = judged(TargetReport("policy/Foo", "Foo", "policy")).as_json()
-        entries = {"audit.json": bundle.Entry.of(b"{}")}
-        manifest = bundle.Manifest(policy, [claims.claim(run)], entries, audit).as_json()
+        entries = {"audit.json": bundle.BundledFile.of(b"{}")}
+        manifest = bundle.BundleManifest(policy, [claims.claim_of(run)], entries, audit).as_json()
         assert validate(manifest, "submission") == []
         assert sum(cell["completed"] for cell in manifest["runs"][0]["cells"]) == len(run.finals)
         assert str(tmp_path) not in bundle.document(manifest).decode()
@@ -136,21 +136,21 @@ class TestClaims:
         run = _run(tmp_path / "run")
         environment = replace(run.plan.environment, name="unpacked/envs/easy")
         with pytest.raises(UserError, match="expected the name of a package"):
-            claims.environment(replace(run, plan=replace(run.plan, environment=environment)))
+            claims.environment_folder(replace(run, plan=replace(run.plan, environment=environment)))
 
 
-def _pair(recorded: bool | None, replayed: bool | None, *, digests: str = "ab", equal: bool = False) -> Pair:
+def _pair(recorded: bool | None, replayed: bool | None, *, digests: str = "ab", equal: bool = False) -> ReplayPair:
     """Return an episode that was played twice; `digests` has one letter for each time."""
     old, new = (
         episode(success=won, digest=name, end_reason="max_steps")
         for won, name in zip((recorded, replayed), digests, strict=True)
     )
-    return Pair(old, new, is_equal_machine=equal)
+    return ReplayPair(old, new, is_equal_machine=equal)
 
 
-def _errored(pair: Pair) -> Pair:
+def _errored(pair: ReplayPair) -> ReplayPair:
     replayed = replace(pair.replayed, failure="infrastructure", success=None)
-    return Pair(pair.recorded, replayed, is_equal_machine=False)
+    return ReplayPair(pair.recorded, replayed, is_equal_machine=False)
 
 
 WON, LOST, FLIPPED = (_pair(*outcomes) for outcomes in ((True, True), (False, False), (True, False)))
@@ -161,15 +161,15 @@ class TestJudgement:
     @pytest.mark.parametrize(
         ("pairs", "total", "deterministic", "verdict"),
         [
-            ([SAME] * 5, 100, True, Verdict.AGREES),
-            ([SAME, OTHER], 100, True, Verdict.DISAGREES),
-            ([WON, LOST], 100, True, Verdict.AGREES),
-            ([OTHER] * 2, 100, False, Verdict.AGREES),
-            ([FLIPPED] * 6 + [WON] * 4, 100, True, Verdict.DISAGREES),
-            ([FLIPPED] + [WON] * 4, 100, True, Verdict.UNDECIDED),
-            ([FLIPPED, _pair(False, True)] * 2 + [WON, LOST] * 98, 1000, True, Verdict.AGREES),
-            ([_errored(WON)], 10, True, Verdict.UNDECIDED),
-            ([_errored(WON), WON], 10, True, Verdict.AGREES),
+            ([SAME] * 5, 100, True, ReplayVerdict.AGREES),
+            ([SAME, OTHER], 100, True, ReplayVerdict.DISAGREES),
+            ([WON, LOST], 100, True, ReplayVerdict.AGREES),
+            ([OTHER] * 2, 100, False, ReplayVerdict.AGREES),
+            ([FLIPPED] * 6 + [WON] * 4, 100, True, ReplayVerdict.DISAGREES),
+            ([FLIPPED] + [WON] * 4, 100, True, ReplayVerdict.UNDECIDED),
+            ([FLIPPED, _pair(False, True)] * 2 + [WON, LOST] * 98, 1000, True, ReplayVerdict.AGREES),
+            ([_errored(WON)], 10, True, ReplayVerdict.UNDECIDED),
+            ([_errored(WON), WON], 10, True, ReplayVerdict.AGREES),
         ],
         ids=[
             "the same states",
@@ -184,18 +184,18 @@ class TestJudgement:
         ],
     )
     def test_a_sample_is_judged_by_what_may_be_asked_of_machine_and_policy(
-        self, pairs: list[Pair], total: int, deterministic: bool, verdict: Verdict
+        self, pairs: list[ReplayPair], total: int, deterministic: bool, verdict: ReplayVerdict
     ) -> None:
         assert replay.judge(pairs, total, deterministic=deterministic).verdict is verdict
 
     def test_figures_say_how_many_others_may_come_out_otherwise(self) -> None:
         found = replay.judge([SAME] * 5, 100, deterministic=True)
-        assert (found.counts, found.change) == ({Match.SAME: 5}, pytest.approx((-0.43, 0.43), abs=0.01))
+        assert (found.counts, found.change) == ({ReplayMatch.SAME: 5}, pytest.approx((-0.43, 0.43), abs=0.01))
         assert found.differing is not None
         assert 0.4 < found.differing.high < 0.6
         assert replay.judge([WON] * 3, 3, deterministic=True).differing == (0.0, 0.0)  # who plays all knows the share
         found = replay.judge([_errored(WON), WON], 10, deterministic=True)
-        assert found.counts == {Match.INFRASTRUCTURE_ERROR: 1, Match.OUTCOME: 1}
+        assert found.counts == {ReplayMatch.INFRASTRUCTURE_ERROR: 1, ReplayMatch.OUTCOME: 1}
 
     def test_the_sample_is_drawn_from_what_counts(self, tmp_path: Path) -> None:
         """Spoilt episodes are left out; the same seed draws the same ones."""

@@ -19,7 +19,7 @@ from tests.support.recordings.bundles import recorded
 from tests.support.recordings.runs import renamed
 from xpl_cli.audit.engine.engine import audit
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.records import records
@@ -31,7 +31,7 @@ from xpl_cli.lifecycle.checkpoints import fetch, specification
 from xpl_cli.packages import package
 from xpl_cli.standard.validate import validate
 from xpl_cli.submission import archive, bundle, claims, inspection, prepare, replay, unproven, verify
-from xpl_cli.submission.replaying import Player
+from xpl_cli.submission.replay_runner import ReplayRunner
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.model import TargetReport
@@ -61,14 +61,14 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Run:
 @pytest.fixture(scope="module")
 def report() -> TargetReport:
     """Return what the cheapest gate says of the expert."""
-    return audit(EXPERT, package.POLICY, Options(gates=(Gate.STATIC,)), shown="policy/scripted_expert")
+    return audit(EXPERT, package.POLICY, AuditOptions(gates=(Gate.STATIC,)), shown="policy/scripted_expert")
 
 
 @pytest.fixture(scope="module")
 def packed(run: Run, report: TargetReport, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the run's bundle."""
     path = tmp_path_factory.mktemp("bundles") / "expert.xpl.zip"
-    prepare.pack(prepare.Request(package.load(EXPERT), (run.folder,), path), [run], report)
+    prepare.pack(prepare.SubmitRequest(package.load(EXPERT), (run.folder,), path), [run], report)
     return path
 
 
@@ -101,7 +101,7 @@ def _records(change: Callable[[list[Line]], Any]) -> Callable[[Path], None]:
 
 def _problems(path: Path) -> dict[str, tuple[str, ...]]:
     """Return what is wrong with a bundle by what was looked at, but for the audit that these tests leave out."""
-    report = verify.verify(verify.Request(path, sample=0))
+    report = verify.verify(verify.VerifyRequest(path, sample=0))
     assert validate(report.as_json(), "verification") == []
     found = {check.name: check.problems for check in report.checks if check.problems}
     if found.get("audit") == (UNAUDITED,):
@@ -112,7 +112,7 @@ def _problems(path: Path) -> dict[str, tuple[str, ...]]:
 def test_a_bundle_repeats_itself(run: Run, report: TargetReport, packed: Path, tmp_path: Path) -> None:
     """The same run, files and audit give the same bytes, which name no place of this machine."""
     again = tmp_path / "again.zip"
-    prepare.pack(prepare.Request(package.load(EXPERT), (run.folder,), again), [run], report)
+    prepare.pack(prepare.SubmitRequest(package.load(EXPERT), (run.folder,), again), [run], report)
     assert again.read_bytes() == packed.read_bytes()
     names = archive.unpack(again, tmp_path / "out", limit=10**8)
     places = (str(EXPERT.parent.parent), str(run.folder), sys.prefix)
@@ -123,18 +123,18 @@ def test_a_bundle_repeats_itself(run: Run, report: TargetReport, packed: Path, t
 def test_a_sound_bundle_lacks_only_what_was_left_out(packed: Path) -> None:
     """Everything but the audit, of which two gates did not run here, is in order."""
     assert _problems(packed) == {}
-    report = verify.verify(verify.Request(packed, sample=0))
+    report = verify.verify(verify.VerifyRequest(packed, sample=0))
     assert str(report.verdict).startswith("PARTIAL static only: nothing wrong")
 
 
 def test_a_bundle_of_fewer_than_all_evaluation_seeds_is_named_a_subset(packed: Path) -> None:
     """A board counts all of them; the others may be those that went wrong."""
-    found = inspection.inspect(bundle.opened(packed, packed.parent / "opened", limit=10**8), Progress())[1]
-    told = inspection.parts(found)
+    found = inspection.inspect(bundle.open_bundle(packed, packed.parent / "opened", limit=10**8), Progress())[1]
+    told = inspection.seed_coverage(found)
     assert told is not None
     assert [vars(part) for part in told] == [{"task": "lift_cube", "setting": "clean", "seeds": 2, "of": 100}]
     whole = [replace(part, seeds=100) for part in told]
-    reports = [verify.Report("", "", (), (), parts=parts) for parts in (told, whole, None)]
+    reports = [verify.VerificationReport("", "", (), (), parts=parts) for parts in (told, whole, None)]
     assert ["subset" in " ".join(unproven.sentences(report)) for report in reports] == [True, False, False]
 
 
@@ -142,7 +142,9 @@ def test_a_bundle_of_fewer_than_all_evaluation_seeds_is_named_a_subset(packed: P
 def test_curves_come_along_where_they_are_wanted(played: Run, report: TargetReport, tmp_path: Path) -> None:
     """They are held against the records, whose digests they have to have."""
     path = tmp_path / "traced.zip"
-    prepare.pack(prepare.Request(package.load(EXPERT), (played.folder,), path, frozenset({"trace"})), [played], report)
+    prepare.pack(
+        prepare.SubmitRequest(package.load(EXPERT), (played.folder,), path, frozenset({"trace"})), [played], report
+    )
     assert _problems(path) == {}
     forged = _forged(path, tmp_path / "forged.zip", lambda folder: next(folder.rglob("0.npz")).write_bytes(b""))
     assert "is not what episode 0 recorded" in _problems(forged)["curves and films"][0]
@@ -180,7 +182,7 @@ def test_files_that_no_digest_of_the_adapter_covers_are_found(packed: Path, tmp_
     folder = tmp_path / "forged"
     names = archive.unpack(packed, folder, limit=10**8)
     manifest = json.loads((folder / bundle.MANIFEST).read_bytes())
-    manifest["files"][name] = vars(bundle.Entry.of(b"x"))
+    manifest["files"][name] = vars(bundle.BundledFile.of(b"x"))
     files: dict[str, Path | bytes] = {one: folder / one for one in names}
     archive.write(tmp_path / "a.zip", {**files, name: b"x", bundle.MANIFEST: bundle.document(manifest)})
     assert _problems(tmp_path / "a.zip")["adapter"] == (
@@ -281,7 +283,7 @@ def test_parts_that_contradict_each_other_are_found(
 
 def test_a_run_is_not_packed_twice(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "twice.zip"
-    answer = prepare.submit(prepare.Request(package.load(EXPERT), (run.folder, run.folder), out))
+    answer = prepare.submit(prepare.SubmitRequest(package.load(EXPERT), (run.folder, run.folder), out))
     assert answer.code == ExitCode.FINDINGS
     assert any("given twice" in problem for problem in answer.problems)
     assert not out.exists()
@@ -291,7 +293,7 @@ def test_an_adapter_that_changed_since_is_not_packed(run: Run, tmp_path: Path) -
     changed = tmp_path / "scripted_expert"
     shutil.copytree(EXPERT, changed, ignore=shutil.ignore_patterns("__pycache__"))
     (changed / "model.py").write_text("# other\n", encoding="utf-8")
-    answer = prepare.submit(prepare.Request(package.load(changed), (run.folder,), tmp_path / "a.zip"))
+    answer = prepare.submit(prepare.SubmitRequest(package.load(changed), (run.folder,), tmp_path / "a.zip"))
     assert [problem for problem in answer.problems if "was played with other files" in problem]
 
 
@@ -301,37 +303,38 @@ class TestReplay:
     @pytest.mark.slow
     def test_states_repeat_bit_by_bit(self, played: Run) -> None:
         """A deterministic policy in a simulation does the same thing on the same machine."""
-        pairs = Player(EXPERT).play(played, [0, 1])
-        assert [pair.match for pair in pairs] == [replay.Match.SAME] * 2
-        assert replay.judge(pairs, 2, deterministic=True).verdict is replay.Verdict.AGREES
+        pairs = ReplayRunner(EXPERT).replay(played, [0, 1])
+        assert [pair.match for pair in pairs] == [replay.ReplayMatch.SAME] * 2
+        assert replay.judge(pairs, 2, deterministic=True).verdict is replay.ReplayVerdict.AGREES
         # What nobody played has other states, and is found in the first episode that is played.
         forged = [
-            replay.Pair(replace(pair.recorded, digest="0" * 64), pair.replayed, pair.is_equal_machine) for pair in pairs
+            replay.ReplayPair(replace(pair.recorded, digest="0" * 64), pair.replayed, pair.is_equal_machine)
+            for pair in pairs
         ]
-        assert replay.judge(forged, 2, deterministic=True).verdict is replay.Verdict.DISAGREES
+        assert replay.judge(forged, 2, deterministic=True).verdict is replay.ReplayVerdict.DISAGREES
 
     @pytest.mark.slow
     def test_an_adapter_that_is_isolated_plays_alike(self, played: Run) -> None:
         """Neither its server nor its loop sees the one who judges, and states repeat bit by bit."""
-        player = Player(EXPERT, runtime=Runtime(isolate=True))
+        player = ReplayRunner(EXPERT, runtime=Runtime(isolate=True))
         try:
             lanes, servers = player._orders(played)
         except UserError as error:
             pytest.skip(str(error))
         assert lanes.bounds.isolate
         assert servers.bounds.flags[0] == "--isolate"
-        assert [pair.match for pair in player.play(played, [0])] == [replay.Match.SAME]
+        assert [pair.match for pair in player.replay(played, [0])] == [replay.ReplayMatch.SAME]
 
     def test_only_the_adapter_of_the_run_is_played(self, run: Run) -> None:
         with pytest.raises(UserError, match="does not have the files of the run"):
-            Player(EXPERT.parent / "demo_policy").play(run, [0])
+            ReplayRunner(EXPERT.parent / "demo_policy").replay(run, [0])
 
     def test_weights_that_are_not_here_are_named(self, run: Run) -> None:
         """Without the checkpoint of the run nothing is played, and what to do is said."""
         policy = replace(run.plan.policy, checkpoint=LoadedCheckpoint("checkpoints/base", "0" * 64))
         other = replace(run, plan=replace(run.plan, policy=policy))
         with pytest.raises(UserError, match="checkpoints/base") as raised:
-            Player(EXPERT).play(other, [0])
+            ReplayRunner(EXPERT).replay(other, [0])
         assert raised.value.code == ExitCode.NOT_RUN
         assert "xpl checkpoint fetch" in str(raised.value.hint)
 
@@ -343,7 +346,7 @@ class TestReplay:
         (robot / "env.yml").write_text(text.replace("real_time: false", "real_time: true"), encoding="utf-8")
         monkeypatch.setattr(claims, "environment", lambda _: robot)
         with pytest.raises(UserError, match="does not wait for the policy"):
-            Player(EXPERT).play(run, [0])
+            ReplayRunner(EXPERT).replay(run, [0])
 
 
 class TestCheckpoints:
@@ -372,17 +375,17 @@ class TestCheckpoints:
         request = evaluate.EvalRequest(package.load(adapter), "offline", tmp_path / "run", PlanRequest(), films=0)
         run = evaluate.evaluate(request)
         path = tmp_path / "demo.xpl.zip"
-        prepare.pack(prepare.Request(request.package, (run.folder,), path), [run], report)
+        prepare.pack(prepare.SubmitRequest(request.package, (run.folder,), path), [run], report)
         unpacked = tmp_path / "unpacked"
         assert not [name for name in archive.unpack(path, unpacked, limit=10**8) if "weights" in name or "base" in name]
         assert _problems(path).keys() == {"audit"}  # it is of the expert
         weights = tmp_path / "weights.bin"
         weights.rename(tmp_path / "elsewhere.bin")
         with pytest.raises(UserError, match="checkpoints/base"):
-            Player(unpacked / "policy" / "demo_policy").play(run, [0])
+            ReplayRunner(unpacked / "policy" / "demo_policy").replay(run, [0])
         (tmp_path / "elsewhere.bin").rename(weights)
-        (pair,) = Player(unpacked / "policy" / "demo_policy").play(run, [0])
-        assert pair.match in {replay.Match.SAME, replay.Match.OUTCOME}
+        (pair,) = ReplayRunner(unpacked / "policy" / "demo_policy").replay(run, [0])
+        assert pair.match in {replay.ReplayMatch.SAME, replay.ReplayMatch.OUTCOME}
 
     @pytest.mark.slow
     def test_weights_that_nobody_else_could_get_are_not_packed(self, adapter: Path, tmp_path: Path) -> None:
@@ -391,7 +394,7 @@ class TestCheckpoints:
         (adapter / "policy.yml").write_text(text.partition("checkpoints:")[0], encoding="utf-8")
         request = evaluate.EvalRequest(package.load(adapter), "offline", tmp_path / "run", PlanRequest(), films=0)
         run = evaluate.evaluate(request)
-        answer = prepare.submit(prepare.Request(request.package, (run.folder,), tmp_path / "demo.xpl.zip"))
+        answer = prepare.submit(prepare.SubmitRequest(request.package, (run.folder,), tmp_path / "demo.xpl.zip"))
         assert any("nobody else could get it" in problem for problem in answer.problems)
 
 

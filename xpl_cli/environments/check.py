@@ -11,8 +11,8 @@ from xpl import _spec as sdk
 from xpl import json_text
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.parallel import in_processes
-from xpl_cli.environments import play
-from xpl_cli.environments.play import Scenario, unsupported
+from xpl_cli.environments import rollout
+from xpl_cli.environments.rollout import Scenario, unsupported
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     _Row = dict[str, Any]
     """What a report says of one pair: `unsupported`, or `episodes` and the figures of `expert` and `random`."""
 
-__all__ = ["SEEDS", "Choice", "check", "seeds", "text", "unsupported"]
+__all__ = ["SEEDS", "CheckSelection", "check", "seeds", "text", "unsupported"]
 
 SEEDS = "seeds"
 """Folder of an environment package with the frozen evaluation seeds of its tasks."""
@@ -37,7 +37,7 @@ _BATCH = 10  # episodes that one process plays at a time
 
 
 @dataclass(frozen=True)
-class Choice:
+class CheckSelection:
     """What to check; empty for everything that the environment offers.
 
     Attributes:
@@ -85,7 +85,7 @@ def has_seeds(folder: Path) -> bool:
     return (folder / SEEDS).is_dir() or environments.manifest(folder).evaluation_seeds is not None
 
 
-def check(name: str, choice: Choice, say: Progress, workers: int | None = 1) -> dict[str, Any]:
+def check(name: str, choice: CheckSelection, say: Progress, workers: int | None = 1) -> dict[str, Any]:
     """Play the frozen seeds and return the report; nothing is replaced or written.
 
     Args:
@@ -101,13 +101,13 @@ def check(name: str, choice: Choice, say: Progress, workers: int | None = 1) -> 
     environments.require_simulation(name)
     folder = environments.find(name)
     facts = environments.manifest(folder)
-    tasks = _chosen("task", play.expanded(facts, choice.tasks), facts.tasks)
+    tasks = _chosen("task", rollout.expand_splits(facts, choice.tasks), facts.tasks)
     robots = _chosen("embodiment", choice.embodiments, facts.embodiments)
     settings = _chosen("setting", choice.settings, facts.settings)
-    control = play.chosen("kind of control", choice.action_type, facts.action_types)
+    control = rollout.choose_name("kind of control", choice.action_type, facts.action_types)
     rows: list[_Row] = []
     for task, robot, setting in product(tasks, robots, settings):
-        reason = play.unsupported(facts.tasks[task], robot)
+        reason = rollout.unsupported(facts.tasks[task], robot)
         rows.append({"task": task, "embodiment": robot, "setting": setting, "unsupported": reason})
     played = [row for row in rows if row["unsupported"] is None]
     jobs = [
@@ -170,11 +170,11 @@ def _play(job: _Job) -> _Played:
     """Return the results of the expert, and of random actions, which are joint angles where those are offered."""
     what, numbers = job
     offered = environments.manifest(environments.find(what.environment)).action_types
-    with contextlib.closing(play.make(what)) as env:
-        solved = [play.play(env, play.expert(what), seed) for seed in numbers]
-    guess = replace(what, action_type=play.random_control(offered))
-    with contextlib.closing(play.make(guess)) as env:
-        guessed = [play.play(env, play.at_random(guess, seed), seed) for seed in numbers]
+    with contextlib.closing(rollout.make(what)) as env:
+        solved = [rollout.run_episode(env, rollout.expert(what), seed) for seed in numbers]
+    guess = replace(what, action_type=rollout.random_control(offered))
+    with contextlib.closing(rollout.make(guess)) as env:
+        guessed = [rollout.run_episode(env, rollout.random_actions(guess, seed), seed) for seed in numbers]
     return solved, guessed
 
 
@@ -225,4 +225,4 @@ def _some(numbers: Sequence[int]) -> str:
 def _chosen(what: str, wanted: Sequence[str], offered: Iterable[str]) -> Sequence[str]:
     """Return all names that are wanted, each once, or all that are offered."""
     names = list(offered)
-    return [play.chosen(what, name, names) for name in dict.fromkeys(wanted)] or names
+    return [rollout.choose_name(what, name, names) for name in dict.fromkeys(wanted)] or names

@@ -10,7 +10,7 @@ from xpl import _spec as sdk
 from xpl import get_embodiment, images
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.environments import play
+from xpl_cli.environments import rollout
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from xpl_cli.environments.play import Scenario
+    from xpl_cli.environments.rollout import Scenario
 
 FORMATS = (".webp", ".gif", ".png")
 """Endings of a film; each format can be animated."""
@@ -36,19 +36,19 @@ def render(what: Scenario, seed: int, camera: str | None, out: Path) -> dict[str
     """
     check_ending(out, (".png",))
     camera = camera_of(what, camera)
-    ((seen, wording),) = first_looks(what, [what.task], seed, camera)
+    ((seen, wording),) = first_frames(what, [what.task], seed, camera)
     atomic.write_file(out, images.encode_png(seen))
     height, width = seen.shape[:2]
     size = {"height": height, "width": width}
-    return {**shown(what, seed, camera, out), **size, sdk.Obs.INSTRUCTION: wording}
+    return {**describe_picture(what, seed, camera, out), **size, sdk.Obs.INSTRUCTION: wording}
 
 
-def first_looks(what: Scenario, tasks: Sequence[str], seed: int, camera: str) -> Iterator[tuple[np.ndarray, str]]:
+def first_frames(what: Scenario, tasks: Sequence[str], seed: int, camera: str) -> Iterator[tuple[np.ndarray, str]]:
     """Yield what a camera sees when an episode of each task begins, (H, W, 3) uint8, and the episode's instruction.
 
     One environment plays them one after the other: where it has a process of its own, that is started once.
     """
-    with contextlib.closing(play.make(replace(what, task=tasks[0]))) as env, _drawing(what):
+    with contextlib.closing(rollout.make(replace(what, task=tasks[0]))) as env, _drawing(what):
         for task in tasks:
             env.reset([seed], {"task": task})
             yield _look(env, camera), env.get_obs()[sdk.Obs.INSTRUCTION]
@@ -59,7 +59,7 @@ def film(what: Scenario, player: str, seed: int, camera: str | None, out: Path) 
 
     Args:
         what: is played.
-        player: one of `env_play.PLAYERS`.
+        player: one of `rollout.PLAYERS`.
         seed: of the episode.
         camera: from where; the camera for people by default.
         out: file, whose ending is one of `FORMATS`.
@@ -70,16 +70,16 @@ def film(what: Scenario, player: str, seed: int, camera: str | None, out: Path) 
     """
     check_ending(out, FORMATS)
     camera = camera_of(what, camera)
-    what, act = play.player(player, what, seed)
+    what, act = rollout.make_player(player, what, seed)
     facts = environments.manifest(environments.find(what.environment))
-    with contextlib.closing(play.make(what)) as env, _drawing(what):
-        reel = Reel(facts.frequency(what.task), camera)
-        result = play.play(env, act, seed, lambda: reel.look(env))
+    with contextlib.closing(rollout.make(what)) as env, _drawing(what):
+        reel = FilmRecorder(facts.frequency(what.task), camera)
+        result = rollout.run_episode(env, act, seed, lambda: reel.add_frame(env))
     reel.save(out)
-    return {**shown(what, seed, camera, out), "player": player, "episode": result}
+    return {**describe_picture(what, seed, camera, out), "player": player, "episode": result}
 
 
-class Reel:
+class FilmRecorder:
     """A film of one environment.
 
     Args:
@@ -96,7 +96,7 @@ class Reel:
         self._frames: list[Any] = []
         self.steps = 0
 
-    def look(self, env: Any, env_idx: int = 0) -> None:
+    def add_frame(self, env: Any, env_idx: int = 0) -> None:
         """Take in the present moment; to be called once for every control step.
 
         Raises:
@@ -130,7 +130,7 @@ class Reel:
         return buffer.getvalue()
 
 
-def shown(what: Scenario, seed: int, camera: str, out: Path) -> dict[str, Any]:
+def describe_picture(what: Scenario, seed: int, camera: str, out: Path) -> dict[str, Any]:
     """Return what a picture or film shows, and where it is."""
     return {"file": str(out), **asdict(what), sdk.Deploy.SEED: seed, "camera": camera}
 
@@ -141,7 +141,7 @@ def camera_of(what: Scenario, wanted: str | None) -> str:
     entries = environments.manifest(environments.find(what.environment)).cameras
     known = [name for name in entries if name in mine or name not in others]
     usual = next((name for name in sdk.OPTIONAL_CAMERAS if name in known), None)
-    return play.chosen("camera", wanted or usual, known)
+    return rollout.choose_name("camera", wanted or usual, known)
 
 
 @contextlib.contextmanager

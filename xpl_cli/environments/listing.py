@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.environments import check
-from xpl_cli.environments.play import unsupported
+from xpl_cli.environments.rollout import unsupported
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:

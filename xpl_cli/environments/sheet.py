@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl_cli.basics import atomic
-from xpl_cli.environments import film, play
+from xpl_cli.environments import film, rollout
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from xpl_cli.environments.play import Scenario
+    from xpl_cli.environments.rollout import Scenario
 
 _COLUMNS, _LINE = 4, 18  # pictures side by side; pixels of a line of text
 _MANY, _SIDE_BY_SIDE, _WIDTH = 16, 8, 112  # more tasks than so many: how many pictures, how wide
@@ -44,9 +44,11 @@ def sheet(what: Scenario, seed: int, camera: str | None, out: Path, chosen: Sequ
     camera = film.camera_of(what, camera)
     facts = environments.manifest(environments.find(what.environment))
     entries = facts.tasks
-    names = [play.chosen("task", task, entries) for task in play.expanded(facts, chosen)] or list(entries)
-    tasks = [task for task in names if play.unsupported(entries[task], what.embodiment) is None]
-    seen = [picture for picture, _ in film.first_looks(what, tasks, seed, camera)]
+    names = [rollout.choose_name("task", task, entries) for task in rollout.expand_splits(facts, chosen)] or list(
+        entries
+    )
+    tasks = [task for task in names if rollout.unsupported(entries[task], what.embodiment) is None]
+    seen = [picture for picture, _ in film.first_frames(what, tasks, seed, camera)]
     columns = min(_COLUMNS, len(seen))
     if len(seen) > _MANY:
         seen, columns = [_smaller(picture) for picture in seen], _SIDE_BY_SIDE
@@ -61,7 +63,7 @@ def sheet(what: Scenario, seed: int, camera: str | None, out: Path, chosen: Sequ
     paper.save(buffer, Image.registered_extensions()[out.suffix.lower()], optimize=True)
     atomic.write_file(out, buffer.getvalue())
     measures = {"height": paper.height, "width": paper.width}
-    return {**film.shown(what, seed, camera, out), **measures, "task": tasks}
+    return {**film.describe_picture(what, seed, camera, out), **measures, "task": tasks}
 
 
 def _smaller(picture: np.ndarray) -> np.ndarray:

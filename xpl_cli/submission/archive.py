@@ -94,12 +94,12 @@ def unpack(path: Path, folder: Path, *, limit: int) -> dict[str, str]:
         raise NotFoundError(f"there is no bundle {path}") from None
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
-    with stream, _reading(path), zipfile.ZipFile(cast("IO[bytes]", _Wary(stream))) as archive:
+    with stream, _reading(path), zipfile.ZipFile(cast("IO[bytes]", _BoundedReader(stream))) as archive:
         entries = list(_checked(archive, path, folder, limit))
         return {entry.filename: _extract(archive, entry, folder / entry.filename) for entry in entries}
 
 
-class _Wary:
+class _BoundedReader:
     """A file of which nobody reads more at once than an archive has reason to: how much there is to be said by it.
 
     An archive announces how long its list of files is, and that is read in one piece, many times larger in memory.

@@ -16,7 +16,7 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 from xpl_cli.submission import archive
-from xpl_cli.submission.claims import Claim
+from xpl_cli.submission.claims import RunClaim
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,7 +46,7 @@ def adapter_folder(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Adapter:
+class BundledAdapter:
     """The adapter that was evaluated, as in the plan of each run."""
 
     name: str
@@ -56,7 +56,7 @@ class Adapter:
 
 
 @dataclass(frozen=True)
-class Entry:
+class BundledFile:
     """A file of a bundle."""
 
     sha256: str
@@ -72,7 +72,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Checkpoints:
+class BundledCheckpoints:
     """The weights that were evaluated (checkpoints.json).
 
     Attributes:
@@ -87,7 +87,7 @@ class Checkpoints:
 
 
 @dataclass(frozen=True)
-class Manifest:
+class BundleManifest:
     """What a bundle says of itself (submission.json).
 
     Attributes:
@@ -97,18 +97,18 @@ class Manifest:
         audit: the verdict on the adapter, as JSON has it; None where nothing is said.
     """
 
-    policy: Adapter
-    runs: Sequence[Claim]
-    files: Mapping[str, Entry]
+    policy: BundledAdapter
+    runs: Sequence[RunClaim]
+    files: Mapping[str, BundledFile]
     audit: Mapping[str, Any] | None = None
 
     @classmethod
     def parse(cls, told: Mapping[str, Any]) -> Self:
         """Return what a valid submission.json says."""
         return cls(
-            Adapter(**told["policy"]),
-            [Claim.parse(run) for run in told["runs"]],
-            {name: Entry(**entry) for name, entry in told["files"].items()},
+            BundledAdapter(**told["policy"]),
+            [RunClaim.parse(run) for run in told["runs"]],
+            {name: BundledFile(**entry) for name, entry in told["files"].items()},
             told.get("audit"),
         )
 
@@ -122,7 +122,7 @@ class Manifest:
 
 
 @dataclass(frozen=True)
-class Bundle:
+class SubmissionBundle:
     """A bundle that was unpacked.
 
     Attributes:
@@ -134,7 +134,7 @@ class Bundle:
 
     folder: Path
     digest: str
-    manifest: Manifest
+    manifest: BundleManifest
     digests: Mapping[str, str]
 
     @property
@@ -171,7 +171,7 @@ class Bundle:
                 yield f"{name}: {problem}"
 
 
-def opened(path: Path, folder: Path, *, limit: int) -> Bundle:
+def open_bundle(path: Path, folder: Path, *, limit: int) -> SubmissionBundle:
     """Unpack a bundle into an empty folder.
 
     Args:
@@ -189,7 +189,7 @@ def opened(path: Path, folder: Path, *, limit: int) -> Bundle:
     found = validate(told, "submission")
     if found:
         raise UserError(f"{path} is no bundle that this version knows: {MANIFEST}: {found[0]}")
-    return Bundle(folder, digests[MANIFEST], Manifest.parse(told), digests)
+    return SubmissionBundle(folder, digests[MANIFEST], BundleManifest.parse(told), digests)
 
 
 def _json(path: Path, name: str, most: int) -> Any:

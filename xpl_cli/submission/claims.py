@@ -33,7 +33,7 @@ class CellClaim:
 
 
 @dataclass(frozen=True)
-class Claim:
+class RunClaim:
     """What a bundle says of a run: an entry of `runs` in submission.schema.json.
 
     Attributes:
@@ -60,9 +60,9 @@ class Claim:
         return sum(getattr(cell, name) for cell in self.cells)
 
 
-def claim(run: Run) -> Claim:
+def claim_of(run: Run) -> RunClaim:
     """Return what a bundle says of a run."""
-    return Claim(
+    return RunClaim(
         run.plan.run,
         folder(run),
         run.plan.environment.name,
@@ -77,7 +77,7 @@ def folder(run: Run) -> str:
     return f"runs/{run.plan.run[:12]}"
 
 
-def environment(run: Run) -> Path:
+def environment_folder(run: Run) -> Path:
     """Return the folder of the environment here that bears the name of a run's.
 
     Raises:

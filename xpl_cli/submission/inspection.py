@@ -14,22 +14,22 @@ from xpl_cli.evaluation.runs import protocol
 from xpl_cli.lifecycle.checkpoints import specification
 from xpl_cli.packages import environments, package, robots
 from xpl_cli.submission import bundle, claims, consistency
-from xpl_cli.submission.audited import Audited
-from xpl_cli.submission.bundle import Checkpoints
+from xpl_cli.submission.audit_report import BundledAudit
+from xpl_cli.submission.bundle import BundledCheckpoints
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.basics.progress import Progress
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.runs.protocol import SeedCoverage
-    from xpl_cli.submission.bundle import Bundle
+    from xpl_cli.submission.bundle import SubmissionBundle
 
 _SHOWN = 4
-_Look = Callable[["Bundle", list["Run"]], Iterator[str]]
+_Look = Callable[["SubmissionBundle", list["Run"]], Iterator[str]]
 
 
 @dataclass(frozen=True)
-class Check:
+class BundleCheck:
     """One thing that was looked at.
 
     Attributes:
@@ -41,13 +41,13 @@ class Check:
     problems: tuple[str, ...] = ()
 
 
-def inspect(found: Bundle, progress: Progress) -> tuple[tuple[Check, ...], list[Run]]:
+def inspect(found: SubmissionBundle, progress: Progress) -> tuple[tuple[BundleCheck, ...], list[Run]]:
     """Look a bundle through, and return what was found and its runs.
 
     Where its files are not those of its manifest, nothing else is looked at: nobody knows what they are.
     """
     progress.step("files")
-    files = Check("files", tuple(found.problems()))
+    files = BundleCheck("files", tuple(found.problems()))
     if files.problems:
         return (files,), []
     runs: list[Run] = []
@@ -56,7 +56,7 @@ def inspect(found: Bundle, progress: Progress) -> tuple[tuple[Check, ...], list[
         for run in runs:  # what comes next reads manifests that name its robot
             robots.meet(run.plan.policy.config, f"run {run.plan.run[:12]}")
     except UserError as error:
-        return (files, Check("records", (_shown(str(error), found),))), []
+        return (files, BundleCheck("records", (_shown(str(error), found),))), []
     checks = [files]
     for name, look in _LOOKS.items():
         progress.step(name)
@@ -64,40 +64,40 @@ def inspect(found: Bundle, progress: Progress) -> tuple[tuple[Check, ...], list[
             problems = tuple(_shown(problem, found) for problem in look(found, runs))
         except UserError as error:
             problems = (_shown(str(error), found),)
-        checks.append(Check(name, problems))
+        checks.append(BundleCheck(name, problems))
     return tuple(checks), runs
 
 
-def verdict(found: Bundle, checks: Sequence[Check]) -> Verdict | None:
+def verdict(found: SubmissionBundle, checks: Sequence[BundleCheck]) -> Verdict | None:
     """Return what the audit of a bundle comes to; None where it is of something else, or its files are not in order."""
     told = None if checks[0].problems else _audited(found)
-    return None if told is None else told.judgement(found.adapter)
+    return None if told is None else told.derive_verdict(found.adapter)
 
 
-def _audited(found: Bundle) -> Audited | None:
+def _audited(found: SubmissionBundle) -> BundledAudit | None:
     """Return what the audit report says of the adapter of the bundle; None if it is of another one."""
     policy, report = found.manifest.policy, found.read(bundle.AUDIT)
     told = [(target["name"], report["spec"]) for target in report["targets"]]
-    return Audited.parse(report["targets"][0], policy.variant) if told == [(policy.name, policy.spec)] else None
+    return BundledAudit.parse(report["targets"][0], policy.variant) if told == [(policy.name, policy.spec)] else None
 
 
-def _shown(problem: str, found: Bundle) -> str:
+def _shown(problem: str, found: SubmissionBundle) -> str:
     """Return a sentence with places in the bundle, not on this machine."""
     return problem.replace(f"{found.folder}/", "").replace(f"{found.folder.resolve()}/", "")
 
 
-def _records(_: Bundle, runs: Sequence[Run]) -> Iterator[str]:
+def _records(_: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     for run in runs:
         yield from (f"run {run.plan.run[:12]}: {problem}" for problem in consistency.problems(run))
 
 
-def _claims(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
+def _claims(found: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where the manifest says something else than the records, or names a run twice."""
     told = [entry.run for entry in found.manifest.runs]
     if len(set(told)) < len(told):
         yield "a run is there twice"
     for entry, run in zip(found.manifest.runs, runs, strict=True):
-        claim = claims.claim(run)
+        claim = claims.claim_of(run)
         for key, recorded in vars(claim).items():
             if key != "cells" and (said := getattr(entry, key)) != recorded:
                 yield f"{bundle.MANIFEST} says {key} {said!r}, its records {recorded!r}"
@@ -105,7 +105,7 @@ def _claims(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
             yield f"{bundle.MANIFEST} counts otherwise than the records of run {run.plan.run[:12]}"
 
 
-def _adapter(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
+def _adapter(found: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where the adapter is not the one that was evaluated."""
     told = found.manifest.policy
     adapter = package.load(found.adapter)
@@ -119,7 +119,7 @@ def _adapter(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
                 yield f"run {run.plan.run[:12]} is of a policy with the {key} {played}, not {wanted}"
 
 
-def _unknown(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
+def _unknown(found: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield files that no digest of adapter or records speaks of: what is played again might find them."""
     known = {bundle.MANIFEST, *bundle.DOCUMENTS}
     base = bundle.adapter_folder(found.manifest.policy.name)
@@ -131,9 +131,9 @@ def _unknown(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
         yield f"{listed(others, _SHOWN)}: neither the adapter's own files nor the records account for it"
 
 
-def _checkpoints(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
+def _checkpoints(found: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where the weights that were loaded are not those that are specified."""
-    told = Checkpoints(**found.read(bundle.CHECKPOINTS))
+    told = BundledCheckpoints(**found.read(bundle.CHECKPOINTS))
     adapter = package.load(found.adapter, runs[0].plan.policy.config)
     if told.declared != [entry.data for entry in adapter.manifest.checkpoints]:
         yield f"{bundle.CHECKPOINTS} does not declare what the adapter's policy.yml declares"
@@ -145,7 +145,7 @@ def _checkpoints(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
             yield f"run {run.plan.run[:12]} loaded another checkpoint than {bundle.CHECKPOINTS} says"
 
 
-def _audit(found: Bundle, _: Sequence[Run]) -> Iterator[str]:
+def _audit(found: SubmissionBundle, _: Sequence[Run]) -> Iterator[str]:
     """Yield why the audit report does not speak for the adapter."""
     policy, told = found.manifest.policy, _audited(found)
     if told is None:
@@ -153,11 +153,11 @@ def _audit(found: Bundle, _: Sequence[Run]) -> Iterator[str]:
         return
     yield from told.problems(found.adapter)
     claim = found.manifest.audit
-    if claim is not None and any(claim[key] != told.said.get(key) for key in claim):
+    if claim is not None and any(claim[key] != told.claimed.get(key) for key in claim):
         yield f"{bundle.MANIFEST} says otherwise what is proven than {bundle.AUDIT}"
 
 
-def parts(runs: Sequence[Run]) -> list[SeedCoverage] | None:
+def seed_coverage(runs: Sequence[Run]) -> list[SeedCoverage] | None:
     """Return what runs play of their environments' evaluation seeds; None where one is not here in that version."""
     found: list[SeedCoverage] = []
     for run in runs:
@@ -171,13 +171,13 @@ def parts(runs: Sequence[Run]) -> list[SeedCoverage] | None:
 def _environment(run: Run) -> Path | None:
     """Return the folder of a run's environment; None where it is not here, or in another version."""
     try:
-        folder = claims.environment(run)
+        folder = claims.environment_folder(run)
     except NotFoundError:
         return None
     return folder if fingerprints.package_digest(folder) == run.plan.environment.digest else None
 
 
-def _plan(_: Bundle, runs: Sequence[Run]) -> Iterator[str]:
+def _plan(_: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where a plan claims what the environment here does not offer; nothing where it has another version."""
     for run in runs:
         if (folder := _environment(run)) is not None:
@@ -198,7 +198,7 @@ def _unlike(folder: Path, run: Run) -> Iterator[str]:
             yield f"episode {line.index} has {line.steps} steps: {line.task} ends after {most}"
 
 
-def _extras(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
+def _extras(found: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield curves and films that are not those of the records; they need not be there."""
     for entry, run in zip(found.manifest.runs, runs, strict=True):
         for line in run.attempts:

@@ -32,7 +32,7 @@ EXTRAS = ("trace", "film")
 
 
 @dataclass(frozen=True)
-class Request:
+class SubmitRequest:
     """What to make a bundle of.
 
     Attributes:
@@ -56,7 +56,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Answer:
+class SubmitAnswer:
     """What came of a request.
 
     Attributes:
@@ -73,10 +73,10 @@ class Answer:
     notes: tuple[str, ...] = ()
     digest: str | None = None
     sha256: str | None = None
-    manifest: bundle.Manifest | None = None
+    manifest: bundle.BundleManifest | None = None
 
 
-def submit(request: Request) -> Answer:
+def submit(request: SubmitRequest) -> SubmitAnswer:
     """Make a bundle, or say what has to be mended first.
 
     Raises:
@@ -92,16 +92,16 @@ def submit(request: Request) -> Answer:
     request.progress.step(f"{len(runs)} runs, {sum(len(run.finals) for run in runs)} episodes: looking them through")
     found = list(_problems(request.package, runs))
     if found:
-        return Answer(tuple(found), ExitCode.FINDINGS)
+        return SubmitAnswer(tuple(found), ExitCode.FINDINGS)
     report, code = _audited(request, runs)
     if code is not ExitCode.CLEAN:
         said = f"the audit of {request.package.name} is not green; `xpl audit {request.package.path}` shows why"
-        return Answer((said,), code)
+        return SubmitAnswer((said,), code)
     request.progress.step("packing")
     return pack(request, runs, report)
 
 
-def pack(request: Request, runs: Sequence[Run], report: TargetReport) -> Answer:
+def pack(request: SubmitRequest, runs: Sequence[Run], report: TargetReport) -> SubmitAnswer:
     """Write the bundle of runs that are in order.
 
     Args:
@@ -113,12 +113,12 @@ def pack(request: Request, runs: Sequence[Run], report: TargetReport) -> Answer:
         UserError: it cannot be written.
     """
     files = _files(request, runs, report)
-    claimed = [claims.claim(run) for run in runs]
-    entries = {name: bundle.Entry.of(files[name]) for name in sorted(files)}
-    manifest = bundle.Manifest(described(runs[0]), claimed, entries, judged(report).as_json())
+    claimed = [claims.claim_of(run) for run in runs]
+    entries = {name: bundle.BundledFile.of(files[name]) for name in sorted(files)}
+    manifest = bundle.BundleManifest(describe_adapter(runs[0]), claimed, entries, judged(report).as_json())
     content = bundle.document(manifest.as_json())
     sha256 = archive.write(request.out, {**files, bundle.MANIFEST: content})
-    return Answer((), ExitCode.CLEAN, tuple(_notes(runs)), hashlib.sha256(content).hexdigest(), sha256, manifest)
+    return SubmitAnswer((), ExitCode.CLEAN, tuple(_notes(runs)), hashlib.sha256(content).hexdigest(), sha256, manifest)
 
 
 def _problems(package: Package, runs: Sequence[Run]) -> Iterator[str]:
@@ -152,7 +152,7 @@ def _problems(package: Package, runs: Sequence[Run]) -> Iterator[str]:
 def _environment(run: Run) -> Iterator[str]:
     told = run.plan.environment
     try:
-        folder = claims.environment(run)
+        folder = claims.environment_folder(run)
     except NotFoundError as error:
         yield str(error)
         return
@@ -165,21 +165,21 @@ def _played(adapter: Package, run: Run) -> Package:
     return packages.load(adapter.path, run.plan.policy.config)
 
 
-def described(run: Run) -> bundle.Adapter:
+def describe_adapter(run: Run) -> bundle.BundledAdapter:
     """Return what a manifest says of the adapter that was evaluated."""
     policy = run.plan.policy
-    return bundle.Adapter(policy.name, policy.spec, policy.digest, policy.variant)
+    return bundle.BundledAdapter(policy.name, policy.spec, policy.digest, policy.variant)
 
 
-def _audited(request: Request, runs: Sequence[Run]) -> tuple[TargetReport, ExitCode]:
+def _audited(request: SubmitRequest, runs: Sequence[Run]) -> tuple[TargetReport, ExitCode]:
     """Carry the adapter through all gates with the real model, configured as in the runs."""
     from xpl_cli.audit.engine.engine import audit
     from xpl_cli.audit.rules.model import exit_code
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.audit.rules.profiles import Profile
     from xpl_cli.packages.package import POLICY
 
-    options = Options(
+    options = AuditOptions(
         overrides=overrides(request.package, [run.plan.policy.config for run in runs]),
         python=request.python,
         env=request.env,
@@ -201,7 +201,7 @@ def overrides(package: Package, configs: Sequence[Config]) -> dict[str, Any]:
     }
 
 
-def _files(request: Request, runs: Sequence[Run], report: TargetReport) -> dict[str, Path | bytes]:
+def _files(request: SubmitRequest, runs: Sequence[Run], report: TargetReport) -> dict[str, Path | bytes]:
     """Return the files of the bundle but for its manifest."""
     from xpl_cli.audit.formats import Context, as_json
 
@@ -222,16 +222,16 @@ def _files(request: Request, runs: Sequence[Run], report: TargetReport) -> dict[
     return files
 
 
-def _checkpoints(package: Package, run: Run) -> bundle.Checkpoints:
+def _checkpoints(package: Package, run: Run) -> bundle.BundledCheckpoints:
     known = specification.declared(package)
     loaded = run.plan.policy.weights
     name = next((name for name, one in known.items() if loaded is not None and one.digest == loaded), None)
-    return bundle.Checkpoints(loaded, name, [dict(entry.data) for entry in package.manifest.checkpoints])
+    return bundle.BundledCheckpoints(loaded, name, [dict(entry.data) for entry in package.manifest.checkpoints])
 
 
-def _environments(request: Request, runs: Sequence[Run]) -> dict[str, Any]:
+def _environments(request: SubmitRequest, runs: Sequence[Run]) -> dict[str, Any]:
     package = request.package
-    places = {run.plan.environment.name: claims.environment(run) for run in runs}
+    places = {run.plan.environment.name: claims.environment_folder(run) for run in runs}
     return {
         "policy": lock_of(package.path, package.manifest.environment, python=request.python, env=request.env),
         "environments": {

@@ -35,7 +35,7 @@ MARGIN = 0.1
 """Success rates that are surely no farther apart than this agree, on machines of which nothing exact can be asked."""
 
 
-class Match(StrEnum):
+class ReplayMatch(StrEnum):
     """How an episode that was played again compares with its record."""
 
     SAME = "same"
@@ -48,7 +48,7 @@ class Match(StrEnum):
     """It ended with an infrastructure error here: nothing can be compared."""
 
 
-class Verdict(StrEnum):
+class ReplayVerdict(StrEnum):
     """What a sample shows."""
 
     AGREES = "agrees"
@@ -57,7 +57,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class Pair:
+class ReplayPair:
     """An episode as it was recorded, and as it came out here.
 
     Attributes:
@@ -70,15 +70,15 @@ class Pair:
     is_equal_machine: bool
 
     @property
-    def match(self) -> Match:
+    def match(self) -> ReplayMatch:
         """How the two compare."""
         old, new = self.recorded, self.replayed
         if new.failure == INFRASTRUCTURE:
-            return Match.INFRASTRUCTURE_ERROR
+            return ReplayMatch.INFRASTRUCTURE_ERROR
         if old.success != new.success:
-            return Match.DIFFERENT
+            return ReplayMatch.DIFFERENT
         is_same = old.digest is not None and old.digest == new.digest
-        return Match.SAME if is_same else Match.OUTCOME
+        return ReplayMatch.SAME if is_same else ReplayMatch.OUTCOME
 
     def as_json(self, run: str) -> dict[str, Any]:
         """Return the pair as a verification tells it."""
@@ -94,7 +94,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Finding:
+class SampleResult:
     """What a sample of episodes says about all of them.
 
     Attributes:
@@ -105,7 +105,7 @@ class Finding:
         change: how much higher (or lower, below 0) the success rate would be here, 95 % interval.
     """
 
-    verdict: Verdict
+    verdict: ReplayVerdict
     sentence: str
     counts: Mapping[str, int]
     differing: Interval | None = None
@@ -142,7 +142,7 @@ def eligible(run: Run) -> list[int]:
     return [line.index for line in lines if line.failure != INFRASTRUCTURE]
 
 
-def judge(pairs: Sequence[Pair], total: int, *, deterministic: bool) -> Finding:
+def judge(pairs: Sequence[ReplayPair], total: int, *, deterministic: bool) -> SampleResult:
     """Return what a sample says.
 
     Args:
@@ -151,13 +151,13 @@ def judge(pairs: Sequence[Pair], total: int, *, deterministic: bool) -> Finding:
         deterministic: whether the policy says that it repeats itself.
     """
     counts = Counter(pair.match.value for pair in pairs)
-    compared = [pair for pair in pairs if pair.match is not Match.INFRASTRUCTURE_ERROR]
+    compared = [pair for pair in pairs if pair.match is not ReplayMatch.INFRASTRUCTURE_ERROR]
     if not compared:
-        return Finding(Verdict.UNDECIDED, "no episode could be played to its end here", counts)
+        return SampleResult(ReplayVerdict.UNDECIDED, "no episode could be played to its end here", counts)
     broken = [pair for pair in compared if deterministic and _is_broken(pair)]
     if broken:
-        return Finding(
-            Verdict.DISAGREES,
+        return SampleResult(
+            ReplayVerdict.DISAGREES,
             f"{len(broken)} of {len(compared)} episodes have other states than recorded, on a machine with equal facts "
             f"and with a policy that is declared deterministic; the first is {_name(broken[0])}",
             counts,
@@ -165,50 +165,54 @@ def judge(pairs: Sequence[Pair], total: int, *, deterministic: bool) -> Finding:
     return _judged_by_outcome(compared, total, counts)
 
 
-def _is_broken(pair: Pair) -> bool:
+def _is_broken(pair: ReplayPair) -> bool:
     """Tell whether an episode should have repeated itself and has not."""
-    return pair.is_equal_machine and pair.recorded.digest is not None and pair.match is not Match.SAME
+    return pair.is_equal_machine and pair.recorded.digest is not None and pair.match is not ReplayMatch.SAME
 
 
-def _judged_by_outcome(compared: Sequence[Pair], total: int, counts: Mapping[str, int]) -> Finding:
+def _judged_by_outcome(compared: Sequence[ReplayPair], total: int, counts: Mapping[str, int]) -> SampleResult:
     outcomes = Counter((bool(pair.recorded.success), bool(pair.replayed.success)) for pair in compared)
     pairs = PairedCounts(outcomes[True, True], outcomes[True, False], outcomes[False, True], outcomes[False, False])
-    flips = counts.get(Match.DIFFERENT.value, 0)
+    flips = counts.get(ReplayMatch.DIFFERENT.value, 0)
     is_all = len(compared) == total
     share = flips / len(compared)
     differing = Interval(share, share) if is_all else clopper_pearson(flips, len(compared))
     gap = newcombe_paired(pairs)
     change = Interval(gap.value, gap.value) if is_all else gap.interval
-    alike = counts.get(Match.SAME.value, 0)
+    alike = counts.get(ReplayMatch.SAME.value, 0)
     said = f"{len(compared) - flips} of {len(compared)} episodes come out as recorded, {alike} of them bit by bit"
     if is_all:
         bound = "these are all of them"
     else:
         bound = f"with {CONFIDENCE:.0%} confidence at most {differing.high:.0%} of all {total} would not"
     if not flips:
-        return Finding(Verdict.AGREES, f"{said}; {bound}", counts, differing, change)
+        return SampleResult(ReplayVerdict.AGREES, f"{said}; {bound}", counts, differing, change)
     rates = f"the success rate here is {change.low:+.0%} to {change.high:+.0%} from the recorded one"
     sentence = f"{said}; {bound}, and {rates}"
     if mcnemar(pairs) < 1 - CONFIDENCE:
-        return Finding(Verdict.DISAGREES, f"{sentence}: more than chance explains", counts, differing, change)
+        return SampleResult(
+            ReplayVerdict.DISAGREES, f"{sentence}: more than chance explains", counts, differing, change
+        )
     if max(-change.low, change.high) <= MARGIN:
-        return Finding(Verdict.AGREES, f"{sentence}: no farther than {MARGIN:.0%}", counts, differing, change)
-    return Finding(Verdict.UNDECIDED, f"{sentence}: a larger sample would tell", counts, differing, change)
+        return SampleResult(
+            ReplayVerdict.AGREES, f"{sentence}: no farther than {MARGIN:.0%}", counts, differing, change
+        )
+    return SampleResult(ReplayVerdict.UNDECIDED, f"{sentence}: a larger sample would tell", counts, differing, change)
 
 
-def _name(pair: Pair) -> str:
+def _name(pair: ReplayPair) -> str:
     told = pair.recorded
     return f"episode {told.index} ({told.task}, {told.setting}, seed {told.seed})"
 
 
-def disagreements(pairs: Iterable[Pair]) -> list[str]:
+def disagreements(pairs: Iterable[ReplayPair]) -> list[str]:
     """Return a sentence for each episode that came out otherwise, or could not be played."""
     said = {True: "succeeded", False: "failed", None: "had no outcome"}
     found = []
     for pair in pairs:
-        if pair.match is Match.DIFFERENT:
+        if pair.match is ReplayMatch.DIFFERENT:
             old, new = said[pair.recorded.success], said[pair.replayed.success]
             found.append(f"{_name(pair)} {old} in the record, and {new} here ({pair.replayed.end_reason})")
-        elif pair.match is Match.INFRASTRUCTURE_ERROR:
+        elif pair.match is ReplayMatch.INFRASTRUCTURE_ERROR:
             found.append(f"{_name(pair)} ended with an infrastructure error here: {pair.replayed.error}")
     return found

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from xpl_cli.submission.verify import Report
+    from xpl_cli.submission.verify import VerificationReport
 
 _LISTED: Final = 4
 
 
-def sentences(report: Report) -> Iterator[str]:
+def sentences(report: VerificationReport) -> Iterator[str]:
     """Yield what was not proven of a bundle in which nothing was found to be wrong."""
     if any(check.problems for check in report.checks):
         return

@@ -18,7 +18,7 @@ from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.rollout.config import Runtime
 from xpl_cli.standard import spec
 from xpl_cli.submission import bundle, inspection, replay
-from xpl_cli.submission.replaying import Player
+from xpl_cli.submission.replay_runner import ReplayRunner
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.runs.protocol import SeedCoverage
-    from xpl_cli.submission.bundle import Bundle
-    from xpl_cli.submission.claims import Claim
-    from xpl_cli.submission.inspection import Check
+    from xpl_cli.submission.bundle import SubmissionBundle
+    from xpl_cli.submission.claims import RunClaim
+    from xpl_cli.submission.inspection import BundleCheck
 
 
 @dataclass(frozen=True)
-class Request:
+class VerifyRequest:
     """What to verify, and how.
 
     Attributes:
@@ -57,7 +57,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Report:
+class VerificationReport:
     """What was found.
 
     Attributes:
@@ -75,22 +75,22 @@ class Report:
 
     digest: str
     policy: str
-    runs: tuple[Claim, ...]
-    checks: tuple[Check, ...]
+    runs: tuple[RunClaim, ...]
+    checks: tuple[BundleCheck, ...]
     verdict: Verdict | None = None
     seed: int | None = None
-    pairs: tuple[tuple[str, replay.Pair], ...] = ()
-    finding: replay.Finding | None = None
+    pairs: tuple[tuple[str, replay.ReplayPair], ...] = ()
+    finding: replay.SampleResult | None = None
     replay_skipped: str | None = None
     parts: Sequence[SeedCoverage] | None = None
 
     @property
     def code(self) -> ExitCode:
         """Exit code: findings before what could not be told."""
-        disagrees = self.finding is not None and self.finding.verdict is replay.Verdict.DISAGREES
+        disagrees = self.finding is not None and self.finding.verdict is replay.ReplayVerdict.DISAGREES
         if disagrees or any(check.problems for check in self.checks):
             return ExitCode.FINDINGS
-        undecided = self.finding is not None and self.finding.verdict is replay.Verdict.UNDECIDED
+        undecided = self.finding is not None and self.finding.verdict is replay.ReplayVerdict.UNDECIDED
         return ExitCode.NOT_RUN if undecided or self.replay_skipped else ExitCode.CLEAN
 
     def as_json(self) -> dict[str, Any]:
@@ -113,7 +113,7 @@ class Report:
         }
 
 
-def verify(request: Request) -> Report:
+def verify(request: VerifyRequest) -> VerificationReport:
     """Check a bundle and play a sample of it.
 
     Raises:
@@ -122,13 +122,15 @@ def verify(request: Request) -> Report:
     """
     with _folder(request.folder) as name:
         request.progress.step(f"{request.path.name}: unpacking")
-        found = bundle.opened(request.path, Path(name), limit=request.limit)
+        found = bundle.open_bundle(request.path, Path(name), limit=request.limit)
         checks, runs = inspection.inspect(found, request.progress)
         told = found.manifest
-        report = Report(found.digest, told.policy.name, tuple(told.runs), checks, inspection.verdict(found, checks))
+        report = VerificationReport(
+            found.digest, told.policy.name, tuple(told.runs), checks, inspection.verdict(found, checks)
+        )
         is_sound = not any(check.problems for check in checks)
         if is_sound:
-            report = replace(report, parts=inspection.parts(runs))
+            report = replace(report, parts=inspection.seed_coverage(runs))
         if not request.sample:
             return report
         if not is_sound:
@@ -147,12 +149,14 @@ def _folder(wanted: Path | None) -> AbstractContextManager[str]:
     return nullcontext(str(wanted))
 
 
-def _replayed(request: Request, found: Bundle, report: Report, runs: Sequence[Run]) -> Report:
+def _replayed(
+    request: VerifyRequest, found: SubmissionBundle, report: VerificationReport, runs: Sequence[Run]
+) -> VerificationReport:
     """Return the report with what a sample says."""
     seed = secrets.randbits(32) if request.seed is None else request.seed
     drawn = replay.draw(runs, request.sample, seed)
-    pairs: list[tuple[str, replay.Pair]] = []
-    player = Player(
+    pairs: list[tuple[str, replay.ReplayPair]] = []
+    player = ReplayRunner(
         request.policy or found.adapter,
         variant=found.manifest.policy.variant,
         is_ours=request.policy is not None,
@@ -162,7 +166,7 @@ def _replayed(request: Request, found: Bundle, report: Report, runs: Sequence[Ru
     try:
         for run in runs:
             indices = [index for one, index in drawn if one is run]
-            pairs += [(run.plan.run, pair) for pair in player.play(run, indices)]
+            pairs += [(run.plan.run, pair) for pair in player.replay(run, indices)]
     except UserError as error:
         said = f"{error}" if error.hint is None else f"{error} ({error.hint})"
         return replace(report, seed=seed, pairs=tuple(pairs), replay_skipped=said)

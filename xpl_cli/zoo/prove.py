@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import xpl_cli
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Outcome, counted
+from xpl_cli.audit.rules.model import Outcome, count_outcomes
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.verdict import PARITY, judged
 from xpl_cli.audit.static.source import Source
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl_cli.audit.rules.model import GateReport, TargetReport
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.standard.zoo.policies import GateProof, Played, Policy, Proof, Read
 
@@ -92,7 +92,7 @@ def _own_commit() -> str | None:
 
 def proof(
     adapter: Adapter,
-    options: Options,
+    options: AuditOptions,
     manifest: Mapping[str, Read],
     arguments: Sequence[str] = (),
     run: Path | None = None,
@@ -169,7 +169,7 @@ def _missed(gate: GateReport) -> str | None:
 
     A few rules may lack what judges: a value that only the model has, or an earlier rule that holds.
     """
-    counts = counted(gate.results)
+    counts = count_outcomes(gate.results)
     served = next((item for item in gate.results if item.code == _SERVES), None)
     if served is not None and served.outcome is Outcome.FAIL:
         return _short(f"{_SERVES}: {served.findings[0].message}")
@@ -188,7 +188,7 @@ def _gate(gate: GateReport) -> GateProof:
     return {
         "gate": gate.name.value,
         "outcome": gate.outcome.value,
-        "counts": {str(outcome): number for outcome, number in counted(gate.results).items()},
+        "counts": {str(outcome): number for outcome, number in count_outcomes(gate.results).items()},
         "failed": of[Outcome.FAIL],
         "not_run": [*of[Outcome.NOT_RUN], *of[Outcome.ERROR]],
         "reason": _short(reason) if reason else None,
@@ -209,7 +209,7 @@ def _evaluated(adapter: Adapter, path: Path) -> Played:
 
     run = records.read(path)
     played, found = run.plan.policy, cells(run)
-    unplayed = sum(cell.unplayed for cell in found)
+    unplayed = sum(cell.remaining for cell in found)
     if played.digest != package_digest(adapter.path):
         raise UserError(f"{path} is a run of other files than {adapter.folder}: expected one of this very adapter")
     if played.checkpoint is None:

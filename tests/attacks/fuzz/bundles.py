@@ -23,7 +23,7 @@ def one_input(data: bytes) -> None:
         path, folder = Path(name) / "bundle.zip", Path(name) / "unpacked"
         path.write_bytes(data)
         folder.mkdir()
-        inspection.inspect(bundle.opened(path, folder, limit=10**7), Progress())
+        inspection.inspect(bundle.open_bundle(path, folder, limit=10**7), Progress())
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from tests.support.places import ROOT
 from xpl.manifest import EnvManifest
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.hand_over import results
-from xpl_cli.evaluation.hand_over.launcher import Launcher, LauncherError, filled
+from xpl_cli.evaluation.hand_over.launcher import Launcher, LauncherError, fill_placeholders
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.model import PlannedCell
 from xpl_cli.packages import environments
@@ -210,7 +210,7 @@ def test_a_launcher_is_data_and_held_to_its_names() -> None:
         if is_valid or "workspace" in change:  # what is missing may be so in a manifest that is read
             with pytest.raises(LauncherError):
                 Launcher.read(EnvManifest.parse(told))
-    assert filled("{a} {b}", {"a": "{b}", "b": "$(x)"}) == "{b} $(x)"
+    assert fill_placeholders("{a} {b}", {"a": "{b}", "b": "$(x)"}) == "{b} $(x)"
     with pytest.raises(LauncherError, match="hands nothing over"):
         Launcher.read(environments.manifest(ROOT / "envs" / "mujoco"))
 

@@ -42,8 +42,8 @@ def manifest(files: Mapping[str, bytes], folder: Path) -> dict[str, Any]:
     run = records.read(folder / "run")
     (target,) = json.loads(files[bundle.AUDIT])["targets"]
     audit = {key: target[key] for key in ("verdict", "statement", "proven", "unproven")}
-    entries = {name: bundle.Entry.of(content) for name, content in files.items()}
-    return bundle.Manifest(prepare.described(run), [claims.claim(run)], entries, audit).as_json()
+    entries = {name: bundle.BundledFile.of(content) for name, content in files.items()}
+    return bundle.BundleManifest(prepare.describe_adapter(run), [claims.claim_of(run)], entries, audit).as_json()
 
 
 def archived(path: Path, files: Mapping[str, bytes], told: Mapping[str, Any]) -> Path:
@@ -79,7 +79,9 @@ def _audit() -> bytes:
     from xpl_cli.audit.engine.engine import audit
     from xpl_cli.audit.formats import Context, as_json
     from xpl_cli.audit.rules.gates import Gate
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
 
-    report = audit(ADAPTER, package.POLICY, Options(gates=(Gate.STATIC,)), shown=bundle.adapter_folder(ADAPTER.name))
+    report = audit(
+        ADAPTER, package.POLICY, AuditOptions(gates=(Gate.STATIC,)), shown=bundle.adapter_folder(ADAPTER.name)
+    )
     return bundle.document(as_json([report], Context(here=ROOT)))

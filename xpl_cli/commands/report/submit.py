@@ -14,9 +14,9 @@ from xpl_cli.basics.untrusted import as_lines
 from xpl_cli.commands.options import ISOLATE_HELP, JSON, POLICY, POLICY_ENV, POLICY_GPU, PYTHON
 
 if TYPE_CHECKING:
-    from xpl_cli.submission.claims import Claim
-    from xpl_cli.submission.prepare import Answer
-    from xpl_cli.submission.verify import Report
+    from xpl_cli.submission.claims import RunClaim
+    from xpl_cli.submission.prepare import SubmitAnswer
+    from xpl_cli.submission.verify import VerificationReport
 
 SCHEMA = "xpl.submit/1"
 _EVAL_ENV = typer.Option(None, help="Python of the environment, as for --policy-env; env.yml's if unsaid.")
@@ -61,7 +61,7 @@ def submit(
     path = out or Path(f"{adapter.name}.xpl.zip")
     with progress() as say:
         answer = prepare.submit(
-            prepare.Request(adapter, tuple(runs), path, frozenset(extras), python, policy_env, eval_env, say)
+            prepare.SubmitRequest(adapter, tuple(runs), path, frozenset(extras), python, policy_env, eval_env, say)
         )
     if as_json:
         console.data_json(_answer_json(answer, adapter.name, path))
@@ -106,7 +106,7 @@ def verify(
 
     with progress() as say:
         report = verification.verify(
-            verification.Request(
+            verification.VerifyRequest(
                 path=bundle,
                 sample=sample,
                 seed=seed,
@@ -126,7 +126,7 @@ def verify(
     raise typer.Exit(int(report.code))
 
 
-def _answer_json(answer: Answer, policy: str, path: Path) -> dict[str, Any]:
+def _answer_json(answer: SubmitAnswer, policy: str, path: Path) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "policy": policy,
@@ -142,7 +142,7 @@ def _answer_json(answer: Answer, policy: str, path: Path) -> dict[str, Any]:
     }
 
 
-def _answer_text(answer: Answer, path: Path) -> str:
+def _answer_text(answer: SubmitAnswer, path: Path) -> str:
     manifest = answer.manifest
     assert manifest is not None and manifest.audit is not None  # noqa: S101, PT018 - a bundle without problems has both
     runs, cells = len(manifest.runs), sum(len(run.cells) for run in manifest.runs)
@@ -157,7 +157,7 @@ def _answer_text(answer: Answer, path: Path) -> str:
     return as_lines(lines)
 
 
-def _report_text(report: Report) -> str:
+def _report_text(report: VerificationReport) -> str:
     from xpl_cli.submission import replay
 
     lines = [f"{report.policy}, bundle {report.digest[:12]}", *map(_run_text, report.runs)]
@@ -174,7 +174,7 @@ def _report_text(report: Report) -> str:
     return as_lines(lines)
 
 
-def _run_text(run: Claim) -> str:
+def _run_text(run: RunClaim) -> str:
     """Return what a bundle claims of a run."""
     planned, completed, judged, won = map(run.total, ("planned", "completed", "judged", "successes"))
     unjudged = f", {completed - judged} not judged" if completed > judged else ""

@@ -76,7 +76,7 @@ def check(
     from xpl_cli.environments import check as checking
 
     with progress() as say:
-        choice = checking.Choice(task, embodiment, setting, episodes, action_type)
+        choice = checking.CheckSelection(task, embodiment, setting, episodes, action_type)
         report = checking.check(name, choice, say, workers)
     if as_json:
         console.answer("xpl.env-check/1", report, [] if report["ok"] else [shlex.join(["xpl", "audit", name])])
@@ -101,7 +101,7 @@ def render(
     """Write what a camera sees when an episode begins."""
     from xpl_cli.basics import console
     from xpl_cli.environments import film
-    from xpl_cli.environments.play import scenario
+    from xpl_cli.environments.rollout import scenario
 
     what = scenario(name, renderer, task=task, embodiment=embodiment, setting=setting)
     shown = film.render(what, seed, camera, out)
@@ -126,7 +126,7 @@ def sheet(
     """Write one picture of how an episode of every task begins."""
     from xpl_cli.basics import console
     from xpl_cli.environments import sheet as drawing
-    from xpl_cli.environments.play import scenario
+    from xpl_cli.environments.rollout import scenario
 
     what = scenario(name, renderer, embodiment=embodiment, setting=setting)
     shown = drawing.sheet(what, seed, camera, out, task)
@@ -154,7 +154,7 @@ def play(
     """Write a film of an episode, and say how it ended."""
     from xpl_cli.basics import console
     from xpl_cli.environments import film
-    from xpl_cli.environments.play import scenario
+    from xpl_cli.environments.rollout import scenario
 
     what = scenario(name, renderer, action_type, task=task, embodiment=embodiment, setting=setting)
     shown = film.film(what, by, seed, camera, out)

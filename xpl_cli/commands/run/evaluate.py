@@ -152,7 +152,7 @@ def evaluate(
     reached = None if connect is None else remote.RemoteServer(connect, token, ca_file)
     is_here = _is_here(policy)
     if is_here:
-        from xpl_cli.evaluation.hand_over.request import Request
+        from xpl_cli.evaluation.hand_over.request import HandOverRequest
 
         unfit = {
             "--setting": setting,
@@ -164,13 +164,13 @@ def evaluate(
             "--ca-file": ca_file,
             "--isolate": isolate or None,
         }
-        env, is_done = hand_over.tried(
+        env, is_done = hand_over.try_hand_over(
             policy,
             env,
             overrides,
             unfit,
             partial(
-                Request,
+                HandOverRequest,
                 task=task,
                 episodes=episodes or 1,
                 out=out,
@@ -213,7 +213,7 @@ def evaluate(
         )
         if is_silent:
             wishes = None if horizon is None or (out / records.FILE).exists() else plan.PlanRequest(horizon=horizon)
-        _recorded(
+        _run_recorded_eval(
             suite.EvalRequest(
                 package=adapter,
                 environment=env,
@@ -240,7 +240,7 @@ def evaluate(
         )
     environments, processes = quick_eval.num_envs_and_workers(num_envs, workers)
     env = env or environment_for()
-    _told(
+    _run_quick_eval(
         quick_eval.QuickEvalRequest(
             package=adapter,
             environment=env,
@@ -265,10 +265,10 @@ def _check_instruction(instruction: str | None, *, is_recorded: bool) -> None:
     if instruction is None:
         return
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.environments.play import chosen
+    from xpl_cli.environments.rollout import choose_name
     from xpl_cli.evaluation.records.run_mode import INSTRUCTIONS
 
-    chosen("instruction", instruction, list(INSTRUCTIONS))
+    choose_name("instruction", instruction, list(INSTRUCTIONS))
     if not is_recorded:
         raise UserError("--instruction is for a run that is recorded: name its folder with --out")
 
@@ -285,18 +285,18 @@ def _is_here(policy: str) -> bool:
     return True
 
 
-def desk(environment: str | None) -> contextlib.AbstractContextManager[object]:
+def questions_for(environment: str | None) -> contextlib.AbstractContextManager[object]:
     """Return a desk for questions to people, where the environment may be a robot."""
     from xpl_cli.packages import environments
 
     if environment is None or not environments.manifest(environments.find(environment)).is_real:
         return contextlib.nullcontext()
-    from xpl_cli.environments.desk import desk
+    from xpl_cli.environments.operator_questions import serve_questions
 
-    return desk()
+    return serve_questions()
 
 
-def _recorded(request: suite.EvalRequest, *, as_json: bool) -> None:
+def _run_recorded_eval(request: suite.EvalRequest, *, as_json: bool) -> None:
     """Play what a recorded run lacks, and tell what all of it comes to."""
     import shlex
 
@@ -305,7 +305,7 @@ def _recorded(request: suite.EvalRequest, *, as_json: bool) -> None:
     from xpl_cli.evaluation.statistics import summary, wording
     from xpl_cli.standard import spec as standard
 
-    with desk(request.environment):
+    with questions_for(request.environment):
         run = suite.evaluate(request)
     found = summary.summarise(run)
     if as_json:
@@ -317,7 +317,7 @@ def _recorded(request: suite.EvalRequest, *, as_json: bool) -> None:
         console.data(standard.data("package")["eval_finish_line"])
 
 
-def _told(request: quick_eval.QuickEvalRequest, policy: str, *, as_json: bool) -> None:
+def _run_quick_eval(request: quick_eval.QuickEvalRequest, policy: str, *, as_json: bool) -> None:
     """Evaluate, and tell what came of it; `policy` is the adapter as it was named."""
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError
@@ -325,7 +325,7 @@ def _told(request: quick_eval.QuickEvalRequest, policy: str, *, as_json: bool) -
     from xpl_cli.evaluation.runs import quick_eval
     from xpl_cli.standard import spec as standard
 
-    with desk(request.environment), progress() as say:
+    with questions_for(request.environment), progress() as say:
         found = quick_eval.evaluate(request, say)
     if as_json:
         console.data_json({**found.as_json(), "next": found.following(policy)})

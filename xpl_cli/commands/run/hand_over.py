@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from xpl.contract import Config
-    from xpl_cli.evaluation.hand_over.request import Request
+    from xpl_cli.evaluation.hand_over.request import HandOverRequest
 
 _ANSWER = "xpl.env-hand-over/1"
 
@@ -56,14 +56,14 @@ def hand_over(
     """Evaluate a policy with a benchmark's own launcher: serve it, call the launcher, read its result back."""
     from xpl import _spec as spec
     from xpl_cli.basics import console
-    from xpl_cli.evaluation.hand_over import play as engine
-    from xpl_cli.evaluation.hand_over.request import Request
+    from xpl_cli.evaluation.hand_over import launch as engine
+    from xpl_cli.evaluation.hand_over.request import HandOverRequest
     from xpl_cli.packages import package
 
     overrides = package.parse_overrides(settings)
     if seed is not None:
         overrides[spec.Deploy.SEED] = seed
-    request = Request(
+    request = HandOverRequest(
         package=package.load(policy, overrides),
         environment=name,
         task=task,
@@ -84,19 +84,19 @@ def hand_over(
     if not dry_run:
         play(request, as_json=as_json)
         return
-    command = engine.plan(request).words("localhost", "PORT")
+    command = engine.make_plan(request).words("localhost", "PORT")
     if as_json:
         console.answer(_ANSWER, {"environment": name, "policy": policy, "command": command})
     else:
         console.data(shlex.join(command))
 
 
-def play(request: Request, *, as_json: bool) -> None:
+def play(request: HandOverRequest, *, as_json: bool) -> None:
     """Hand over, and tell what came of it."""
     from dataclasses import asdict
 
     from xpl_cli.basics import console
-    from xpl_cli.evaluation.hand_over import play as engine
+    from xpl_cli.evaluation.hand_over import launch as engine
     from xpl_cli.standard import spec as standard
 
     told = engine.hand_over(request)
@@ -108,12 +108,12 @@ def play(request: Request, *, as_json: bool) -> None:
     console.data(standard.data("package")["eval_finish_line"])
 
 
-def tried(
+def try_hand_over(
     policy: str,
     environment: str | None,
     overrides: Config,
     unfit: Mapping[str, object],
-    request: Callable[..., Request],
+    request: Callable[..., HandOverRequest],
     *,
     as_json: bool,
 ) -> tuple[str | None, bool]:

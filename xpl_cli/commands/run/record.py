@@ -18,7 +18,7 @@ from xpl_cli.commands.options import (
     PYTHON,
     SETTINGS,
 )
-from xpl_cli.commands.run.evaluate import desk
+from xpl_cli.commands.run.evaluate import questions_for
 
 _IMAGES = "HxW of all cameras, `own` for the environment's sizes, or `none`; what the policy reads, or own, by default."
 
@@ -82,14 +82,14 @@ def record(
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode
     from xpl_cli.basics.progress import progress
-    from xpl_cli.environments.play import chosen
+    from xpl_cli.environments.rollout import choose_name
     from xpl_cli.evaluation.rollout import backends, config
     from xpl_cli.evaluation.runs import collect, remote
     from xpl_cli.packages import package
 
-    kept = chosen("choice for --keep", keep or (config.SUCCESS if policy is None else config.ALL), config.KEEP)
+    kept = choose_name("choice for --keep", keep or (config.SUCCESS if policy is None else config.ALL), config.KEEP)
     demos = config.RecordingConfig(
-        str(out.absolute()), kept, chosen("form of images", form, FORMS), quality, not no_depth, privileged
+        str(out.absolute()), kept, choose_name("form of images", form, FORMS), quality, not no_depth, privileged
     )
     request = collect.RecordRequest(
         environment=env,
@@ -109,7 +109,7 @@ def record(
         overrides=package.parse_overrides(settings),
         runtime=config.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
     )
-    with desk(env), progress() as say:
+    with questions_for(env), progress() as say:
         told = collect.collect(request, say)
     if as_json:
         first = f"{told.folder}/episode_0000000.hdf5"

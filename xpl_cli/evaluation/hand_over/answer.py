@@ -9,11 +9,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from xpl_cli.evaluation.hand_over.results import Layout
+    from xpl_cli.evaluation.hand_over.results import LayoutResult
 
 
 @dataclass(frozen=True)
-class Answer:
+class HandOverAnswer:
     """What was played, by which command, and what came of it.
 
     Attributes:
@@ -43,7 +43,7 @@ class Answer:
     success_rate: float | None = None
     mean_score: float | None = None
 
-    def with_layouts(self, path: Path, layouts: Sequence[Layout]) -> Answer:
+    def with_layouts(self, path: Path, layouts: Sequence[LayoutResult]) -> HandOverAnswer:
         """Return the answer with what the benchmark says of each layout."""
         won, count = sum(layout.success for layout in layouts), len(layouts)
         return replace(

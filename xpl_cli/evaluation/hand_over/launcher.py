@@ -101,7 +101,7 @@ class Launcher:
             )
         folder = place.resolve()
         for file in self.entry.workspace.files:
-            path = filled(file, values)
+            path = fill_placeholders(file, values)
             if not (folder / path).is_file():
                 hint = None
                 if values[sdk.Deploy.POLICY_NAME] in Path(path).parts:
@@ -117,11 +117,11 @@ class Launcher:
         """
         if rehearse and not self.entry.rehearsal:
             raise UserError(f"{self.bench_name} has no rehearsal", code=ExitCode.NOT_RUN)
-        return [filled(word, values) for word in (self.entry.rehearsal if rehearse else self.entry.command)]
+        return [fill_placeholders(word, values) for word in (self.entry.rehearsal if rehearse else self.entry.command)]
 
     def environment(self, values: Mapping[str, str]) -> dict[str, str]:
         """Return the environment variables that the command gets besides."""
-        return {key: filled(word, values) for key, word in self.entry.variables.items()}
+        return {key: fill_placeholders(word, values) for key, word in self.entry.variables.items()}
 
 
 def known_names() -> tuple[str, ...]:
@@ -130,6 +130,6 @@ def known_names() -> tuple[str, ...]:
     return (*(name.strip("[]") for name in arguments), *MORE)
 
 
-def filled(word: str, values: Mapping[str, str]) -> str:
+def fill_placeholders(word: str, values: Mapping[str, str]) -> str:
     """Return a word with its names replaced; what a value holds is not replaced again."""
     return _NAME.sub(lambda found: values[found.group(1)], word)

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from xpl_cli.evaluation.hand_over.request import Plan as HandedOver
-    from xpl_cli.evaluation.hand_over.request import Request
-    from xpl_cli.evaluation.hand_over.results import Layout
+    from xpl_cli.evaluation.hand_over.request import HandOverPlan as HandedOver
+    from xpl_cli.evaluation.hand_over.request import HandOverRequest
+    from xpl_cli.evaluation.hand_over.results import LayoutResult
     from xpl_cli.evaluation.records.model import AttemptExecution
 
 NO_SUCCESS = "no_success"
@@ -37,7 +37,11 @@ CLEAN, RANDOMIZED = "clean", "randomized"
 
 
 def write(
-    request: Request, planned: HandedOver, result: Path, layouts: Sequence[Layout], conduct: AttemptExecution
+    request: HandOverRequest,
+    planned: HandedOver,
+    result: Path,
+    layouts: Sequence[LayoutResult],
+    conduct: AttemptExecution,
 ) -> None:
     """Write the record of a run; what launched it counts as facts of the machine.
 
@@ -55,7 +59,9 @@ def write(
     assert request.out is not None  # noqa: S101 - for the type checker: nobody records to nowhere
     if not layouts:
         raise UserError("the benchmark tells of no episode: nothing can be recorded")
-    task, setting = place(str(config[sdk.Deploy.TASK_NAME]), facts.hand_over.randomized if facts.hand_over else None)
+    task, setting = task_and_setting(
+        str(config[sdk.Deploy.TASK_NAME]), facts.hand_over.randomized if facts.hand_over else None
+    )
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
     entry = facts.tasks.get(config[sdk.Deploy.TASK_NAME])
     numbers = [layout.number for layout in layouts]
@@ -98,7 +104,7 @@ def write(
             writer.add(episode)
 
 
-def place(task_name: str, randomized: str | None) -> tuple[str, str]:
+def task_and_setting(task_name: str, randomized: str | None) -> tuple[str, str]:
     """Return task and setting of a benchmark's task, as `xpl leaderboard --format` writes them back."""
     if randomized and task_name.endswith(randomized):
         return task_name.removesuffix(randomized), RANDOMIZED

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Request:
+class HandOverRequest:
     """What is handed over.
 
     Attributes:
@@ -55,7 +55,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Plan:
+class HandOverPlan:
     """What a hand-over would do.
 
     Attributes:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-class ResultError(UserError):
+class LauncherResultError(UserError):
     """A result that cannot be relied on."""
 
     def __init__(self, message: str) -> None:
@@ -25,7 +25,7 @@ class ResultError(UserError):
 
 
 @dataclass(frozen=True)
-class Layout:
+class LayoutResult:
     """How the episode of one layout went.
 
     Attributes:
@@ -39,7 +39,7 @@ class Layout:
     score: float
 
 
-def layouts(path: Path) -> list[Layout]:
+def layouts(path: Path) -> list[LayoutResult]:
     """Return the layouts of a _result.json, by number.
 
     Raises:
@@ -49,15 +49,17 @@ def layouts(path: Path) -> list[Layout]:
         told = benchmark_files.read_json(path)
         found = _layouts(told)
     except ValueError as error:
-        raise ResultError(f"{path} is no result of the form layouts: {error!s:.200}") from None
+        raise LauncherResultError(f"{path} is no result of the form layouts: {error!s:.200}") from None
     numbers = [entry.number for entry in found]
     if len(set(numbers)) < len(numbers):
         twice = next(number for number in numbers if numbers.count(number) > 1)
-        raise ResultError(f"{path} tells layout {twice} twice")
+        raise LauncherResultError(f"{path} tells layout {twice} twice")
     won = sum(entry.success for entry in found)
     rate = told.success_rate
     if found and rate is not None and not math.isclose(rate, won / len(found), abs_tol=1e-6):
-        raise ResultError(f"{path} contradicts itself: success_rate {rate:g}, but {won} of {len(found)} succeeded")
+        raise LauncherResultError(
+            f"{path} contradicts itself: success_rate {rate:g}, but {won} of {len(found)} succeeded"
+        )
     return sorted(found, key=lambda entry: entry.number)
 
 
@@ -70,16 +72,16 @@ def rate(path: Path) -> float:
     try:
         return benchmark_files.read_rate(path)
     except benchmark_files.BenchmarkFileError as error:
-        raise ResultError(f"{path} does not end with a success rate from 0 to 1: {error}") from None
+        raise LauncherResultError(f"{path} does not end with a success rate from 0 to 1: {error}") from None
 
 
-def _layouts(told: benchmark_files.ResultFile) -> list[Layout]:
+def _layouts(told: benchmark_files.ResultFile) -> list[LayoutResult]:
     if told.entries is None:
         raise ValueError("it has no details")
     return [_layout(entry) for entry in told.entries]
 
 
-def _layout(entry: benchmark_files.ResultEpisode) -> Layout:
+def _layout(entry: benchmark_files.ResultEpisode) -> LayoutResult:
     number = entry.layout
     if type(number) is not int or number < 0:
         raise ValueError(f"layout_id must be a number from 0, got {number!r:.40}")
@@ -87,4 +89,4 @@ def _layout(entry: benchmark_files.ResultEpisode) -> Layout:
         raise ValueError(f"layout {number} has no score")
     if entry.success and entry.score == 0:
         raise ValueError(f"layout {number} succeeded with a score of 0")
-    return Layout(number, entry.success, entry.score)
+    return LayoutResult(number, entry.success, entry.score)

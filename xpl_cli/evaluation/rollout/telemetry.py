@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from xpl.contract import Action, ObservationDict, State
     from xpl.embodiment import Embodiment
     from xpl.environment import TaskEnv
-    from xpl_cli.environments.film import Reel
+    from xpl_cli.environments.film import FilmRecorder
 
 _CURVES = (sdk.State.ARM_JOINT_STATE, sdk.State.EE_JOINT_STATE, sdk.State.EE_POSE)
 _BINS = 32
@@ -47,7 +47,7 @@ class TelemetryWrapper(TaskEnvWrapper):
         frequency: float,
         *,
         traced: bool = True,
-        reel: Reel | None = None,
+        reel: FilmRecorder | None = None,
     ) -> None:
         super().__init__(task_env)
         self._names = [prefix + name for prefix in embodiment.prefixes for name in _CURVES] if traced else []
@@ -126,7 +126,7 @@ class TelemetryWrapper(TaskEnvWrapper):
         if self._reel is None:
             return
         try:
-            self._reel.look(self._env)
+            self._reel.add_frame(self._env)
         except (UserError, RuntimeError):
             self._reel = None
 

@@ -14,7 +14,7 @@ from xpl import _spec as sdk
 from xpl import trajectory
 from xpl_cli import __version__
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.environments.play import chosen
+from xpl_cli.environments.rollout import choose_name
 from xpl_cli.evaluation.records.model import now
 from xpl_cli.evaluation.rollout.config import ALL, KEEP, RecordingConfig
 from xpl_cli.evaluation.rollout.env_wrapper import TaskEnvWrapper
@@ -195,7 +195,7 @@ def recording_config(
     if not resume and next(folder.glob("*.hdf5"), None) is not None:
         raise UserError(f"{folder} holds trajectories already", hint="choose another --record, or go on with --resume")
     return RecordingConfig(
-        str(folder.absolute()), chosen("choice for --keep", keep or ALL, KEEP), privileged=privileged
+        str(folder.absolute()), choose_name("choice for --keep", keep or ALL, KEEP), privileged=privileged
     )
 
 

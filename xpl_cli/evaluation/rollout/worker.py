@@ -20,7 +20,7 @@ from xpl.client.agreement import REAL_TIME
 from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.environments.film import Reel
+from xpl_cli.environments.film import FilmRecorder
 from xpl_cli.evaluation.loop.process import AdapterLoop, LoopLostError
 from xpl_cli.evaluation.loop.request_handler import LoopError
 from xpl_cli.evaluation.records import failures
@@ -169,7 +169,7 @@ class RolloutWorker:
         watch = None
         try:
             scene = self._ready(jobs[0])
-            reel = Reel(scene.frequency, scene.camera) if jobs[0].film and scene.camera is not None else None
+            reel = FilmRecorder(scene.frequency, scene.camera) if jobs[0].film and scene.camera is not None else None
             env: TaskEnv = ActionCheckWrapper(scene.env, self._robot, self._orders.settings.action_type)
             if self._orders.instruction is not None:
                 env = with_instruction(env, self._orders.instruction, jobs, self._orders.num_envs)

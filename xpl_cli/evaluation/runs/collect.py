@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.environments import play
+from xpl_cli.environments import rollout
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.rollout import backends, trajectory_recorder
 from xpl_cli.evaluation.rollout.backend import LOCAL, BackendConfig
@@ -214,8 +214,8 @@ def _asked(request: RecordRequest) -> tuple[Config, PlanRequest]:
     """Return the keys of deploy.yml that the policy is given, and what is to be played."""
     first = None if request.tasks in (None, plan.ALL) else request.tasks.partition(",")[0]
     facts = environments.manifest(environments.find(request.environment))
-    task = play.expanded(facts, [first])[0] if first else None
-    what = play.scenario(
+    task = rollout.expand_splits(facts, [first])[0] if first else None
+    what = rollout.scenario(
         request.environment,
         action_type=request.action_type,
         task=task,

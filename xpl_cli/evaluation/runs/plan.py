@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from xpl import _spec as sdk
 from xpl import get_embodiment
 from xpl_cli.basics.errors import NotFoundError, UserError
-from xpl_cli.environments import check, play
+from xpl_cli.environments import check, rollout
 from xpl_cli.evaluation.records.fingerprints import checkpoint_of, digest_of, package_digest
 from xpl_cli.evaluation.records.model import Control, PlannedCell, PlannedEnvironment, PlannedPolicy, RunPlan
 from xpl_cli.evaluation.records.run_mode import RunMode, without_run_mode
@@ -127,7 +127,7 @@ def tasks_of(facts: EnvManifest, wanted: str | None, robot: str) -> tuple[list[s
         UserError: the robot cannot play one that was named, or a name comes twice.
     """
     entries = facts.tasks
-    reasons = {task: play.unsupported(entry, robot) for task, entry in entries.items()}
+    reasons = {task: rollout.unsupported(entry, robot) for task, entry in entries.items()}
     if wanted == ALL:
         left_out = {task: reason for task, reason in reasons.items() if reason is not None}
         playable = [task for task in entries if task not in left_out]
@@ -145,7 +145,7 @@ def _expanded(facts: EnvManifest, wanted: str) -> str:
     """Return a list with commas in which the tasks of a split stand in its name's place."""
     names = [wanted] if wanted in facts.tasks else [name.strip() for name in wanted.split(",")]
     _require_once("task", wanted, names)
-    return ",".join(play.expanded(facts, names))
+    return ",".join(rollout.expand_splits(facts, names))
 
 
 def _names(what: str, wanted: str | None, offered: Sequence[str]) -> list[str]:
@@ -154,7 +154,7 @@ def _names(what: str, wanted: str | None, offered: Sequence[str]) -> list[str]:
         return [offered[0]]
     if wanted == ALL:
         return list(offered)
-    names = [play.chosen(what, name.strip(), offered) for name in wanted.split(",")]
+    names = [rollout.choose_name(what, name.strip(), offered) for name in wanted.split(",")]
     _require_once(what, wanted, names)
     return names
 

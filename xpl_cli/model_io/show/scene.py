@@ -98,12 +98,12 @@ def of_environment(episode: Episode, robot: Embodiment, action_type: str, camera
     Raises:
         UserError: if the environment does not offer the robot or the task, cannot draw, or lacks a camera.
     """
-    from xpl_cli.environments import play
+    from xpl_cli.environments import rollout
     from xpl_cli.packages import environments
 
     name = episode.environment
     environments.require_simulation(name)
-    what = play.scenario(name, task=episode.task, embodiment=robot.name)
+    what = rollout.scenario(name, task=episode.task, embodiment=robot.name)
     try:
         made = environments.make(name, {**what.config(), sdk.Deploy.ACTION_TYPE: action_type, "cameras": True})
     except (ValueError, LookupError, RuntimeError) as error:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Self
 from xpl import _spec as sdk
 from xpl_cli.audit.engine.circumstances import package_circumstances
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport, Waived
-from xpl_cli.audit.rules.profiles import Choice, Profile
-from xpl_cli.audit.rules.registry import entries, own
+from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, RuleResult, TargetReport, Waived
+from xpl_cli.audit.rules.profiles import Profile, ServedProfile
+from xpl_cli.audit.rules.registry import builtin_entries, entries
 from xpl_cli.audit.rules.verdict import PARITY, Verdict, Word, judged
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.words import listed
@@ -35,7 +35,7 @@ _SHOWN = 4
 
 
 @dataclass(frozen=True)
-class Audited:
+class BundledAudit:
     """What the audit report of a bundle says of its adapter.
 
     Attributes:
@@ -46,8 +46,8 @@ class Audited:
     """
 
     report: TargetReport
-    said: Mapping[str, Any]
-    stood_in: Mapping[str, str | None]
+    claimed: Mapping[str, Any]
+    mocks: Mapping[str, str | None]
     variant: str | None
 
     @classmethod
@@ -56,7 +56,7 @@ class Audited:
         report = TargetReport(target["path"], target["name"], POLICY)
         for told in target["gates"]:
             profile = told.get("profile")
-            served = None if profile is None else Choice(Profile(profile))
+            served = None if profile is None else ServedProfile(Profile(profile))
             gate = GateReport(Gate(told["name"]), digest=told.get("digest"), served=served)
             gate.results += [_result(one) for one in told["results"]]
             report.gates.append(gate)
@@ -64,7 +64,7 @@ class Audited:
         unreal = [gate for gate in target["gates"] if gate.get("profile") not in _SERVED_BY_MODEL]
         return cls(report, said, {gate["name"]: gate.get("stood_in") for gate in unreal}, variant)
 
-    def judgement(self, adapter: Path) -> Verdict:
+    def derive_verdict(self, adapter: Path) -> Verdict:
         """Return the verdict that follows from what rules found and from the adapter, whatever the report says.
 
         Args:
@@ -75,7 +75,7 @@ class Audited:
 
     def problems(self, adapter: Path) -> Iterator[str]:
         """Yield why the report does not show that the adapter in a folder of the bundle is green."""
-        report, verdict = self.report, self.judgement(adapter)
+        report, verdict = self.report, self.derive_verdict(adapter)
         missing = [gate.value for gate in Gate if gate not in {entry.name for entry in report.gates}]
         if missing:
             yield f"the audit ran without the gates {', '.join(missing)}"
@@ -87,33 +87,33 @@ class Audited:
         for gate in report.gates:
             yield from _incomplete(gate)
         yield from _unbound(report, adapter, self.variant)
-        for name, stood_in in self.stood_in.items():
+        for name, stood_in in self.mocks.items():
             yield f"the audit's {name} gate ran without the real model: {stood_in}"
 
     def _overstated(self, verdict: Verdict, adapter: Path) -> Iterator[str]:
         """Yield where the report says something else than what follows."""
         made = verdict.as_json()
-        if self.said["verdict"] != verdict.word:
+        if self.claimed["verdict"] != verdict.word:
             yield (
-                f"the audit says that it is {self.said['verdict']}, its rules and the adapter make it {verdict.word}"
+                f"the audit says that it is {self.claimed['verdict']}, its rules and the adapter make it {verdict.word}"
             )
         for claim in verdict.proven:
             if claim.claim is PARITY and claim.numbers.get("pairs") != (count := pairs.read(adapter).count):
                 yield f"the audit compared {claim.numbers.get('pairs')} golden pairs, and the adapter has {count}"
-        if self.said.get("proven") != made["proven"]:
+        if self.claimed.get("proven") != made["proven"]:
             yield f"the audit says otherwise what is proven: its rules and the adapter make it {verdict}"
-        if not str(self.said.get("statement")).startswith(f"{verdict.word.upper()} "):
+        if not str(self.claimed.get("statement")).startswith(f"{verdict.word.upper()} "):
             yield f"the audit says otherwise what it comes to: its rules and the adapter make it {verdict}"
 
 
-def _result(told: Mapping[str, Any]) -> Result:
+def _result(told: Mapping[str, Any]) -> RuleResult:
     """Return the result of a rule: findings that count make it fail, or warn, whatever it says of itself."""
     rule = next((entry.load() for entry in entries() if entry.code == told["code"]), None)
     severity = told["severity"] if rule is None else rule.severity
     outcome = Outcome(told["outcome"])
     if told["findings"]:
         outcome = Outcome.FAIL if severity == _MUST else max(outcome, Outcome.WARN, key=_GRAVITY.index)
-    return Result(
+    return RuleResult(
         told["code"],
         told["slug"],
         told["requirement"],
@@ -128,7 +128,7 @@ def _result(told: Mapping[str, Any]) -> Result:
 def _incomplete(gate: GateReport) -> Iterator[str]:
     """Yield which rules of a gate the report leaves out, or names twice."""
     told = [result.code for result in gate.results]
-    known = [entry for entry in own() if entry.target == POLICY and not entry.is_advice]
+    known = [entry for entry in builtin_entries() if entry.target == POLICY and not entry.is_advice]
     here = [entry for entry in known if not (entry.closes or entry.needs_demonstrations) and entry.runs_in(gate.name)]
     wanted = {entry.code for entry in here}
     if lacking := sorted(wanted.difference(told)):
@@ -140,13 +140,13 @@ def _incomplete(gate: GateReport) -> Iterator[str]:
 def _unbound(report: TargetReport, adapter: Path, variant: str | None) -> Iterator[str]:
     """Yield where the static gate says something else of the adapter in the bundle."""
     from xpl_cli.audit.engine.engine import audit
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
 
     told = next((gate for gate in report.gates if gate.name is Gate.STATIC), None)
     if told is None:
         return
     installed = tuple(entry.code for entry in entries() if entry.source is not None)
-    options = Options(gates=(Gate.STATIC,), ignore=installed, overrides={sdk.Deploy.VARIANT: variant})
+    options = AuditOptions(gates=(Gate.STATIC,), ignore=installed, overrides={sdk.Deploy.VARIANT: variant})
     (here,) = audit(adapter, POLICY, options, shown=report.path).gates
     if here.outcome != told.outcome:
         yield f"the audit's static gate ended with {told.outcome}; of the adapter in the bundle it says {here.outcome}"

@@ -34,7 +34,7 @@ _NUMBER_DIGITS: Final = 5
 
 
 @contextlib.contextmanager
-def desk() -> Iterator[Path]:
+def serve_questions() -> Iterator[Path]:
     """Keep a desk for the length of a `with` block, and tell every process that is started of it; yield its folder."""
     given = os.environ.get(DESK)
     if given:  # somebody outside keeps one already
@@ -43,7 +43,7 @@ def desk() -> Iterator[Path]:
     folder = Path(tempfile.mkdtemp(prefix="xpl-questions-"))
     os.environ[DESK] = str(folder)
     over = threading.Event()
-    server = None if _is_terminal() else _Server(folder)
+    server = None if _is_terminal() else _QuestionServer(folder)
     clerk = threading.Thread(target=_serve, args=(folder, server, over), daemon=True)
     clerk.start()
     try:
@@ -58,7 +58,7 @@ def desk() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def waiting(folder: Path) -> dict[str, dict[str, Any]]:
+def open_questions(folder: Path) -> dict[str, dict[str, Any]]:
     """Return the questions that nobody has answered, by number."""
     found = {}
     for path in sorted(folder.glob(f"[0-9]*{QUESTION}")):
@@ -71,9 +71,9 @@ def waiting(folder: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
-def answer(folder: Path, number: str, words: str) -> str | None:
+def answer_question(folder: Path, number: str, words: str) -> str | None:
     """Answer a question; return what was understood, None if that was none of its answers."""
-    question = waiting(folder).get(number)
+    question = open_questions(folder).get(number)
     chosen = None if question is None else understood(words, question["answers"])
     if chosen is not None:
         draft = folder / f".{number}{ANSWER}"
@@ -86,11 +86,11 @@ def _is_terminal() -> bool:
     return sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty()
 
 
-def _serve(folder: Path, server: _Server | None, over: threading.Event) -> None:
+def _serve(folder: Path, server: _QuestionServer | None, over: threading.Event) -> None:
     """Show questions as they come, and take lines of the terminal for answers."""
     shown: set[str] = set()
     while not over.wait(_LOOK_S):
-        open_now = waiting(folder)
+        open_now = open_questions(folder)
         for number in open_now.keys() - shown:
             shown.add(number)
             told = open_now[number]
@@ -102,17 +102,17 @@ def _serve(folder: Path, server: _Server | None, over: threading.Event) -> None:
                 over.wait(1.0)
                 continue
             number = min(open_now)
-            if answer(folder, number, words) is None:
+            if answer_question(folder, number, words) is None:
                 console.note(f"question {number}: expected {' or '.join(open_now[number]['answers'])}")
 
 
-class _Server(ThreadingHTTPServer):
+class _QuestionServer(ThreadingHTTPServer):
     """Takes answers over HTTP, on this host, from whoever knows the address with its secret."""
 
     daemon_threads = True
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(("127.0.0.1", 0), _Handler)
+        super().__init__(("127.0.0.1", 0), _QuestionHandler)
         self.folder, self.secret = folder, secrets.token_urlsafe(12)
         threading.Thread(target=self.serve_forever, daemon=True).start()
 
@@ -122,14 +122,14 @@ class _Server(ThreadingHTTPServer):
         return f"http://127.0.0.1:{self.server_address[1]}/{self.secret}"
 
 
-class _Handler(BaseHTTPRequestHandler):
-    server: _Server
+class _QuestionHandler(BaseHTTPRequestHandler):
+    server: _QuestionServer
 
     def do_GET(self) -> None:
         """Tell the open questions."""
         number = self._number()
         if number is not None:
-            self._tell(200, waiting(self.server.folder))
+            self._tell(200, open_questions(self.server.folder))
 
     def do_POST(self) -> None:
         """Take an answer: its words are the body."""
@@ -138,11 +138,11 @@ class _Handler(BaseHTTPRequestHandler):
             return
         length = min(int(self.headers.get("Content-Length") or 0), _MOST_BYTES)
         words = self.rfile.read(length).decode("utf-8", "replace")
-        if not number.isdigit() or len(number) > _NUMBER_DIGITS or number not in waiting(self.server.folder):
+        if not number.isdigit() or len(number) > _NUMBER_DIGITS or number not in open_questions(self.server.folder):
             self._tell(404, {"error": f"no question {number[:_NUMBER_DIGITS]!r} is open"})
             return
-        told = waiting(self.server.folder)[number]["answers"]
-        chosen = answer(self.server.folder, number, words)
+        told = open_questions(self.server.folder)[number]["answers"]
+        chosen = answer_question(self.server.folder, number, words)
         self._tell(400 if chosen is None else 200, {"expected": told} if chosen is None else {"answer": chosen})
 
     def log_message(self, *_arguments: Any) -> None:

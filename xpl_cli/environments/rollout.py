@@ -81,20 +81,20 @@ def scenario(name: str, renderer: str | None = None, action_type: str | None = N
         NotFoundError: there is no environment, task, embodiment, setting, kind of control or renderer of that name.
     """
     facts = environments.manifest(environments.find(name))
-    task = chosen("task", wanted.get("task"), facts.tasks)
+    task = choose_name("task", wanted.get("task"), facts.tasks)
     robots = [robot for robot in facts.embodiments if unsupported(facts.tasks[task], robot) is None]
     robot = wanted.get("embodiment")
     return Scenario(
         environment=name,
         task=task,
-        embodiment=chosen("embodiment", robot, facts.embodiments) if robot else robots[0],
-        setting=chosen("setting", wanted.get("setting"), facts.settings),
-        action_type=chosen("kind of control", action_type, facts.action_types),
-        renderer=chosen("renderer", renderer, facts.renderers) if renderer else None,
+        embodiment=choose_name("embodiment", robot, facts.embodiments) if robot else robots[0],
+        setting=choose_name("setting", wanted.get("setting"), facts.settings),
+        action_type=choose_name("kind of control", action_type, facts.action_types),
+        renderer=choose_name("renderer", renderer, facts.renderers) if renderer else None,
     )
 
 
-def chosen(what: str, wanted: str | None, offered: Iterable[str]) -> str:
+def choose_name(what: str, wanted: str | None, offered: Iterable[str]) -> str:
     """Return the name that is wanted, or the first that is offered.
 
     Raises:
@@ -108,7 +108,7 @@ def chosen(what: str, wanted: str | None, offered: Iterable[str]) -> str:
     raise no_such(f"there is no {what} {wanted!r}", wanted, names, kind=UnknownTargetError)
 
 
-def expanded(facts: EnvManifest, wanted: Iterable[str]) -> list[str]:
+def expand_splits(facts: EnvManifest, wanted: Iterable[str]) -> list[str]:
     """Return names of tasks, each once, with the tasks of a split (`splits` in env.yml) in its name's place."""
     splits = facts.splits
     return list(dict.fromkeys(task for name in wanted for task in splits.get(name, [name])))
@@ -159,7 +159,7 @@ def expert(what: Scenario) -> Player:
     return act
 
 
-def at_random(what: Scenario, seed: int) -> Player:
+def random_actions(what: Scenario, seed: int) -> Player:
     """Return a new player that draws every joint and gripper anew in each step, within its limits.
 
     Where poses are commanded, they lie up to 5 cm and 0.5 rad from the present one, along and about each axis.
@@ -186,17 +186,17 @@ def random_control(action_types: Sequence[str]) -> str:
     return _JOINT if _JOINT in action_types else action_types[0]
 
 
-def player(name: str, what: Scenario, seed: int) -> tuple[Scenario, Player]:
+def make_player(name: str, what: Scenario, seed: int) -> tuple[Scenario, Player]:
     """Return a new player by its name, one of `PLAYERS`, and what it plays.
 
     Raises:
         NotFoundError: there is no player of that name, or the environment names no expert.
     """
-    if chosen("player", name, PLAYERS) == _EXPERT:
+    if choose_name("player", name, PLAYERS) == _EXPERT:
         return what, expert(what)
     offered = environments.manifest(environments.find(what.environment)).action_types
     what = replace(what, action_type=random_control(offered))
-    return what, at_random(what, seed)
+    return what, random_actions(what, seed)
 
 
 def _near(pose: ArrayLike, rng: np.random.Generator) -> np.ndarray:
@@ -207,7 +207,7 @@ def _near(pose: ArrayLike, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate([moved, rotation.multiply(turn, given[sdk.POSITION_DIM :])])
 
 
-def play(env: Any, act: Player, seed: int, watch: Callable[[], None] = lambda: None) -> Result:
+def run_episode(env: Any, act: Player, seed: int, watch: Callable[[], None] = lambda: None) -> Result:
     """Play one episode and return its result; `watch` is called before every step and at the end."""
     env.reset([seed])
     while not env.is_episode_end():

@@ -20,7 +20,7 @@ from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.lifecycle.checkpoints import fetch, specification
 from xpl_cli.packages import environments, package, robots
 from xpl_cli.submission import claims
-from xpl_cli.submission.replay import Pair
+from xpl_cli.submission.replay import ReplayPair
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Player:
+class ReplayRunner:
     """Plays the adapter of a bundle.
 
     Attributes:
@@ -62,7 +62,7 @@ class Player:
         """Whether the policy says that it repeats itself."""
         return bool(self._package.manifest.deterministic)
 
-    def play(self, run: Run, indices: Sequence[int]) -> list[Pair]:
+    def replay(self, run: Run, indices: Sequence[int]) -> list[ReplayPair]:
         """Play some episodes of a run as its plan says.
 
         Args:
@@ -77,7 +77,7 @@ class Player:
         here = fingerprints.digest_of(fingerprints.machine_facts())
         lines = self._lines(run, indices)
         return [
-            Pair(run.finals[index], lines[index], is_equal_machine=run.finals[index].machine == here)
+            ReplayPair(run.finals[index], lines[index], is_equal_machine=run.finals[index].machine == here)
             for index in indices
         ]
 
@@ -108,7 +108,7 @@ class Player:
         config = plan.policy.config
         robots.meet(config, f"run {plan.run[:12]}")
         self._find_weights(config, plan.policy.checkpoint)
-        folder = claims.environment(run)
+        folder = claims.environment_folder(run)
         facts = environments.manifest(folder)
         if facts.is_real:
             raise UserError(f"{folder.name} does not wait for the policy: no episode repeats", code=ExitCode.NOT_RUN)

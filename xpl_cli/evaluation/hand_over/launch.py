@@ -21,11 +21,11 @@ from xpl import get_embodiment, json_text
 from xpl.manifest import PythonEnvironment
 from xpl_cli.basics import atomic, files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.environments.play import chosen
+from xpl_cli.environments.rollout import choose_name
 from xpl_cli.evaluation.hand_over import process, record, results
-from xpl_cli.evaluation.hand_over.answer import Answer
-from xpl_cli.evaluation.hand_over.launcher import RATE, Launcher, filled
-from xpl_cli.evaluation.hand_over.request import Plan, Request
+from xpl_cli.evaluation.hand_over.answer import HandOverAnswer
+from xpl_cli.evaluation.hand_over.launcher import RATE, Launcher, fill_placeholders
+from xpl_cli.evaluation.hand_over.request import HandOverPlan, HandOverRequest
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.model import AttemptExecution, now
 from xpl_cli.packages import environments
@@ -42,7 +42,7 @@ _SAFE = re.compile(r"[\w.:+-]+")
 _MOST_BYTES = 1 << 20
 
 
-def plan(request: Request) -> Plan:
+def make_plan(request: HandOverRequest) -> HandOverPlan:
     """Return what a request comes to; nothing is started.
 
     Raises:
@@ -54,10 +54,10 @@ def plan(request: Request) -> Plan:
     overrides = {sdk.Deploy.BENCH_NAME: launcher.bench_name, **request.overrides}
     config = request.package.config(overrides)
     asked = request.task or config.get(sdk.Deploy.TASK_NAME) or next(iter(facts.tasks))
-    config = {**config, sdk.Deploy.TASK_NAME: chosen("task", asked, list(facts.tasks))}
+    config = {**config, sdk.Deploy.TASK_NAME: choose_name("task", asked, list(facts.tasks))}
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
-    chosen("embodiment", robot, facts.embodiments)
-    chosen("action type", config[sdk.Deploy.ACTION_TYPE], facts.action_types)
+    choose_name("embodiment", robot, facts.embodiments)
+    choose_name("action type", config[sdk.Deploy.ACTION_TYPE], facts.action_types)
     request.package.require_declared(config)
     checkpoint = str(config.get(sdk.Deploy.CKPT_NAME) or _UNSAID)
     values = {
@@ -88,16 +88,16 @@ def plan(request: Request) -> Plan:
     workspace = None if request.rehearse else launcher.workspace(request.workspace, values)
     if workspace is not None:
         values["workspace"] = str(workspace)
-    return Plan(folder, facts, launcher, config, values, workspace)
+    return HandOverPlan(folder, facts, launcher, config, values, workspace)
 
 
-def hand_over(request: Request) -> Answer:
+def hand_over(request: HandOverRequest) -> HandOverAnswer:
     """Play a request and return what came of it.
 
     Raises:
         UserError: as for `plan`; the policy cannot be served, the launcher failed, or its result cannot be relied on.
     """
-    planned = plan(request)
+    planned = make_plan(request)
     if request.rehearse and request.out is not None:
         raise UserError("a rehearsal says nothing that could be recorded: leave --out away")
     if planned.launcher.entry.result.form == RATE and request.out is not None:
@@ -118,7 +118,7 @@ def hand_over(request: Request) -> Answer:
     if code != 0:
         again = "; what it had played it may go on from with --resume" if request.out is not None else ""
         raise UserError(f"the launcher ended with exit code {code}{again}", code=ExitCode.NOT_RUN)
-    answer = Answer(
+    answer = HandOverAnswer(
         environment=planned.facts.name,
         bench_name=planned.launcher.bench_name,
         policy=request.package.name,
@@ -141,7 +141,7 @@ def hand_over(request: Request) -> Answer:
     return answer.with_layouts(path, layouts)
 
 
-def _run_id(request: Request) -> str:
+def _run_id(request: HandOverRequest) -> str:
     """Return the name of a run: a time, as benchmarks sort them; the recorded one where a run goes on."""
     kept = None if request.out is None else request.out / KEPT
     if request.out is not None and (request.out / records.FILE).exists():
@@ -168,7 +168,7 @@ def _kept(file: Path) -> str:
     return told
 
 
-def _variables(request: Request, planned: Plan) -> dict[str, str]:
+def _variables(request: HandOverRequest, planned: HandOverPlan) -> dict[str, str]:
     """Return the environment variables of the launcher."""
     found = dict(os.environ)
     if planned.workspace is None:
@@ -183,7 +183,7 @@ def _variables(request: Request, planned: Plan) -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def _address(request: Request, planned: Plan) -> Iterator[tuple[str, str]]:
+def _address(request: HandOverRequest, planned: HandOverPlan) -> Iterator[tuple[str, str]]:
     """Yield host and port of the policy server, which runs for the length of a `with` block."""
     if request.connect is not None:
         yield _split(request.connect)
@@ -214,10 +214,10 @@ def _split(url: str) -> tuple[str, str]:
     return host, str(port)
 
 
-def _results(planned: Plan) -> set[Path]:
+def _results(planned: HandOverPlan) -> set[Path]:
     """Return the results that lie where the one of this run is to be."""
     assert planned.workspace is not None  # noqa: S101 - for the type checker: a rehearsal leaves none
-    pattern = filled(
+    pattern = fill_placeholders(
         planned.launcher.entry.result.file, {name: glob.escape(value) for name, value in planned.values.items()}
     )
     found = (path for path in planned.workspace.glob(pattern) if path.is_file())
@@ -225,7 +225,7 @@ def _results(planned: Plan) -> set[Path]:
     return {path for path in found if path.resolve().is_relative_to(planned.workspace)}
 
 
-def _found(planned: Plan, before: set[Path]) -> Path:
+def _found(planned: HandOverPlan, before: set[Path]) -> Path:
     """Return the result that the launcher has written.
 
     Raises:
@@ -233,7 +233,7 @@ def _found(planned: Plan, before: set[Path]) -> Path:
     """
     there = _results(planned)
     new = there - before if "*" in planned.launcher.entry.result.file else there
-    where = filled(planned.launcher.entry.result.file, planned.values)
+    where = fill_placeholders(planned.launcher.entry.result.file, planned.values)
     if len(new) != 1:
         count = "no result" if not new else f"{len(new)} results"
         raise UserError(
