@@ -23,9 +23,10 @@ GENERATED = (compiler.REFERENCE, rules.FOLDER, commands.PAGE)
 """Pages that are written from something else, and cannot be wrong on their own."""
 
 _FENCE = re.compile(
-    r"(?:^<!-- (?P<mark>[^>]*?) -->\n+)?^(?P<indent> *)```(?P<language>\S*)[^\n]*\n(?P<text>.*?)^ *```[ ]*$",
+    r"(?:^<!-- (?P<mark>[^>]*?) -->\n+)?^(?P<indent> *)```(?P<language>\S*)(?P<info>[^\n]*)\n(?P<text>.*?)^ *```[ ]*$",
     re.MULTILINE | re.DOTALL,
 )
+_TITLE = re.compile(r'title="([^"]+)"')
 _HEADING = re.compile(r"^#{1,6} +(.*?)\s*$", re.MULTILINE)
 _LINK = re.compile(r"\]\(([^()\s]+)(?: \"[^\"]*\")?\)")
 _LINKED = re.compile(r"\[([^]]*)\]\([^)]*\)")
@@ -44,6 +45,7 @@ class Block:
         language: what stands behind the fence.
         text: what it holds, without the fence's indentation.
         mark: the comment right above it, `runs` for instance.
+        title: of the block: the file that it is, where it is one.
     """
 
     page: str
@@ -51,6 +53,7 @@ class Block:
     language: str
     text: str
     mark: str
+    title: str = ""
 
     def __str__(self) -> str:
         """Return where it is."""
@@ -69,7 +72,15 @@ def blocks(paths: list[Path] | None = None) -> Iterator[Block]:
         for found in _FENCE.finditer(text):
             line = text.count("\n", 0, found.start("language")) + 1
             inner = re.sub(rf"^{found['indent']}", "", found["text"], flags=re.MULTILINE)
-            yield Block(str(path.relative_to(ROOT)), line, found["language"], inner, found["mark"] or "")
+            title = _TITLE.search(found["info"])
+            yield Block(
+                str(path.relative_to(ROOT)),
+                line,
+                found["language"],
+                inner,
+                found["mark"] or "",
+                title[1] if title else "",
+            )
 
 
 def prose(path: Path) -> str:
