@@ -20,20 +20,20 @@ PICTURE: Final = "docs/assets/zoo.svg"
 
 _UNKNOWN: Final = "-"
 _INTRODUCTION: Final = """\
-Which policies the field has, what is known of each, and how far each runs here. `xpl zoo` lists them, and `xpl zoo show
-NAME` tells every fact with its source, or with the reason why it is not known. Nothing is guessed: a dash means that
-nobody found it.
+The policies of the field, the facts about each, and how far each runs here. `xpl zoo` lists them, and `xpl zoo show
+NAME` prints every fact with its source, or with the reason why it is unknown. Nothing is guessed: a dash means that
+the fact was not found.
 """
 _PROVING: Final = """\
-`xpl zoo prove NAME CHECKOUT` audits the adapter of a policy in a checkout of your own, and writes down how far it came,
-with the date, the version of xpl and the digests of what ran. `--python` names the interpreter with its own libraries,
-and its weights may be [tiny and random](shadow.md#an-adapter-without-xplpolicy). Nobody types a level. It says what
-runs, and not that the adapter is right: that is what the audit found, which stands beside it.
+`xpl zoo prove NAME CHECKOUT` audits the adapter of a policy in your own checkout, and records the level that it
+reached, with the date, the version of xpl and the digests of the gates. `--python` names the interpreter with its own
+libraries, and its weights may be [tiny and random](shadow.md#an-adapter-without-xplpolicy). Levels are measured, not
+typed. A level says what runs, and not that the adapter is right: the result of the audit stands beside it.
 """
 _FACTS: Final = """\
-`spec/zoo/policies/` has a file for each policy. To add one, or a fact, edit it there with its source, check it with
-`xpl spec check`, and renew this page with `xpl spec compile`. `xpl adopt` and `xpl new-policy --from` take from there
-what an adapter's own files leave open.
+`spec/zoo/policies/` has a file for each policy. To add a policy or a fact, edit its file, with the source, check it
+with `xpl spec check`, and renew this page with `xpl spec compile`. `xpl adopt` and `xpl new-policy --from` read these
+facts if an adapter's own files do not state them.
 """
 
 
@@ -57,13 +57,13 @@ def _lines() -> Iterator[str]:
     yield f"![Every policy with the levels that it reached]({PICTURE.removeprefix('docs/')})"
     yield from ("", "## Levels", "", *table(("level", "means", "policies"), _levels(found)), "", _PROVING)
     yield from (
-        "## How far each runs",
+        "## Level of each policy",
         "",
-        *table(("policy", "level", "came out", "last proven", "digests"), _runs(found)),
+        *table(("policy", "level", "result", "last proven", "digests"), _runs(found)),
     )
     without = [one for one in found if one.proof is None]
     yield from ("", "Not run:", "", *(f"- **{one.title}**: {one.next}" for one in without), "")
-    yield from ("## What is known of each", "", _FACTS)
+    yield from ("## Facts about each policy", "", _FACTS)
     for family, members in grouped().items():
         rows = [tuple(_facts(one)) for one in members]
         heads = ("policy", "paper", "code", "weights", "robots", "chunk", "memory", "licence")
