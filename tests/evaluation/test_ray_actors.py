@@ -43,8 +43,8 @@ def player(orders: tuple[RolloutConfig, ServerConfig]) -> Iterator[RolloutActor]
     """Return a lane with a server of its own; both are ended, which Ray would do by ending its process."""
     player = RolloutActor(xpl_cli.__version__, *orders, number=3, token=None)
     yield player
-    if player._lane is not None:
-        player._lane.close()
+    if player._rollout_worker is not None:
+        player._rollout_worker.close()
     if player._server is not None:
         player._server.suspect()
 

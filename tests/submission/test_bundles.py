@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.recordings.runs import Faults, episode, synthetic
 from xpl_cli.audit.rules.model import TargetReport
-from xpl_cli.audit.rules.verdict import judged
+from xpl_cli.audit.rules.verdict import verdict_of
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.records import records
 from xpl_cli.standard.validate import validate
@@ -91,7 +91,7 @@ class TestConsistency:
     @pytest.mark.parametrize(
         ("change", "said"),
         [
-            (lambda lines: lines[-1].update(success=None, failure=None), "neither succeeded nor failed"),
+            (lambda lines: lines[-1].update(success=None, failure=None), "have neither success nor failure"),
             (lambda lines: lines[-1].update(embodiment="piper"), "but its plan says 'arx_x5'"),
             (lambda lines: lines[-1].update(machine="0" * 64), "names a machine"),
             (lambda lines: lines[1]["facts"].update(python="3.12.0"), "does not have the facts"),
@@ -124,7 +124,7 @@ class TestClaims:
         """It tells counts by task and setting, and neither times nor places."""
         run = _run(tmp_path / "run")
         policy = prepare.describe_adapter(run)
-        audit = judged(TargetReport("policy/Foo", "Foo", "policy")).as_json()
+        audit = verdict_of(TargetReport("policy/Foo", "Foo", "policy")).as_json()
         entries = {"audit.json": bundle.BundledFile.of(b"{}")}
         manifest = bundle.BundleManifest(policy, [claims.claim_of(run)], entries, audit).as_json()
         assert validate(manifest, "submission") == []

@@ -318,11 +318,11 @@ class TestReplay:
         """Neither its server nor its loop sees the one who judges, and states repeat bit by bit."""
         player = ReplayRunner(EXPERT, runtime=Runtime(isolate=True))
         try:
-            lanes, servers = player._orders(played)
+            rollout_config, server_config = player._configs(played)
         except UserError as error:
             pytest.skip(str(error))
-        assert lanes.bounds.isolate
-        assert servers.bounds.flags[0] == "--isolate"
+        assert rollout_config.bounds.isolate
+        assert server_config.bounds.flags[0] == "--isolate"
         assert [pair.match for pair in player.replay(played, [0])] == [replay.ReplayMatch.SAME]
 
     def test_only_the_adapter_of_the_run_is_played(self, run: Run) -> None:

@@ -73,10 +73,10 @@ def seeds(folder: Path, task: str, setting: str, facts: EnvManifest | None = Non
     file = folder / SEEDS / f"{task}.json"
     if not file.is_file():
         raise NotFoundError(f"task {task} has no frozen seeds: {file} is missing")
-    known = json_text.parse(file.read_bytes())
-    if setting not in known:
-        raise NotFoundError(f"{file} has no seeds for the setting {setting!r}; it has {', '.join(known)}")
-    chosen: list[int] = known[setting]
+    seeds_by_setting = json_text.parse(file.read_bytes())
+    if setting not in seeds_by_setting:
+        raise NotFoundError(f"{file} has no seeds for the setting {setting!r}; it has {', '.join(seeds_by_setting)}")
+    chosen: list[int] = seeds_by_setting[setting]
     return chosen
 
 
@@ -101,9 +101,9 @@ def check(name: str, choice: CheckSelection, say: Progress, workers: int | None 
     environments.require_simulation(name)
     folder = environments.find(name)
     facts = environments.manifest(folder)
-    tasks = _chosen("task", rollout.expand_splits(facts, choice.tasks), facts.tasks)
-    robots = _chosen("embodiment", choice.embodiments, facts.embodiments)
-    settings = _chosen("setting", choice.settings, facts.settings)
+    tasks = _choose_names("task", rollout.expand_splits(facts, choice.tasks), facts.tasks)
+    robots = _choose_names("embodiment", choice.embodiments, facts.embodiments)
+    settings = _choose_names("setting", choice.settings, facts.settings)
     control = rollout.choose_name("kind of control", choice.action_type, facts.action_types)
     rows: list[_Row] = []
     for task, robot, setting in product(tasks, robots, settings):
@@ -115,15 +115,15 @@ def check(name: str, choice: CheckSelection, say: Progress, workers: int | None 
         for row in played
         for batch in _batches(seeds(folder, row["task"], row["setting"])[: choice.episodes])
     ]
-    found: dict[Scenario, list[_Played]] = {}
+    results: dict[Scenario, list[_Played]] = {}
     count = 2 * sum(len(batch) for _, batch in jobs)
     say.step(f"{name}: {count} episodes, half of them of the expert; --task and --episodes choose fewer")
-    for place, ((what, _), answer) in enumerate(zip(jobs, _answers(jobs, workers), strict=True), start=1):
-        say.detail(f"{what.task}, {what.embodiment}, {what.setting} ({place} of {len(jobs)})")
-        if what not in found and all(other.task != what.task for other in found):
-            say.step(f"{what.task} ({place - 1} of {len(jobs)} parts are done)")
-        found.setdefault(what, []).append(answer)
-    for row, batches in zip(played, found.values(), strict=True):
+    for index, ((what, _), answer) in enumerate(zip(jobs, _results(jobs, workers), strict=True), start=1):
+        say.detail(f"{what.task}, {what.embodiment}, {what.setting} ({index} of {len(jobs)})")
+        if what not in results and all(other.task != what.task for other in results):
+            say.step(f"{what.task} ({index - 1} of {len(jobs)} parts are done)")
+        results.setdefault(what, []).append(answer)
+    for row, batches in zip(played, results.values(), strict=True):
         row.update(_rates(batches))
     return {
         "environment": facts.name,
@@ -151,7 +151,7 @@ def _batches(frozen: Sequence[int]) -> list[Sequence[int]]:
     return [frozen[start : start + _BATCH] for start in range(0, len(frozen), _BATCH)]
 
 
-def _answers(jobs: Sequence[_Job], workers: int | None) -> Iterator[_Played]:
+def _results(jobs: Sequence[_Job], workers: int | None) -> Iterator[_Played]:
     """Yield what came of each job, in their order."""
     if workers == 1 or len(jobs) <= 1:
         yield from map(_play, jobs)
@@ -205,24 +205,24 @@ def _is_sound(row: _Row) -> bool:
 def _lines(rows: Sequence[_Row]) -> Iterator[tuple[str, ...]]:
     yield ("task", "embodiment", "setting", "expert", "steps", "random", "score", "")
     for row in rows:
-        place = (row["task"], row["embodiment"], row["setting"])
+        labels = (row["task"], row["embodiment"], row["setting"])
         if row["unsupported"] is not None:
-            yield (*place, "-", "-", "-", "-", f"not offered: {row['unsupported']}")
+            yield (*labels, "-", "-", "-", "-", f"not offered: {row['unsupported']}")
             continue
         expert, guess = row["expert"], row["random"]
         solved, guessed = (f"{part['solved']}/{row['episodes']}" for part in (expert, guess))
-        faults = [f"expert fails on {_some(expert['failed_seeds'])}"] if expert["failed_seeds"] else []
-        faults += [f"random solves {_some(guess['solved_seeds'])}"] if guess["solved"] else []
+        faults = [f"expert fails on {_list_some(expert['failed_seeds'])}"] if expert["failed_seeds"] else []
+        faults += [f"random solves {_list_some(guess['solved_seeds'])}"] if guess["solved"] else []
         figures = (solved, f"{expert['mean_steps']:.0f}", guessed, f"{guess['mean_score']:.2f}")
-        yield (*place, *figures, "; ".join(faults))
+        yield (*labels, *figures, "; ".join(faults))
 
 
-def _some(numbers: Sequence[int]) -> str:
-    shown = ", ".join(map(str, numbers[:5]))
-    return shown if len(numbers) <= 5 else f"{shown} and {len(numbers) - 5} more"
+def _list_some(numbers: Sequence[int]) -> str:
+    listing = ", ".join(map(str, numbers[:5]))
+    return listing if len(numbers) <= 5 else f"{listing} and {len(numbers) - 5} more"
 
 
-def _chosen(what: str, wanted: Sequence[str], offered: Iterable[str]) -> Sequence[str]:
+def _choose_names(what: str, requested: Sequence[str], offered: Iterable[str]) -> Sequence[str]:
     """Return all names that are wanted, each once, or all that are offered."""
     names = list(offered)
-    return [rollout.choose_name(what, name, names) for name in dict.fromkeys(wanted)] or names
+    return [rollout.choose_name(what, name, names) for name in dict.fromkeys(requested)] or names

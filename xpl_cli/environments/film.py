@@ -36,9 +36,9 @@ def render(what: Scenario, seed: int, camera: str | None, out: Path) -> dict[str
     """
     check_ending(out, (".png",))
     camera = camera_of(what, camera)
-    ((seen, wording),) = first_frames(what, [what.task], seed, camera)
-    atomic.write_file(out, images.encode_png(seen))
-    height, width = seen.shape[:2]
+    ((frame, wording),) = first_frames(what, [what.task], seed, camera)
+    atomic.write_file(out, images.encode_png(frame))
+    height, width = frame.shape[:2]
     size = {"height": height, "width": width}
     return {**describe_picture(what, seed, camera, out), **size, sdk.Obs.INSTRUCTION: wording}
 
@@ -48,10 +48,10 @@ def first_frames(what: Scenario, tasks: Sequence[str], seed: int, camera: str) -
 
     One environment plays them one after the other: where it has a process of its own, that is started once.
     """
-    with contextlib.closing(rollout.make(replace(what, task=tasks[0]))) as env, _drawing(what):
+    with contextlib.closing(rollout.make(replace(what, task=tasks[0]))) as env, _renderer_errors(what):
         for task in tasks:
             env.reset([seed], {"task": task})
-            yield _look(env, camera), env.get_obs()[sdk.Obs.INSTRUCTION]
+            yield _render_frame(env, camera), env.get_obs()[sdk.Obs.INSTRUCTION]
 
 
 def film(what: Scenario, player: str, seed: int, camera: str | None, out: Path) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def film(what: Scenario, player: str, seed: int, camera: str | None, out: Path) 
     camera = camera_of(what, camera)
     what, act = rollout.make_player(player, what, seed)
     facts = environments.manifest(environments.find(what.environment))
-    with contextlib.closing(rollout.make(what)) as env, _drawing(what):
+    with contextlib.closing(rollout.make(what)) as env, _renderer_errors(what):
         reel = FilmRecorder(facts.frequency(what.task), camera)
         result = rollout.run_episode(env, act, seed, lambda: reel.add_frame(env))
     reel.save(out)
@@ -105,7 +105,7 @@ class FilmRecorder:
         from PIL import Image
 
         if self.steps % _EVERY == 0:
-            self._frames.append(Image.fromarray(_look(env, self._camera, env_idx)))
+            self._frames.append(Image.fromarray(_render_frame(env, self._camera, env_idx)))
         self.steps += 1
 
     def save(self, out: Path) -> None:
@@ -135,17 +135,17 @@ def describe_picture(what: Scenario, seed: int, camera: str, out: Path) -> dict[
     return {"file": str(out), **asdict(what), sdk.Deploy.SEED: seed, "camera": camera}
 
 
-def camera_of(what: Scenario, wanted: str | None) -> str:
+def camera_of(what: Scenario, requested: str | None) -> str:
     """Return the name of a camera: the one for people, or the first, where none is wanted."""
     mine, others = sdk.CAMERAS[len(get_embodiment(what.embodiment).arms)], set().union(*sdk.CAMERAS.values())
     entries = environments.manifest(environments.find(what.environment)).cameras
-    known = [name for name in entries if name in mine or name not in others]
-    usual = next((name for name in sdk.OPTIONAL_CAMERAS if name in known), None)
-    return rollout.choose_name("camera", wanted or usual, known)
+    names = [name for name in entries if name in mine or name not in others]
+    usual = next((name for name in sdk.OPTIONAL_CAMERAS if name in names), None)
+    return rollout.choose_name("camera", requested or usual, names)
 
 
 @contextlib.contextmanager
-def _drawing(what: Scenario) -> Iterator[None]:
+def _renderer_errors(what: Scenario) -> Iterator[None]:
     """Say in one sentence that this machine cannot draw."""
     try:
         yield
@@ -157,23 +157,23 @@ def _drawing(what: Scenario) -> Iterator[None]:
         raise UserError(f"{what.environment}: {error}", code=ExitCode.NOT_RUN) from None
 
 
-def _look(env: Any, camera: str | None, env_idx: int = 0) -> np.ndarray:
+def _render_frame(env: Any, camera: str | None, env_idx: int = 0) -> np.ndarray:
     if not hasattr(env, "render"):
         raise UserError("this environment draws nothing: its client has no render(env_idx, camera)")
     try:
-        seen: np.ndarray = env.render(env_idx, camera or sdk.OPTIONAL_CAMERAS[0])
+        frame: np.ndarray = env.render(env_idx, camera or sdk.OPTIONAL_CAMERAS[0])
     except ValueError as error:
         raise UserError(str(error)) from None
-    return seen
+    return frame
 
 
 def _format(out: Path) -> str:
     return out.suffix.lower().lstrip(".")
 
 
-def check_ending(out: Path, known: tuple[str, ...]) -> None:
+def check_ending(out: Path, endings: tuple[str, ...]) -> None:
     """Raise a UserError for a file that cannot be written, or whose ending is not known."""
-    if out.suffix.lower() not in known:
-        raise UserError(f"{out}: the name must end in {' or '.join(known)}")
+    if out.suffix.lower() not in endings:
+        raise UserError(f"{out}: the name must end in {' or '.join(endings)}")
     if not out.resolve().parent.is_dir():
         raise UserError(f"{out}: its folder does not exist")

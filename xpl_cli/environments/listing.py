@@ -30,14 +30,14 @@ def offers(name: str | None = None) -> list[dict[str, Any]]:
     return [_offer(environments.find(each)) for each in environments.names()]
 
 
-def text(found: Sequence[Mapping[str, Any]]) -> str:
+def text(offers: Sequence[Mapping[str, Any]]) -> str:
     """Return the list for people."""
-    return "\n\n".join("\n".join(_lines(offer)) for offer in found)
+    return "\n\n".join("\n".join(_lines(offer)) for offer in offers)
 
 
-def markdown(found: Sequence[Mapping[str, Any]]) -> str:
+def markdown(offers: Sequence[Mapping[str, Any]]) -> str:
     """Return the tasks as tables in Markdown: what each asks for, with how many arms, how it is scored, how long."""
-    return "\n\n".join("\n".join(_rows(offer["tasks"])) for offer in found)
+    return "\n\n".join("\n".join(_rows(offer["tasks"])) for offer in offers)
 
 
 def _rows(tasks: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
@@ -82,12 +82,12 @@ def _offer(folder: Path) -> dict[str, Any]:
 
 def _seeds(folder: Path, task: str, facts: EnvManifest) -> dict[str, list[int]]:
     """Return how many frozen evaluation seeds a task has in each setting, and the first of them; nothing for none."""
-    found = {}
+    counts = {}
     for kind in facts.settings:
         with contextlib.suppress(NotFoundError):
-            known = check.seeds(folder, task, kind, facts)
-            found[kind] = [len(known), known[0]]
-    return found
+            seeds = check.seeds(folder, task, kind, facts)
+            counts[kind] = [len(seeds), seeds[0]]
+    return counts
 
 
 def _lines(offer: Mapping[str, Any]) -> list[str]:
@@ -101,12 +101,12 @@ def _lines(offer: Mapping[str, Any]) -> list[str]:
         *_common(list(offer["tasks"].values())),
     ]
     for task, entry in offer["tasks"].items():
-        told = f"{entry[sdk.Obs.INSTRUCTION]}{_who(entry['embodiments'], entry['unsupported'])}"
-        lines.append(f"  {task.ljust(width)}  {entry['max_steps']:>4} steps  {told}")
+        description = f"{entry[sdk.Obs.INSTRUCTION]}{_robot_note(entry['embodiments'], entry['unsupported'])}"
+        lines.append(f"  {task.ljust(width)}  {entry['max_steps']:>4} steps  {description}")
     return lines
 
 
-def _who(offered: Sequence[str], missing: Mapping[str, str]) -> str:
+def _robot_note(offered: Sequence[str], missing: Mapping[str, str]) -> str:
     """Return which robots a task is for, where that is not all of them."""
     if not missing:
         return ""
@@ -124,7 +124,7 @@ def _common(tasks: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Yield what is the same for every task: the seeds, and what success is."""
     first = tasks[0]
     if first["seeds"] and all(entry["seeds"] == first["seeds"] for entry in tasks):
-        told = (f"{kind} {count} from {start}" for kind, (count, start) in first["seeds"].items())
-        yield f"  evaluation seeds of each task: {', '.join(told)}"
+        counts = (f"{kind} {count} from {start}" for kind, (count, start) in first["seeds"].items())
+        yield f"  evaluation seeds of each task: {', '.join(counts)}"
     if first["success"] and all(entry["success"] == first["success"] for entry in tasks):
         yield f"  success: {first['success']}"

@@ -36,21 +36,21 @@ _NUMBER_DIGITS: Final = 5
 @contextlib.contextmanager
 def serve_questions() -> Iterator[Path]:
     """Keep a desk for the length of a `with` block, and tell every process that is started of it; yield its folder."""
-    given = os.environ.get(DESK)
-    if given:  # somebody outside keeps one already
-        yield Path(given)
+    folder_name = os.environ.get(DESK)
+    if folder_name:  # somebody outside keeps one already
+        yield Path(folder_name)
         return
     folder = Path(tempfile.mkdtemp(prefix="xpl-questions-"))
     os.environ[DESK] = str(folder)
-    over = threading.Event()
+    stop = threading.Event()
     server = None if _is_terminal() else _QuestionServer(folder)
-    clerk = threading.Thread(target=_serve, args=(folder, server, over), daemon=True)
-    clerk.start()
+    thread = threading.Thread(target=_serve, args=(folder, server, stop), daemon=True)
+    thread.start()
     try:
         yield folder
     finally:
-        over.set()
-        clerk.join(timeout=2.0)
+        stop.set()
+        thread.join(timeout=2.0)
         if server is not None:
             server.shutdown()
             server.server_close()
@@ -60,15 +60,18 @@ def serve_questions() -> Iterator[Path]:
 
 def open_questions(folder: Path) -> dict[str, dict[str, Any]]:
     """Return the questions that nobody has answered, by number."""
-    found = {}
+    questions = {}
     for path in sorted(folder.glob(f"[0-9]*{QUESTION}")):
         number = path.name.removesuffix(QUESTION)
         if (folder / f"{number}{ANSWER}").exists():
             continue
         with contextlib.suppress(OSError, ValueError):
-            told = json_text.parse(path.read_bytes()[:_MOST_BYTES])
-            found[number] = {"text": one_line(str(told["text"])), "answers": [str(word) for word in told["answers"]]}
-    return found
+            question = json_text.parse(path.read_bytes()[:_MOST_BYTES])
+            questions[number] = {
+                "text": one_line(str(question["text"])),
+                "answers": [str(word) for word in question["answers"]],
+            }
+    return questions
 
 
 def answer_question(folder: Path, number: str, words: str) -> str | None:
@@ -86,20 +89,20 @@ def _is_terminal() -> bool:
     return sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty()
 
 
-def _serve(folder: Path, server: _QuestionServer | None, over: threading.Event) -> None:
+def _serve(folder: Path, server: _QuestionServer | None, stop: threading.Event) -> None:
     """Show questions as they come, and take lines of the terminal for answers."""
-    shown: set[str] = set()
-    while not over.wait(_LOOK_S):
+    announced: set[str] = set()
+    while not stop.wait(_LOOK_S):
         open_now = open_questions(folder)
-        for number in open_now.keys() - shown:
-            shown.add(number)
-            told = open_now[number]
+        for number in open_now.keys() - announced:
+            announced.add(number)
+            question = open_now[number]
             how = f"; answer: curl -d WORD {server.url}/{number}, or {folder}/{number}{ANSWER}" if server else ""
-            console.note(f"question {number}: {told['text']} ({' / '.join(told['answers'])}){how}")
+            console.note(f"question {number}: {question['text']} ({' / '.join(question['answers'])}){how}")
         if server is None and open_now and select.select([sys.stdin], [], [], 0)[0]:
             words = sys.stdin.readline()
             if not words:  # Ctrl-D answers nothing
-                over.wait(1.0)
+                stop.wait(1.0)
                 continue
             number = min(open_now)
             if answer_question(folder, number, words) is None:
@@ -129,7 +132,7 @@ class _QuestionHandler(BaseHTTPRequestHandler):
         """Tell the open questions."""
         number = self._number()
         if number is not None:
-            self._tell(200, open_questions(self.server.folder))
+            self._reply(200, open_questions(self.server.folder))
 
     def do_POST(self) -> None:
         """Take an answer: its words are the body."""
@@ -139,11 +142,11 @@ class _QuestionHandler(BaseHTTPRequestHandler):
         length = min(int(self.headers.get("Content-Length") or 0), _MOST_BYTES)
         words = self.rfile.read(length).decode("utf-8", "replace")
         if not number.isdigit() or len(number) > _NUMBER_DIGITS or number not in open_questions(self.server.folder):
-            self._tell(404, {"error": f"no question {number[:_NUMBER_DIGITS]!r} is open"})
+            self._reply(404, {"error": f"no question {number[:_NUMBER_DIGITS]!r} is open"})
             return
-        told = open_questions(self.server.folder)[number]["answers"]
+        answers = open_questions(self.server.folder)[number]["answers"]
         chosen = answer_question(self.server.folder, number, words)
-        self._tell(400 if chosen is None else 200, {"expected": told} if chosen is None else {"answer": chosen})
+        self._reply(400 if chosen is None else 200, {"expected": answers} if chosen is None else {"answer": chosen})
 
     def log_message(self, *_arguments: Any) -> None:
         """Say nothing: the terminal is for people."""
@@ -153,10 +156,10 @@ class _QuestionHandler(BaseHTTPRequestHandler):
         _, secret, *rest = [*self.path.split("/"), "", ""][:4]
         if hmac.compare_digest(secret.encode(), self.server.secret.encode()) and "Origin" not in self.headers:
             return rest[0]
-        self._tell(404, {"error": "not found"})
+        self._reply(404, {"error": "not found"})
         return None
 
-    def _tell(self, status: int, value: Any) -> None:
+    def _reply(self, status: int, value: Any) -> None:
         body = json.dumps(value).encode()
         self.send_response(status)
         self.send_header("Content-Type", "application/json")

@@ -67,51 +67,51 @@ class Scenario:
         }
 
 
-def scenario(name: str, renderer: str | None = None, action_type: str | None = None, **wanted: str | None) -> Scenario:
+def scenario(name: str, renderer: str | None = None, action_type: str | None = None, **names: str | None) -> Scenario:
     """Return a scenario of an environment.
 
     Args:
         name: the package, or its folder.
         renderer: one of the environment's.
         action_type: one of the environment's; its first by default.
-        wanted: task, embodiment and setting; the first that there is by default. Without a wish, the embodiment is the
+        names: task, embodiment and setting; the first that there is by default. Without a wish, the embodiment is the
             first that the task is offered with.
 
     Raises:
         NotFoundError: there is no environment, task, embodiment, setting, kind of control or renderer of that name.
     """
     facts = environments.manifest(environments.find(name))
-    task = choose_name("task", wanted.get("task"), facts.tasks)
+    task = choose_name("task", names.get("task"), facts.tasks)
     robots = [robot for robot in facts.embodiments if unsupported(facts.tasks[task], robot) is None]
-    robot = wanted.get("embodiment")
+    robot = names.get("embodiment")
     return Scenario(
         environment=name,
         task=task,
         embodiment=choose_name("embodiment", robot, facts.embodiments) if robot else robots[0],
-        setting=choose_name("setting", wanted.get("setting"), facts.settings),
+        setting=choose_name("setting", names.get("setting"), facts.settings),
         action_type=choose_name("kind of control", action_type, facts.action_types),
         renderer=choose_name("renderer", renderer, facts.renderers) if renderer else None,
     )
 
 
-def choose_name(what: str, wanted: str | None, offered: Iterable[str]) -> str:
+def choose_name(what: str, requested: str | None, offered: Iterable[str]) -> str:
     """Return the name that is wanted, or the first that is offered.
 
     Raises:
         UnknownTargetError: it is not offered; with the nearest name, and all of them.
     """
     names = list(offered)
-    if wanted is None:
+    if requested is None:
         return names[0]
-    if wanted in names:
-        return wanted
-    raise no_such(f"there is no {what} {wanted!r}", wanted, names, kind=UnknownTargetError)
+    if requested in names:
+        return requested
+    raise no_such(f"there is no {what} {requested!r}", requested, names, kind=UnknownTargetError)
 
 
-def expand_splits(facts: EnvManifest, wanted: Iterable[str]) -> list[str]:
+def expand_splits(facts: EnvManifest, names: Iterable[str]) -> list[str]:
     """Return names of tasks, each once, with the tasks of a split (`splits` in env.yml) in its name's place."""
     splits = facts.splits
-    return list(dict.fromkeys(task for name in wanted for task in splits.get(name, [name])))
+    return list(dict.fromkeys(task for name in names for task in splits.get(name, [name])))
 
 
 def unsupported(task: Task, embodiment: str) -> str | None:
@@ -171,7 +171,7 @@ def random_actions(what: Scenario, seed: int) -> Player:
         action = {}
         for arm in robot.arms:
             if arm_key == sdk.State.EE_POSE:
-                action[arm.prefix + arm_key] = _near(obs[sdk.Obs.STATE][arm.prefix + arm_key], rng)
+                action[arm.prefix + arm_key] = _pose_near(obs[sdk.Obs.STATE][arm.prefix + arm_key], rng)
             else:
                 low, high = (-math.pi, math.pi) if arm.lower is None or arm.upper is None else (arm.lower, arm.upper)
                 action[arm.prefix + arm_key] = rng.uniform(low, high, arm.dof)
@@ -199,12 +199,12 @@ def make_player(name: str, what: Scenario, seed: int) -> tuple[Scenario, Player]
     return what, random_actions(what, seed)
 
 
-def _near(pose: ArrayLike, rng: np.random.Generator) -> np.ndarray:
+def _pose_near(pose: ArrayLike, rng: np.random.Generator) -> np.ndarray:
     """Return a pose (7,) beside another one."""
-    given = np.asarray(pose, dtype=np.float64)
+    start = np.asarray(pose, dtype=np.float64)
     turn = rotation.from_axis_angle(rng.uniform(-_TURNED, _TURNED, 3))
-    moved = given[: sdk.POSITION_DIM] + rng.uniform(-_MOVED, _MOVED, sdk.POSITION_DIM)
-    return np.concatenate([moved, rotation.multiply(turn, given[sdk.POSITION_DIM :])])
+    moved = start[: sdk.POSITION_DIM] + rng.uniform(-_MOVED, _MOVED, sdk.POSITION_DIM)
+    return np.concatenate([moved, rotation.multiply(turn, start[sdk.POSITION_DIM :])])
 
 
 def run_episode(env: Any, act: Player, seed: int, watch: Callable[[], None] = lambda: None) -> Result:

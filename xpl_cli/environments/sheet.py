@@ -48,15 +48,15 @@ def sheet(what: Scenario, seed: int, camera: str | None, out: Path, chosen: Sequ
         entries
     )
     tasks = [task for task in names if rollout.unsupported(entries[task], what.embodiment) is None]
-    seen = [picture for picture, _ in film.first_frames(what, tasks, seed, camera)]
-    columns = min(_COLUMNS, len(seen))
-    if len(seen) > _MANY:
-        seen, columns = [_smaller(picture) for picture in seen], _SIDE_BY_SIDE
-    height, width = seen[0].shape[0] + _LINE, seen[0].shape[1]
-    paper = Image.new("RGB", (columns * width, math.ceil(len(seen) / columns) * height), _PAPER)
+    frames = [picture for picture, _ in film.first_frames(what, tasks, seed, camera)]
+    columns = min(_COLUMNS, len(frames))
+    if len(frames) > _MANY:
+        frames, columns = [_smaller(picture) for picture in frames], _SIDE_BY_SIDE
+    height, width = frames[0].shape[0] + _LINE, frames[0].shape[1]
+    paper = Image.new("RGB", (columns * width, math.ceil(len(frames) / columns) * height), _PAPER)
     pen = ImageDraw.Draw(paper)
-    for place, (task, picture) in enumerate(zip(tasks, seen, strict=True)):
-        row, column = divmod(place, columns)
+    for index, (task, picture) in enumerate(zip(tasks, frames, strict=True)):
+        row, column = divmod(index, columns)
         paper.paste(Image.fromarray(picture), (column * width, row * height + _LINE))
         pen.text((column * width + width // 2, row * height + _LINE // 2), task, _INK, anchor="mm")
     buffer = io.BytesIO()

@@ -72,8 +72,8 @@ def _add(archive: zipfile.ZipFile, name: str, content: Path | bytes) -> None:
         archive.writestr(entry, content)
         return
     entry.file_size = content.stat().st_size
-    with content.open("rb") as given, archive.open(entry, "w") as stream:
-        shutil.copyfileobj(given, stream, _BLOCK)
+    with content.open("rb") as source, archive.open(entry, "w") as stream:
+        shutil.copyfileobj(source, stream, _BLOCK)
 
 
 def unpack(path: Path, folder: Path, *, limit: int) -> dict[str, str]:
@@ -95,7 +95,7 @@ def unpack(path: Path, folder: Path, *, limit: int) -> dict[str, str]:
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
     with stream, _reading(path), zipfile.ZipFile(cast("IO[bytes]", _BoundedReader(stream))) as archive:
-        entries = list(_checked(archive, path, folder, limit))
+        entries = list(_checked_entries(archive, path, folder, limit))
         return {entry.filename: _extract(archive, entry, folder / entry.filename) for entry in entries}
 
 
@@ -135,7 +135,7 @@ def _reading(path: Path) -> Iterator[None]:
         raise UserError(f"{path} is no bundle, or is damaged: {str(error) or type(error).__name__}") from None
 
 
-def _checked(archive: zipfile.ZipFile, path: Path, folder: Path, limit: int) -> Iterator[zipfile.ZipInfo]:
+def _checked_entries(archive: zipfile.ZipFile, path: Path, folder: Path, limit: int) -> Iterator[zipfile.ZipInfo]:
     """Yield the entries of an archive.
 
     Raises:
@@ -149,14 +149,14 @@ def _checked(archive: zipfile.ZipFile, path: Path, folder: Path, limit: int) -> 
             f"{told_size(limit)}" + (f" or of {_MOST_FILES} files" if len(entries) > _MOST_FILES else ""),
             hint="raise it with --max-size" if total > limit else None,
         )
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if total > (free := shutil.disk_usage(there).free):
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if total > (free := shutil.disk_usage(existing).free):
         raise UserError(
             f"{path} would unpack to {told_size(total)}, and {folder} has {told_size(free)} free",
             hint="--unpack names a new folder elsewhere",
             code=ExitCode.NOT_RUN,
         )
-    seen: set[str] = set()
+    names: set[str] = set()
     folders: set[str] = set()
     for entry in entries:
         kind = stat.S_IFMT(entry.external_attr >> 16)
@@ -165,12 +165,12 @@ def _checked(archive: zipfile.ZipFile, path: Path, folder: Path, limit: int) -> 
         if (
             not is_plain
             or not _is_plain_name(entry.orig_filename)
-            or entry.filename in seen
+            or entry.filename in names
             or entry.filename in folders
-            or not seen.isdisjoint(above)
+            or not names.isdisjoint(above)
         ):
             raise UserError(f"{path} holds {entry.orig_filename[:200]!r}: expected files with plain names, each once")
-        seen.add(entry.filename)
+        names.add(entry.filename)
         folders |= above
         yield entry
 
@@ -192,13 +192,13 @@ def _is_plain_name(name: str) -> bool:
 def _extract(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> str:
     """Write one file and return its digest; no more is read than the archive's list of files says."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    with archive.open(entry) as given, target.open("xb") as stream:
-        return _copied(given, stream)
+    with archive.open(entry) as source, target.open("xb") as stream:
+        return _copy_and_hash(source, stream)
 
 
-def _copied(given: IO[bytes], stream: IO[bytes]) -> str:
+def _copy_and_hash(source: IO[bytes], stream: IO[bytes]) -> str:
     digest = hashlib.sha256()
-    while block := given.read(_BLOCK):
+    while block := source.read(_BLOCK):
         digest.update(block)
         stream.write(block)
     return digest.hexdigest()

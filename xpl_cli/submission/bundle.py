@@ -103,13 +103,13 @@ class BundleManifest:
     audit: Mapping[str, Any] | None = None
 
     @classmethod
-    def parse(cls, told: Mapping[str, Any]) -> Self:
+    def parse(cls, data: Mapping[str, Any]) -> Self:
         """Return what a valid submission.json says."""
         return cls(
-            BundledAdapter(**told["policy"]),
-            [RunClaim.parse(run) for run in told["runs"]],
-            {name: BundledFile(**entry) for name, entry in told["files"].items()},
-            told.get("audit"),
+            BundledAdapter(**data["policy"]),
+            [RunClaim.parse(run) for run in data["runs"]],
+            {name: BundledFile(**entry) for name, entry in data["files"].items()},
+            data.get("audit"),
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -117,7 +117,7 @@ class BundleManifest:
         return {
             "schema": spec.schema("submission")["title"],
             "tool": {"name": "xpl", "version": __version__},
-            **{name: told for name, told in asdict(self).items() if told is not None},
+            **{name: value for name, value in asdict(self).items() if value is not None},
         }
 
 
@@ -185,11 +185,11 @@ def open_bundle(path: Path, folder: Path, *, limit: int) -> SubmissionBundle:
     digests = archive.unpack(path, folder, limit=limit)
     if MANIFEST not in digests:
         raise UserError(f"{path} is no bundle: it holds no {MANIFEST}")
-    told = _json(folder / MANIFEST, MANIFEST, _MOST_MANIFEST)
-    found = validate(told, "submission")
-    if found:
-        raise UserError(f"{path} is no bundle that this version knows: {MANIFEST}: {found[0]}")
-    return SubmissionBundle(folder, digests[MANIFEST], BundleManifest.parse(told), digests)
+    data = _json(folder / MANIFEST, MANIFEST, _MOST_MANIFEST)
+    problems = validate(data, "submission")
+    if problems:
+        raise UserError(f"{path} is no bundle that this version knows: {MANIFEST}: {problems[0]}")
+    return SubmissionBundle(folder, digests[MANIFEST], BundleManifest.parse(data), digests)
 
 
 def _json(path: Path, name: str, most: int) -> Any:

@@ -51,9 +51,9 @@ class RunClaim:
     cells: Sequence[CellClaim]
 
     @classmethod
-    def parse(cls, told: Mapping[str, Any]) -> Self:
+    def parse(cls, data: Mapping[str, Any]) -> Self:
         """Return the claim that a valid manifest makes."""
-        return cls(**{**told, "cells": [CellClaim(**cell) for cell in told["cells"]]})
+        return cls(**{**data, "cells": [CellClaim(**cell) for cell in data["cells"]]})
 
     def total(self, name: str) -> int:
         """Return the sum of one of the numbers over all cells."""

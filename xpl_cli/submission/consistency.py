@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.model import EpisodeRecord
     from xpl_cli.evaluation.records.records import Run
 
-_SHOWN = 8
+_MOST_LISTED = 8
 _SLACK_S = 0.01
 """Clocks are read at different moments and rounded."""
 
@@ -36,16 +36,16 @@ def problems(run: Run) -> Iterator[str]:
             yield f"machine {digest[:12]} does not have the facts that it is named after"
     for line in run.attempts:
         yield from _episode(line, run)
-    if (said := containment.sentence(run)) is not None:
-        yield said
+    if (reason := containment.sentence(run)) is not None:
+        yield reason
     if unusual := run_mode.run_mode_of(run.plan).description:
         yield f"it was played {unusual}: nobody could play its episodes again, one by one"
     yield from _attempts(run)
     yield from _copies(run)
     yield from _unjudged(run)
     if run.has_too_many_infrastructure_errors:
-        told = f"{run.infrastructure_errors} of its {len(run.finals)} episodes ended with an infrastructure error"
-        yield f"{told}, more than {MAX_INFRASTRUCTURE_SHARE:.0%}"
+        counts = f"{run.infrastructure_errors} of its {len(run.finals)} episodes ended with an infrastructure error"
+        yield f"{counts}, more than {MAX_INFRASTRUCTURE_SHARE:.0%}"
     missing = sum(cell.remaining for cell in cells(run))
     if missing:
         yield f"{missing} of its episodes were not played; `xpl eval --resume` plays them"
@@ -55,11 +55,11 @@ def _episode(line: EpisodeRecord, run: Run) -> Iterator[str]:
     """Yield what does not fit in one line of an episode."""
     name = f"episode {line.index}, attempt {line.attempt}"
     for key in ("embodiment", sdk.Deploy.ACTION_TYPE):
-        told, planned = getattr(line, key), getattr(run.plan, key)
-        if told != planned:
-            yield f"{name} has the {key} {told!r}, but its plan says {planned!r}"
-    if (said := contradiction(line)) is not None:
-        yield f"{name} {said}"
+        value, planned = getattr(line, key), getattr(run.plan, key)
+        if value != planned:
+            yield f"{name} has the {key} {value!r}, but its plan says {planned!r}"
+    if (problem := contradiction(line)) is not None:
+        yield f"{name} {problem}"
     if line.machine not in run.machines:
         yield f"{name} names a machine that the records do not tell of"
     inference = line.inference
@@ -89,9 +89,9 @@ def _copies(run: Run) -> Iterator[str]:
             same = (first.layout, first.steps, first.success) == (line.layout, line.steps, line.success)
             if first is not line and (not same or first.started == line.started):
                 yield f"episode {line.index} has the states of episode {first.index}: it was copied"
-        for told in filter(None, (line.trace, line.film)):
-            if (first := files.setdefault(told.path, line)) is not line:
-                yield f"episode {line.index} has {told.path} of episode {first.index}: it was copied"
+        for file in filter(None, (line.trace, line.film)):
+            if (first := files.setdefault(file.path, line)) is not line:
+                yield f"episode {line.index} has {file.path} of episode {first.index}: it was copied"
 
 
 def _unjudged(run: Run) -> Iterator[str]:
@@ -99,4 +99,4 @@ def _unjudged(run: Run) -> Iterator[str]:
     for cell in cells(run):
         silent = [str(line.index) for line in cell.counted if line.success is None and line.failure is None]
         if silent and cell.outcomes:
-            yield f"episodes {listed(silent, _SHOWN)} neither succeeded nor failed, while others of {cell.task} did"
+            yield f"episodes {listed(silent, _MOST_LISTED)} have neither success nor failure; others in {cell.task} do"

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.runs.protocol import SeedCoverage
     from xpl_cli.submission.bundle import SubmissionBundle
 
-_SHOWN = 4
-_Look = Callable[["SubmissionBundle", list["Run"]], Iterator[str]]
+_MOST_LISTED = 4
+_Checker = Callable[["SubmissionBundle", list["Run"]], Iterator[str]]
 
 
 @dataclass(frozen=True)
@@ -41,49 +41,49 @@ class BundleCheck:
     problems: tuple[str, ...] = ()
 
 
-def inspect(found: SubmissionBundle, progress: Progress) -> tuple[tuple[BundleCheck, ...], list[Run]]:
+def inspect(unpacked: SubmissionBundle, progress: Progress) -> tuple[tuple[BundleCheck, ...], list[Run]]:
     """Look a bundle through, and return what was found and its runs.
 
     Where its files are not those of its manifest, nothing else is looked at: nobody knows what they are.
     """
     progress.step("files")
-    files = BundleCheck("files", tuple(found.problems()))
+    files = BundleCheck("files", tuple(unpacked.problems()))
     if files.problems:
         return (files,), []
     runs: list[Run] = []
     try:
-        runs += [records.read(found.folder / claim.folder) for claim in found.manifest.runs]
+        runs += [records.read(unpacked.folder / claim.folder) for claim in unpacked.manifest.runs]
         for run in runs:  # what comes next reads manifests that name its robot
             robots.meet(run.plan.policy.config, f"run {run.plan.run[:12]}")
     except UserError as error:
-        return (files, BundleCheck("records", (_shown(str(error), found),))), []
+        return (files, BundleCheck("records", (_relative_paths(str(error), unpacked),))), []
     checks = [files]
-    for name, look in _LOOKS.items():
+    for name, look in _CHECKERS.items():
         progress.step(name)
         try:
-            problems = tuple(_shown(problem, found) for problem in look(found, runs))
+            problems = tuple(_relative_paths(problem, unpacked) for problem in look(unpacked, runs))
         except UserError as error:
-            problems = (_shown(str(error), found),)
+            problems = (_relative_paths(str(error), unpacked),)
         checks.append(BundleCheck(name, problems))
     return tuple(checks), runs
 
 
-def verdict(found: SubmissionBundle, checks: Sequence[BundleCheck]) -> Verdict | None:
+def verdict(unpacked: SubmissionBundle, checks: Sequence[BundleCheck]) -> Verdict | None:
     """Return what the audit of a bundle comes to; None where it is of something else, or its files are not in order."""
-    told = None if checks[0].problems else _audited(found)
-    return None if told is None else told.derive_verdict(found.adapter)
+    audit = None if checks[0].problems else _parse_audit(unpacked)
+    return None if audit is None else audit.derive_verdict(unpacked.adapter)
 
 
-def _audited(found: SubmissionBundle) -> BundledAudit | None:
+def _parse_audit(unpacked: SubmissionBundle) -> BundledAudit | None:
     """Return what the audit report says of the adapter of the bundle; None if it is of another one."""
-    policy, report = found.manifest.policy, found.read(bundle.AUDIT)
-    told = [(target["name"], report["spec"]) for target in report["targets"]]
-    return BundledAudit.parse(report["targets"][0], policy.variant) if told == [(policy.name, policy.spec)] else None
+    policy, report = unpacked.manifest.policy, unpacked.read(bundle.AUDIT)
+    targets = [(target["name"], report["spec"]) for target in report["targets"]]
+    return BundledAudit.parse(report["targets"][0], policy.variant) if targets == [(policy.name, policy.spec)] else None
 
 
-def _shown(problem: str, found: SubmissionBundle) -> str:
+def _relative_paths(problem: str, unpacked: SubmissionBundle) -> str:
     """Return a sentence with places in the bundle, not on this machine."""
-    return problem.replace(f"{found.folder}/", "").replace(f"{found.folder.resolve()}/", "")
+    return problem.replace(f"{unpacked.folder}/", "").replace(f"{unpacked.folder.resolve()}/", "")
 
 
 def _records(_: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
@@ -91,81 +91,83 @@ def _records(_: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
         yield from (f"run {run.plan.run[:12]}: {problem}" for problem in consistency.problems(run))
 
 
-def _claims(found: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
+def _claims(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where the manifest says something else than the records, or names a run twice."""
-    told = [entry.run for entry in found.manifest.runs]
-    if len(set(told)) < len(told):
+    names = [entry.run for entry in unpacked.manifest.runs]
+    if len(set(names)) < len(names):
         yield "a run is there twice"
-    for entry, run in zip(found.manifest.runs, runs, strict=True):
+    for entry, run in zip(unpacked.manifest.runs, runs, strict=True):
         claim = claims.claim_of(run)
         for key, recorded in vars(claim).items():
-            if key != "cells" and (said := getattr(entry, key)) != recorded:
-                yield f"{bundle.MANIFEST} says {key} {said!r}, its records {recorded!r}"
+            if key != "cells" and (claimed := getattr(entry, key)) != recorded:
+                yield f"{bundle.MANIFEST} says {key} {claimed!r}, its records {recorded!r}"
         if entry.cells != claim.cells:
             yield f"{bundle.MANIFEST} counts otherwise than the records of run {run.plan.run[:12]}"
 
 
-def _adapter(found: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
+def _adapter(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where the adapter is not the one that was evaluated."""
-    told = found.manifest.policy
-    adapter = package.load(found.adapter)
+    claimed = unpacked.manifest.policy
+    adapter = package.load(unpacked.adapter)
     digest = fingerprints.package_digest(adapter.path)
-    if digest != told.digest:
-        yield f"the adapter's files have the digest {digest[:12]}, but {bundle.MANIFEST} says {told.digest[:12]}"
-    yield from _unknown(found, runs)
+    if digest != claimed.digest:
+        yield f"the adapter's files have the digest {digest[:12]}, but {bundle.MANIFEST} says {claimed.digest[:12]}"
+    yield from _unaccounted_files(unpacked, runs)
     for run in runs:
-        for key, wanted in vars(told).items():
-            if (played := getattr(run.plan.policy, key)) != wanted:
-                yield f"run {run.plan.run[:12]} is of a policy with the {key} {played}, not {wanted}"
+        for key, expected in vars(claimed).items():
+            if (evaluated := getattr(run.plan.policy, key)) != expected:
+                yield f"run {run.plan.run[:12]} is of a policy with the {key} {evaluated}, not {expected}"
 
 
-def _unknown(found: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
+def _unaccounted_files(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield files that no digest of adapter or records speaks of: what is played again might find them."""
-    known = {bundle.MANIFEST, *bundle.DOCUMENTS}
-    base = bundle.adapter_folder(found.manifest.policy.name)
-    known |= {f"{base}/{path.as_posix()}" for path in fingerprints.files_of(found.adapter)}
-    for entry, run in zip(found.manifest.runs, runs, strict=True):
-        extras = (told.path for line in run.attempts for told in (line.trace, line.film) if told is not None)
-        known |= {f"{entry.folder}/{name}" for name in (bundle.RECORDS, *extras)}
-    if others := sorted(found.digests.keys() - known):
-        yield f"{listed(others, _SHOWN)}: neither the adapter's own files nor the records account for it"
+    accounted = {bundle.MANIFEST, *bundle.DOCUMENTS}
+    base = bundle.adapter_folder(unpacked.manifest.policy.name)
+    accounted |= {f"{base}/{path.as_posix()}" for path in fingerprints.files_of(unpacked.adapter)}
+    for entry, run in zip(unpacked.manifest.runs, runs, strict=True):
+        extras = (file.path for line in run.attempts for file in (line.trace, line.film) if file is not None)
+        accounted |= {f"{entry.folder}/{name}" for name in (bundle.RECORDS, *extras)}
+    if others := sorted(unpacked.digests.keys() - accounted):
+        yield f"{listed(others, _MOST_LISTED)}: neither the adapter's own files nor the records account for it"
 
 
-def _checkpoints(found: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
+def _checkpoints(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where the weights that were loaded are not those that are specified."""
-    told = BundledCheckpoints(**found.read(bundle.CHECKPOINTS))
-    adapter = package.load(found.adapter, runs[0].plan.policy.config)
-    if told.declared != [entry.data for entry in adapter.manifest.checkpoints]:
+    checkpoints = BundledCheckpoints(**unpacked.read(bundle.CHECKPOINTS))
+    adapter = package.load(unpacked.adapter, runs[0].plan.policy.config)
+    if checkpoints.declared != [entry.data for entry in adapter.manifest.checkpoints]:
         yield f"{bundle.CHECKPOINTS} does not declare what the adapter's policy.yml declares"
-    known = specification.declared(adapter)
-    if told.loaded is not None and (told.name not in known or known[told.name].digest != told.loaded):
-        yield f"the checkpoint that was loaded ({told.loaded[:12]}...) is not the one called {told.name!r}"
+    specified = specification.declared(adapter)
+    if checkpoints.loaded is not None and (
+        checkpoints.name not in specified or specified[checkpoints.name].digest != checkpoints.loaded
+    ):
+        yield f"the loaded checkpoint ({checkpoints.loaded[:12]}...) is not the one named {checkpoints.name!r}"
     for run in runs:
-        if run.plan.policy.weights != told.loaded:
+        if run.plan.policy.weights != checkpoints.loaded:
             yield f"run {run.plan.run[:12]} loaded another checkpoint than {bundle.CHECKPOINTS} says"
 
 
-def _audit(found: SubmissionBundle, _: Sequence[Run]) -> Iterator[str]:
+def _audit(unpacked: SubmissionBundle, _: Sequence[Run]) -> Iterator[str]:
     """Yield why the audit report does not speak for the adapter."""
-    policy, told = found.manifest.policy, _audited(found)
-    if told is None:
+    policy, audit = unpacked.manifest.policy, _parse_audit(unpacked)
+    if audit is None:
         yield f"the audit is not of {policy.name} by {policy.spec}"
         return
-    yield from told.problems(found.adapter)
-    claim = found.manifest.audit
-    if claim is not None and any(claim[key] != told.claimed.get(key) for key in claim):
+    yield from audit.problems(unpacked.adapter)
+    claim = unpacked.manifest.audit
+    if claim is not None and any(claim[key] != audit.claimed.get(key) for key in claim):
         yield f"{bundle.MANIFEST} says otherwise what is proven than {bundle.AUDIT}"
 
 
 def seed_coverage(runs: Sequence[Run]) -> list[SeedCoverage] | None:
     """Return what runs play of their environments' evaluation seeds; None where one is not here in that version."""
-    found: list[SeedCoverage] = []
+    coverage: list[SeedCoverage] = []
     for run in runs:
         folder = _environment(run)
         if folder is None:
             return None
-        found += protocol.seed_coverage(folder, run.plan.cells)
-    return found
+        coverage += protocol.seed_coverage(folder, run.plan.cells)
+    return coverage
 
 
 def _environment(run: Run) -> Path | None:
@@ -181,10 +183,10 @@ def _plan(_: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where a plan claims what the environment here does not offer; nothing where it has another version."""
     for run in runs:
         if (folder := _environment(run)) is not None:
-            yield from _unlike(folder, run)
+            yield from _environment_mismatches(folder, run)
 
 
-def _unlike(folder: Path, run: Run) -> Iterator[str]:
+def _environment_mismatches(folder: Path, run: Run) -> Iterator[str]:
     """Yield where a run has tasks that its environment has not, other seeds than an evaluation plays, or more steps."""
     tasks = environments.manifest(folder).tasks
     for cell in run.plan.cells:
@@ -198,17 +200,17 @@ def _unlike(folder: Path, run: Run) -> Iterator[str]:
             yield f"episode {line.index} has {line.steps} steps: {line.task} ends after {most}"
 
 
-def _extras(found: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
+def _extras(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield curves and films that are not those of the records; they need not be there."""
-    for entry, run in zip(found.manifest.runs, runs, strict=True):
+    for entry, run in zip(unpacked.manifest.runs, runs, strict=True):
         for line in run.attempts:
-            for told in filter(None, (line.trace, line.film)):
-                name = f"{entry.folder}/{told.path}"
-                if found.digests.get(name, told.digest) != told.digest:
+            for file in filter(None, (line.trace, line.film)):
+                name = f"{entry.folder}/{file.path}"
+                if unpacked.digests.get(name, file.digest) != file.digest:
                     yield f"{name} is not what episode {line.index} recorded"
 
 
-_LOOKS: dict[str, _Look] = {
+_CHECKERS: dict[str, _Checker] = {
     "records": _records,
     "claims": _claims,
     "adapter": _adapter,

@@ -30,10 +30,10 @@ def lock_of(folder: Path, environment: PythonEnvironment, *, python: str | None 
     Raises:
         UserError: if there is no such interpreter, or it does not run.
     """
-    found = interpreter.resolve(folder, environment, python=python, env=env)
+    interpreter_path = interpreter.resolve(folder, environment, python=python, env=env)
     declared = environment.lock
     lock = None if declared is None else {"path": declared, "sha256": _sha256(folder / declared)}
-    return {**_installed(found), "lock": lock}
+    return {**_installed(interpreter_path), "lock": lock}
 
 
 def _installed(python: str) -> dict[str, Any]:
@@ -44,8 +44,8 @@ def _installed(python: str) -> dict[str, Any]:
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=_LIMIT_S)
     except (OSError, subprocess.SubprocessError) as error:
         raise UserError(f"{python} does not say which packages it has: {error}", code=ExitCode.NOT_RUN) from None
-    told: dict[str, Any] = json_text.parse(done.stdout)
-    return told
+    listing: dict[str, Any] = json_text.parse(done.stdout)
+    return listing
 
 
 def _sha256(path: Path) -> str:

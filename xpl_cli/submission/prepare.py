@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.audit.rules.verdict import judged
+from xpl_cli.audit.rules.verdict import verdict_of
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.records import containment, fingerprints, records, run_mode, stand_ins
@@ -85,18 +85,18 @@ def submit(request: SubmitRequest) -> SubmitAnswer:
     runs = [records.read(path) for path in request.runs]
     for run in runs:
         stand_ins.refuse(run, "submitted")
-        if (said := containment.sentence(run)) is not None:
-            raise UserError(f"{run.folder} is not submitted: {said}", code=ExitCode.NOT_RUN)
+        if (reason := containment.sentence(run)) is not None:
+            raise UserError(f"{run.folder} is not submitted: {reason}", code=ExitCode.NOT_RUN)
         if unusual := run_mode.run_mode_of(run.plan).description:
             raise UserError(f"{run.folder} was played {unusual}: nobody could play its episodes again, one by one")
     request.progress.step(f"{len(runs)} runs, {sum(len(run.finals) for run in runs)} episodes: looking them through")
-    found = list(_problems(request.package, runs))
-    if found:
-        return SubmitAnswer(tuple(found), ExitCode.FINDINGS)
-    report, code = _audited(request, runs)
+    problems = list(_problems(request.package, runs))
+    if problems:
+        return SubmitAnswer(tuple(problems), ExitCode.FINDINGS)
+    report, code = _run_audit(request, runs)
     if code is not ExitCode.CLEAN:
-        said = f"the audit of {request.package.name} is not green; `xpl audit {request.package.path}` shows why"
-        return SubmitAnswer((said,), code)
+        reason = f"the audit of {request.package.name} is not green; `xpl audit {request.package.path}` shows why"
+        return SubmitAnswer((reason,), code)
     request.progress.step("packing")
     return pack(request, runs, report)
 
@@ -115,7 +115,7 @@ def pack(request: SubmitRequest, runs: Sequence[Run], report: TargetReport) -> S
     files = _files(request, runs, report)
     claimed = [claims.claim_of(run) for run in runs]
     entries = {name: bundle.BundledFile.of(files[name]) for name in sorted(files)}
-    manifest = bundle.BundleManifest(describe_adapter(runs[0]), claimed, entries, judged(report).as_json())
+    manifest = bundle.BundleManifest(describe_adapter(runs[0]), claimed, entries, verdict_of(report).as_json())
     content = bundle.document(manifest.as_json())
     sha256 = archive.write(request.out, {**files, bundle.MANIFEST: content})
     return SubmitAnswer((), ExitCode.CLEAN, tuple(_notes(runs)), hashlib.sha256(content).hexdigest(), sha256, manifest)
@@ -129,7 +129,7 @@ def _problems(package: Package, runs: Sequence[Run]) -> Iterator[str]:
     digest = fingerprints.package_digest(package.path)
     if len({run.plan.policy.variant for run in runs}) > 1:
         yield "the runs are of different variants: a bundle is about one"
-    declared = specification.declared(_played(package, runs[0]))
+    declared = specification.declared(_variant_package(package, runs[0]))
     if len({run.plan.policy.weights for run in runs}) > 1:
         yield "the runs loaded different checkpoints: a bundle is about one"
     for run in runs:
@@ -150,17 +150,17 @@ def _problems(package: Package, runs: Sequence[Run]) -> Iterator[str]:
 
 
 def _environment(run: Run) -> Iterator[str]:
-    told = run.plan.environment
+    planned = run.plan.environment
     try:
         folder = claims.environment_folder(run)
     except NotFoundError as error:
         yield str(error)
         return
-    if fingerprints.package_digest(folder) != told.digest:
-        yield f"it was played in another version of {told.name} than the one here: evaluate again"
+    if fingerprints.package_digest(folder) != planned.digest:
+        yield f"it was played in another version of {planned.name} than the one here: evaluate again"
 
 
-def _played(adapter: Package, run: Run) -> Package:
+def _variant_package(adapter: Package, run: Run) -> Package:
     """Return the adapter as the variant of a run has it."""
     return packages.load(adapter.path, run.plan.policy.config)
 
@@ -171,7 +171,7 @@ def describe_adapter(run: Run) -> bundle.BundledAdapter:
     return bundle.BundledAdapter(policy.name, policy.spec, policy.digest, policy.variant)
 
 
-def _audited(request: SubmitRequest, runs: Sequence[Run]) -> tuple[TargetReport, ExitCode]:
+def _run_audit(request: SubmitRequest, runs: Sequence[Run]) -> tuple[TargetReport, ExitCode]:
     """Carry the adapter through all gates with the real model, configured as in the runs."""
     from xpl_cli.audit.engine.engine import audit
     from xpl_cli.audit.rules.model import exit_code
@@ -186,8 +186,8 @@ def _audited(request: SubmitRequest, runs: Sequence[Run]) -> tuple[TargetReport,
         profile=Profile.FULL,
         progress=request.progress,
     )
-    shown = bundle.adapter_folder(request.package.name)
-    report = audit(request.package.path, POLICY, options, shown=shown)
+    display_name = bundle.adapter_folder(request.package.name)
+    report = audit(request.package.path, POLICY, options, shown=display_name)
     return report, exit_code([report])
 
 
@@ -203,13 +203,13 @@ def overrides(package: Package, configs: Sequence[Config]) -> dict[str, Any]:
 
 def _files(request: SubmitRequest, runs: Sequence[Run], report: TargetReport) -> dict[str, Path | bytes]:
     """Return the files of the bundle but for its manifest."""
-    from xpl_cli.audit.formats import Context, as_json
+    from xpl_cli.audit.formats import ReportContext, as_json
 
     package = request.package
-    audit = as_json([report], Context(here=package.path.parent.parent))
+    audit = as_json([report], ReportContext(here=package.path.parent.parent))
     files: dict[str, Path | bytes] = {
         bundle.AUDIT: bundle.document(audit),
-        bundle.CHECKPOINTS: bundle.document(asdict(_checkpoints(_played(package, runs[0]), runs[0]))),
+        bundle.CHECKPOINTS: bundle.document(asdict(_checkpoints(_variant_package(package, runs[0]), runs[0]))),
         bundle.ENVIRONMENT: bundle.document(_environments(request, runs)),
     }
     base = bundle.adapter_folder(package.name)
@@ -223,20 +223,20 @@ def _files(request: SubmitRequest, runs: Sequence[Run], report: TargetReport) ->
 
 
 def _checkpoints(package: Package, run: Run) -> bundle.BundledCheckpoints:
-    known = specification.declared(package)
+    declared = specification.declared(package)
     loaded = run.plan.policy.weights
-    name = next((name for name, one in known.items() if loaded is not None and one.digest == loaded), None)
+    name = next((name for name, one in declared.items() if loaded is not None and one.digest == loaded), None)
     return bundle.BundledCheckpoints(loaded, name, [dict(entry.data) for entry in package.manifest.checkpoints])
 
 
 def _environments(request: SubmitRequest, runs: Sequence[Run]) -> dict[str, Any]:
     package = request.package
-    places = {run.plan.environment.name: claims.environment_folder(run) for run in runs}
+    folders = {run.plan.environment.name: claims.environment_folder(run) for run in runs}
     return {
         "policy": lock_of(package.path, package.manifest.environment, python=request.python, env=request.env),
         "environments": {
             name: lock_of(folder, environments.manifest(folder).environment, env=request.eval_env)
-            for name, folder in sorted(places.items())
+            for name, folder in sorted(folders.items())
         },
     }
 

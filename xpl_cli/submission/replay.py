@@ -131,8 +131,8 @@ def draw(runs: Sequence[Run], count: int, seed: int) -> list[tuple[Run, int]]:
         count: episodes to draw, at most.
         seed: of the draw. Who made the bundle must not know it beforehand.
     """
-    known = [(number, index) for number, run in enumerate(runs) for index in eligible(run)]
-    chosen = random.Random(seed).sample(known, min(count, len(known)))  # noqa: S311 - a sample, no secret
+    episodes = [(number, index) for number, run in enumerate(runs) for index in eligible(run)]
+    chosen = random.Random(seed).sample(episodes, min(count, len(episodes)))  # noqa: S311 - a sample, no secret
     return [(runs[number], index) for number, index in sorted(chosen)]
 
 
@@ -162,7 +162,7 @@ def judge(pairs: Sequence[ReplayPair], total: int, *, deterministic: bool) -> Sa
             f"and with a policy that is declared deterministic; the first is {_name(broken[0])}",
             counts,
         )
-    return _judged_by_outcome(compared, total, counts)
+    return _judge_by_outcome(compared, total, counts)
 
 
 def _is_broken(pair: ReplayPair) -> bool:
@@ -170,7 +170,7 @@ def _is_broken(pair: ReplayPair) -> bool:
     return pair.is_equal_machine and pair.recorded.digest is not None and pair.match is not ReplayMatch.SAME
 
 
-def _judged_by_outcome(compared: Sequence[ReplayPair], total: int, counts: Mapping[str, int]) -> SampleResult:
+def _judge_by_outcome(compared: Sequence[ReplayPair], total: int, counts: Mapping[str, int]) -> SampleResult:
     outcomes = Counter((bool(pair.recorded.success), bool(pair.replayed.success)) for pair in compared)
     pairs = PairedCounts(outcomes[True, True], outcomes[True, False], outcomes[False, True], outcomes[False, False])
     flips = counts.get(ReplayMatch.DIFFERENT.value, 0)
@@ -180,15 +180,15 @@ def _judged_by_outcome(compared: Sequence[ReplayPair], total: int, counts: Mappi
     gap = newcombe_paired(pairs)
     change = Interval(gap.value, gap.value) if is_all else gap.interval
     alike = counts.get(ReplayMatch.SAME.value, 0)
-    said = f"{len(compared) - flips} of {len(compared)} episodes come out as recorded, {alike} of them bit by bit"
+    summary = f"{len(compared) - flips} of {len(compared)} episodes come out as recorded, {alike} of them bit by bit"
     if is_all:
         bound = "these are all of them"
     else:
         bound = f"with {CONFIDENCE:.0%} confidence at most {differing.high:.0%} of all {total} would not"
     if not flips:
-        return SampleResult(ReplayVerdict.AGREES, f"{said}; {bound}", counts, differing, change)
+        return SampleResult(ReplayVerdict.AGREES, f"{summary}; {bound}", counts, differing, change)
     rates = f"the success rate here is {change.low:+.0%} to {change.high:+.0%} from the recorded one"
-    sentence = f"{said}; {bound}, and {rates}"
+    sentence = f"{summary}; {bound}, and {rates}"
     if mcnemar(pairs) < 1 - CONFIDENCE:
         return SampleResult(
             ReplayVerdict.DISAGREES, f"{sentence}: more than chance explains", counts, differing, change
@@ -201,18 +201,18 @@ def _judged_by_outcome(compared: Sequence[ReplayPair], total: int, counts: Mappi
 
 
 def _name(pair: ReplayPair) -> str:
-    told = pair.recorded
-    return f"episode {told.index} ({told.task}, {told.setting}, seed {told.seed})"
+    record = pair.recorded
+    return f"episode {record.index} ({record.task}, {record.setting}, seed {record.seed})"
 
 
 def disagreements(pairs: Iterable[ReplayPair]) -> list[str]:
     """Return a sentence for each episode that came out otherwise, or could not be played."""
-    said = {True: "succeeded", False: "failed", None: "had no outcome"}
-    found = []
+    words = {True: "succeeded", False: "failed", None: "had no outcome"}
+    sentences = []
     for pair in pairs:
         if pair.match is ReplayMatch.DIFFERENT:
-            old, new = said[pair.recorded.success], said[pair.replayed.success]
-            found.append(f"{_name(pair)} {old} in the record, and {new} here ({pair.replayed.end_reason})")
+            old, new = words[pair.recorded.success], words[pair.replayed.success]
+            sentences.append(f"{_name(pair)} {old} in the record, and {new} here ({pair.replayed.end_reason})")
         elif pair.match is ReplayMatch.INFRASTRUCTURE_ERROR:
-            found.append(f"{_name(pair)} ended with an infrastructure error here: {pair.replayed.error}")
-    return found
+            sentences.append(f"{_name(pair)} ended with an infrastructure error here: {pair.replayed.error}")
+    return sentences

@@ -84,20 +84,20 @@ class ReplayRunner:
     def _lines(self, run: Run, indices: Sequence[int]) -> dict[int, EpisodeRecord]:
         """Return the line of each episode; infrastructure errors are retried, as in any run."""
         slots = run.plan.slots()
-        found: dict[int, EpisodeRecord] = {}
+        lines: dict[int, EpisodeRecord] = {}
         with contextlib.closing(self._backend(run)) as backend:
             for attempt in range(1, run.plan.control.attempts + 1):
-                jobs = [_job(slots[index], attempt) for index in indices if _is_open(found.get(index))]
+                jobs = [_job(slots[index], attempt) for index in indices if _is_open(lines.get(index))]
                 for line in runner.rerun_episodes(run.plan, jobs, backend):
                     self.progress.step(f"replay: episode {line.index}, {line.task}: {line.end_reason}")
-                    found[line.index] = line
-        return found
+                    lines[line.index] = line
+        return lines
 
     def _backend(self, run: Run) -> LocalBackend:
-        lane_orders, server_orders = self._orders(run)
-        return LocalBackend(lane_orders, assign_servers(server_orders, 1, 1))
+        rollout_config, server_config = self._configs(run)
+        return LocalBackend(rollout_config, assign_servers(server_config, 1, 1))
 
-    def _orders(self, run: Run) -> tuple[RolloutConfig, ServerConfig]:
+    def _configs(self, run: Run) -> tuple[RolloutConfig, ServerConfig]:
         """Return what lanes and servers are told, made sure that it is what was recorded."""
         plan = run.plan
         adapter = self._package
@@ -107,7 +107,7 @@ class ReplayRunner:
             )
         config = plan.policy.config
         robots.meet(config, f"run {plan.run[:12]}")
-        self._find_weights(config, plan.policy.checkpoint)
+        self._require_checkpoint(config, plan.policy.checkpoint)
         folder = claims.environment_folder(run)
         facts = environments.manifest(folder)
         if facts.is_real:
@@ -117,7 +117,7 @@ class ReplayRunner:
         bounds = IsolationSettings.strictest(adapter.path.parent, isolate=self.runtime.isolate)
         return evaluate.make_configs(adapter, folder, plan, self.runtime, bounds)
 
-    def _find_weights(self, config: Config, loaded: LoadedCheckpoint | None) -> None:
+    def _require_checkpoint(self, config: Config, loaded: LoadedCheckpoint | None) -> None:
         """See to it that the adapter loads the checkpoint of the run.
 
         Raises:
@@ -125,8 +125,8 @@ class ReplayRunner:
         """
         if loaded is not None and not self.is_ours:
             self._link(loaded.digest)
-        found = fingerprints.checkpoint_of(self._package, config)
-        if (found and found.digest) != (loaded and loaded.digest):
+        checkpoint = fingerprints.checkpoint_of(self._package, config)
+        if (checkpoint and checkpoint.digest) != (loaded and loaded.digest):
             raise UserError(
                 f"the checkpoint of the run ({loaded.path if loaded else 'none'}) is not here",
                 hint="`xpl verify --unpack DIR --sample 0`, then `xpl checkpoint fetch` for the adapter in DIR, then "

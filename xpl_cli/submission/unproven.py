@@ -29,7 +29,7 @@ def sentences(report: VerificationReport) -> Iterator[str]:
         yield f"that the other {judged - played} of {judged} episodes come out as recorded: --sample {judged} plays all"
     missing = [part for part in report.parts or () if not part.is_whole]
     if missing:
-        told = [*map(str, missing[:_LISTED]), *([f"{len(missing) - _LISTED} more"] if missing[_LISTED:] else [])]
-        yield f"how the policy does in the whole protocol: this is a subset, with {', '.join(told)}"
+        parts = [*map(str, missing[:_LISTED]), *([f"{len(missing) - _LISTED} more"] if missing[_LISTED:] else [])]
+        yield f"how the policy does in the whole protocol: this is a subset, with {', '.join(parts)}"
     yield "who made the bundle: anybody can"
     yield "how the policy came about: on which data it was trained, and how many others were tried before it"

@@ -122,11 +122,11 @@ def verify(request: VerifyRequest) -> VerificationReport:
     """
     with _folder(request.folder) as name:
         request.progress.step(f"{request.path.name}: unpacking")
-        found = bundle.open_bundle(request.path, Path(name), limit=request.limit)
-        checks, runs = inspection.inspect(found, request.progress)
-        told = found.manifest
+        unpacked = bundle.open_bundle(request.path, Path(name), limit=request.limit)
+        checks, runs = inspection.inspect(unpacked, request.progress)
+        manifest = unpacked.manifest
         report = VerificationReport(
-            found.digest, told.policy.name, tuple(told.runs), checks, inspection.verdict(found, checks)
+            unpacked.digest, manifest.policy.name, tuple(manifest.runs), checks, inspection.verdict(unpacked, checks)
         )
         is_sound = not any(check.problems for check in checks)
         if is_sound:
@@ -135,30 +135,30 @@ def verify(request: VerifyRequest) -> VerificationReport:
             return report
         if not is_sound:
             return replace(report, replay_skipped="what is wrong above comes first")
-        return _replayed(request, found, report, runs)
+        return _with_replay(request, unpacked, report, runs)
 
 
-def _folder(wanted: Path | None) -> AbstractContextManager[str]:
+def _folder(requested: Path | None) -> AbstractContextManager[str]:
     """Give an empty folder: a new one that stays, or one that goes."""
-    if wanted is None:
+    if requested is None:
         return tempfile.TemporaryDirectory(prefix="xpl-verify-")
     try:
-        wanted.mkdir(parents=True)
+        requested.mkdir(parents=True)
     except OSError as error:
-        raise UserError(f"{wanted} cannot be made: {error.strerror}", hint="--unpack takes a new folder") from None
-    return nullcontext(str(wanted))
+        raise UserError(f"{requested} cannot be made: {error.strerror}", hint="--unpack takes a new folder") from None
+    return nullcontext(str(requested))
 
 
-def _replayed(
-    request: VerifyRequest, found: SubmissionBundle, report: VerificationReport, runs: Sequence[Run]
+def _with_replay(
+    request: VerifyRequest, unpacked: SubmissionBundle, report: VerificationReport, runs: Sequence[Run]
 ) -> VerificationReport:
     """Return the report with what a sample says."""
     seed = secrets.randbits(32) if request.seed is None else request.seed
     drawn = replay.draw(runs, request.sample, seed)
     pairs: list[tuple[str, replay.ReplayPair]] = []
     player = ReplayRunner(
-        request.policy or found.adapter,
-        variant=found.manifest.policy.variant,
+        request.policy or unpacked.adapter,
+        variant=unpacked.manifest.policy.variant,
         is_ours=request.policy is not None,
         runtime=request.runtime,
         progress=request.progress,
@@ -168,8 +168,8 @@ def _replayed(
             indices = [index for one, index in drawn if one is run]
             pairs += [(run.plan.run, pair) for pair in player.replay(run, indices)]
     except UserError as error:
-        said = f"{error}" if error.hint is None else f"{error} ({error.hint})"
-        return replace(report, seed=seed, pairs=tuple(pairs), replay_skipped=said)
+        reason = f"{error}" if error.hint is None else f"{error} ({error.hint})"
+        return replace(report, seed=seed, pairs=tuple(pairs), replay_skipped=reason)
     total = sum(len(replay.eligible(run)) for run in runs)
     finding = replay.judge([pair for _, pair in pairs], total, deterministic=player.is_deterministic)
     return replace(report, seed=seed, pairs=tuple(pairs), finding=finding)

@@ -79,7 +79,7 @@ def verify(
         path = _located(one, policy)
         if one.digest is None and not one.files:
             raise UserError(f"checkpoint {one.name!r} has no sha256 in policy.yml: nothing can be compared")
-        differing = [asdict(found) for found in fetching.differences(one, *fetching.read(one, path))]
+        differing = [asdict(difference) for difference in fetching.differences(one, *fetching.read(one, path))]
         answers.append({"name": one.name, "path": str(path), "differences": differing})
     damaged = any(answer["differences"] for answer in answers)
     if as_json:
@@ -114,8 +114,8 @@ def path_of(
     path = str(_located(one, policy))
     if as_json:
         following = [shlex.join(["xpl", "checkpoint", "verify", policy, one.name])]
-        told = {"policy": adapter.name, "checkpoints": [{"name": one.name, "path": path}]}
-        console.answer("xpl.checkpoint-path/1", told, following)
+        answer = {"policy": adapter.name, "checkpoints": [{"name": one.name, "path": path}]}
+        console.answer("xpl.checkpoint-path/1", answer, following)
     else:
         console.data(path)
 

@@ -23,8 +23,10 @@ def container(
     files = recipes.recipe(adapter)
     new = recipes.write(adapter, files) if write else []
     if as_json:
-        told = {"policy": adapter.name, "files": files, "written": new}
-        console.answer("xpl.container/1", told, [] if write else [shlex.join(["xpl", "container", policy, "--write"])])
+        answer = {"policy": adapter.name, "files": files, "written": new}
+        console.answer(
+            "xpl.container/1", answer, [] if write else [shlex.join(["xpl", "container", policy, "--write"])]
+        )
     elif write:
         console.data("\n".join(str(adapter.path / name) for name in files))
     else:

@@ -104,11 +104,13 @@ def render(
     from xpl_cli.environments.rollout import scenario
 
     what = scenario(name, renderer, task=task, embodiment=embodiment, setting=setting)
-    shown = film.render(what, seed, camera, out)
+    picture = film.render(what, seed, camera, out)
     if as_json:
-        console.answer("xpl.env-render/1", shown)
+        console.answer("xpl.env-render/1", picture)
     else:
-        console.note(f"{out}: {what.task} with {what.embodiment} ({what.setting}, seed {seed}), from {shown['camera']}")
+        console.note(
+            f"{out}: {what.task} with {what.embodiment} ({what.setting}, seed {seed}), from {picture['camera']}"
+        )
 
 
 @app.command()
@@ -129,11 +131,11 @@ def sheet(
     from xpl_cli.environments.rollout import scenario
 
     what = scenario(name, renderer, embodiment=embodiment, setting=setting)
-    shown = drawing.sheet(what, seed, camera, out, task)
+    picture = drawing.sheet(what, seed, camera, out, task)
     if as_json:
-        console.answer("xpl.env-sheet/1", shown)
+        console.answer("xpl.env-sheet/1", picture)
     else:
-        console.note(f"{out}: {len(shown['task'])} tasks with {what.embodiment} ({what.setting}, seed {seed})")
+        console.note(f"{out}: {len(picture['task'])} tasks with {what.embodiment} ({what.setting}, seed {seed})")
 
 
 @app.command()
@@ -157,11 +159,11 @@ def play(
     from xpl_cli.environments.rollout import scenario
 
     what = scenario(name, renderer, action_type, task=task, embodiment=embodiment, setting=setting)
-    shown = film.film(what, by, seed, camera, out)
+    video = film.film(what, by, seed, camera, out)
     if as_json:
-        console.answer("xpl.env-play/1", shown)
+        console.answer("xpl.env-play/1", video)
         return
-    result = shown["episode"]
+    result = video["episode"]
     console.data(f"{what.task}: {result['end_reason']} after {result['steps']} steps, score {result['score']:.2f}")
     console.note(f"{out}: written")
 

@@ -149,7 +149,7 @@ def evaluate(
     if seed is not None:
         overrides[spec.Deploy.SEED] = seed
     token = None if token_file is None else read_token(token_file)
-    reached = None if connect is None else remote.RemoteServer(connect, token, ca_file)
+    remote_server = None if connect is None else remote.RemoteServer(connect, token, ca_file)
     is_here = _is_here(policy)
     if is_here:
         from xpl_cli.evaluation.hand_over.request import HandOverRequest
@@ -187,12 +187,16 @@ def evaluate(
         if is_done:
             return
     demos = trajectory_recorder.recording_config(record, keep, resume=resume, privileged=privileged)
-    told = None if reached is None or (out is None and is_here) else remote.fetch_announcement(reached, overrides)
-    adapter = remote.resolve_package(policy, told, overrides)
+    announcement = (
+        None
+        if remote_server is None or (out is None and is_here)
+        else remote.fetch_announcement(remote_server, overrides)
+    )
+    adapter = remote.resolve_package(policy, announcement, overrides)
     _check_instruction(instruction, is_recorded=out is not None)
     if horizon is None and not is_here:
         console.note(f"{adapter.name} is not here, and so its evaluation loop is not: ours executes whole chunks")
-        horizon = remote.WHOLE
+        horizon = remote.WHOLE_CHUNK
     if env_gpu is not None:
         console.note(f"--env-gpu {env_gpu} is for launchers that start a simulator; the environments here need none")
     if out is not None:
@@ -205,7 +209,7 @@ def evaluate(
 
         if resume and not (out / records.FILE).exists():
             raise NotFoundError(f"{out} holds no recorded run to go on with", hint="without --resume it begins one")
-        said = {task, setting, episodes, until_width, None if horizon == remote.WHOLE else horizon}
+        said = {task, setting, episodes, until_width, None if horizon == remote.WHOLE_CHUNK else horizon}
         is_silent = not overrides and said == {None} and instruction is None
         is_batch = (num_envs or 1) > 1
         wishes: plan.PlanRequest | None = plan.PlanRequest(
@@ -224,8 +228,8 @@ def evaluate(
                 films=film,
                 overrides=overrides if env is None else with_robot(adapter, env, overrides),
                 runtime=config.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
-                remote=reached,
-                announced=told,
+                remote=remote_server,
+                announced=announcement,
                 num_envs=num_envs,
                 env_workers=quick_eval.num_envs_and_workers(num_envs, workers)[1] if is_batch else 1,
                 demos=demos,
@@ -251,7 +255,7 @@ def evaluate(
             workers=processes,
             horizon=horizon,
             overrides=with_robot(adapter, env, overrides),
-            remote=reached,
+            remote=remote_server,
             runtime=config.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
             demos=demos,
         ),
@@ -307,11 +311,11 @@ def _run_recorded_eval(request: suite.EvalRequest, *, as_json: bool) -> None:
 
     with questions_for(request.environment):
         run = suite.evaluate(request)
-    found = summary.summarise(run)
+    report = summary.summarise(run)
     if as_json:
-        console.data_json({**found.as_json(), "next": [shlex.join(["xpl", "report", str(request.out)])]})
+        console.data_json({**report.as_json(), "next": [shlex.join(["xpl", "report", str(request.out)])]})
     else:
-        console.data(wording.text(found))
+        console.data(wording.text(report))
     suite.check_complete(run)
     if not as_json:
         console.data(standard.data("package")["eval_finish_line"])
@@ -326,17 +330,18 @@ def _run_quick_eval(request: quick_eval.QuickEvalRequest, policy: str, *, as_jso
     from xpl_cli.standard import spec as standard
 
     with questions_for(request.environment), progress() as say:
-        found = quick_eval.evaluate(request, say)
+        evaluation = quick_eval.evaluate(request, say)
     if as_json:
-        console.data_json({**found.as_json(), "next": found.following(policy)})
-        if found.infrastructure_errors:
+        console.data_json({**evaluation.as_json(), "next": evaluation.following(policy)})
+        if evaluation.infrastructure_errors:
             raise typer.Exit(ExitCode.NOT_RUN)
         return
-    console.data(found.text())
-    if found.infrastructure_errors:
-        count = len(found.episodes)
+    console.data(evaluation.text())
+    if evaluation.infrastructure_errors:
+        count = len(evaluation.episodes)
         raise UserError(
-            f"{found.infrastructure_errors} of {count} episodes ended with an infrastructure error and have no result",
+            f"{evaluation.infrastructure_errors} of {count} episodes ended with an infrastructure error and have no "
+            "result",
             code=ExitCode.NOT_RUN,
         )
     console.data(standard.data("package")["eval_finish_line"])

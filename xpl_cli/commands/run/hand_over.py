@@ -99,12 +99,12 @@ def play(request: HandOverRequest, *, as_json: bool) -> None:
     from xpl_cli.evaluation.hand_over import launch as engine
     from xpl_cli.standard import spec as standard
 
-    told = engine.hand_over(request)
-    recorded = request.out is not None and told.episodes is not None
+    answer = engine.hand_over(request)
+    recorded = request.out is not None and answer.episodes is not None
     if as_json:
-        console.answer(_ANSWER, asdict(told), [shlex.join(["xpl", "report", str(request.out)])] if recorded else [])
+        console.answer(_ANSWER, asdict(answer), [shlex.join(["xpl", "report", str(request.out)])] if recorded else [])
         return
-    console.data(told.text())
+    console.data(answer.text())
     console.data(standard.data("package")["eval_finish_line"])
 
 
@@ -148,9 +148,9 @@ def try_hand_over(
     facts = environments.manifest(environments.find(name))
     is_replaced = facts.hand_over is not None and facts.stand_in is not None
     if is_replaced and os.environ.get(Launcher.read(facts).entry.workspace.variable):
-        given = [option for option, value in unfit.items() if value is not None]
-        if given:
-            raise UserError(f"{name} plays in its own workspace, by its own launcher, which takes no {given[0]}")
+        unsupported = [option for option, value in unfit.items() if value is not None]
+        if unsupported:
+            raise UserError(f"{name} plays in its own workspace, by its own launcher, which takes no {unsupported[0]}")
         play(request(package=adapter, environment=name, overrides=overrides), as_json=as_json)
         return name, True
     if facts.stand_in is not None:

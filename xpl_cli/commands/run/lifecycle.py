@@ -39,8 +39,8 @@ def install(
         is_ready = state in ("current", "given")
         following = [shlex.join(["xpl", "audit" if is_ready else "install", name])]
         if as_json:
-            told = {"package": folder.name, "state": state, "python": None, "environment": None}
-            console.answer(_INSTALL, told, following)
+            answer = {"package": folder.name, "state": state, "python": None, "environment": None}
+            console.answer(_INSTALL, answer, following)
         else:
             console.data(f"{folder.name}: {state}")
         if not is_ready:
@@ -48,9 +48,9 @@ def install(
         return
     done = scripts.install(folder, environment, again=force)
     if as_json:
-        told = {"package": folder.name, "state": done.state, "python": str(done.python)}
+        answer = {"package": folder.name, "state": done.state, "python": str(done.python)}
         following = [shlex.join(["xpl", "audit", name])]
-        console.answer(_INSTALL, {**told, "environment": dict(done.record) or None}, following)
+        console.answer(_INSTALL, {**answer, "environment": dict(done.record) or None}, following)
         return
     if done.state == "given":
         console.note(f"{folder.name} runs in an interpreter that exists already: nothing to install")
@@ -91,5 +91,5 @@ def _run(policy: str, script: str, settings: list[str], gpu: str | None, *, as_j
     adapter = package.load(policy, overrides)
     seconds = scripts.run_script(adapter, script, overrides, gpu, aside=as_json)
     if as_json:
-        told = {"policy": adapter.name, "script": script, "seconds": round(seconds, 3)}
-        console.answer("xpl.script/1", told, [shlex.join(["xpl", "audit", policy])])
+        answer = {"policy": adapter.name, "script": script, "seconds": round(seconds, 3)}
+        console.answer("xpl.script/1", answer, [shlex.join(["xpl", "audit", policy])])

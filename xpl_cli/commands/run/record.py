@@ -87,9 +87,11 @@ def record(
     from xpl_cli.evaluation.runs import collect, remote
     from xpl_cli.packages import package
 
-    kept = choose_name("choice for --keep", keep or (config.SUCCESS if policy is None else config.ALL), config.KEEP)
+    keep_choice = choose_name(
+        "choice for --keep", keep or (config.SUCCESS if policy is None else config.ALL), config.KEEP
+    )
     demos = config.RecordingConfig(
-        str(out.absolute()), kept, choose_name("form of images", form, FORMS), quality, not no_depth, privileged
+        str(out.absolute()), keep_choice, choose_name("form of images", form, FORMS), quality, not no_depth, privileged
     )
     request = collect.RecordRequest(
         environment=env,
@@ -102,7 +104,7 @@ def record(
         episodes=episodes,
         seed=seed,
         size=_size(images),
-        horizon=remote.WHOLE if policy is None and horizon is None else horizon,
+        horizon=remote.WHOLE_CHUNK if policy is None and horizon is None else horizon,
         films=film,
         workers=backends.parse_workers(workers),
         resume=resume,
@@ -110,13 +112,13 @@ def record(
         runtime=config.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
     )
     with questions_for(env), progress() as say:
-        told = collect.collect(request, say)
+        result = collect.collect(request, say)
     if as_json:
-        first = f"{told.folder}/episode_0000000.hdf5"
-        console.answer("xpl.demonstrations/1", asdict(told), [shlex.join(["xpl", "spec", "validate", first])])
+        first = f"{result.folder}/episode_0000000.hdf5"
+        console.answer("xpl.demonstrations/1", asdict(result), [shlex.join(["xpl", "spec", "validate", first])])
     else:
-        console.data(told.text())
-    if not told.is_complete:
+        console.data(result.text())
+    if not result.is_complete:
         raise typer.Exit(ExitCode.FINDINGS)
 
 
@@ -134,7 +136,7 @@ def _size(images: str | None) -> tuple[int, int] | bool | None:
         return None
     if images in ("own", "none"):
         return images == "own"
-    found = re.fullmatch(r"([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", images)
-    if found is None:
+    match = re.fullmatch(r"([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", images)
+    if match is None:
         raise UserError(f"--images must be HxW such as 128x128, own, or none, got {images!r}")
-    return int(found[1]), int(found[2])
+    return int(match[1]), int(match[2])

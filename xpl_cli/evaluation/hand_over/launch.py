@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
-KEPT = "hand_over.json"
+STATE_FILE = "hand_over.json"
 _UNSAID = "default"
 _UNSAID_ENVIRONMENTS = (None, "", "-", "null", "none")
 """What launchers put where no environment is given."""
@@ -53,8 +53,8 @@ def make_plan(request: HandOverRequest) -> HandOverPlan:
     launcher = Launcher.read(facts)
     overrides = {sdk.Deploy.BENCH_NAME: launcher.bench_name, **request.overrides}
     config = request.package.config(overrides)
-    asked = request.task or config.get(sdk.Deploy.TASK_NAME) or next(iter(facts.tasks))
-    config = {**config, sdk.Deploy.TASK_NAME: choose_name("task", asked, list(facts.tasks))}
+    task = request.task or config.get(sdk.Deploy.TASK_NAME) or next(iter(facts.tasks))
+    config = {**config, sdk.Deploy.TASK_NAME: choose_name("task", task, list(facts.tasks))}
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
     choose_name("embodiment", robot, facts.embodiments)
     choose_name("action type", config[sdk.Deploy.ACTION_TYPE], facts.action_types)
@@ -108,10 +108,10 @@ def hand_over(request: HandOverRequest) -> HandOverAnswer:
     before = set() if planned.workspace is None else _results(planned)
     if request.out is not None:
         request.out.mkdir(parents=True, exist_ok=True)
-        kept = json.dumps({"run_id": planned.values["run_id"], "values": dict(planned.values)}, indent=2) + "\n"
-        atomic.write_file(request.out / KEPT, kept.encode())
+        state = json.dumps({"run_id": planned.values["run_id"], "values": dict(planned.values)}, indent=2) + "\n"
+        atomic.write_file(request.out / STATE_FILE, state.encode())
     started, clock = now(), time.perf_counter()
-    with _address(request, planned) as (host, port):
+    with _server_address(request, planned) as (host, port):
         words = planned.words(host, port)
         code = process.run(words, planned.workspace or Path.cwd(), _variables(request, planned), request.hours)
     seconds = time.perf_counter() - clock
@@ -132,7 +132,7 @@ def hand_over(request: HandOverRequest) -> HandOverAnswer:
     )
     if planned.workspace is None:
         return answer
-    path = _found(planned, before)
+    path = _find_result(planned, before)
     if planned.launcher.entry.result.form == RATE:
         return replace(answer, result=str(path), success_rate=results.rate(path))
     layouts = results.layouts(path)
@@ -143,50 +143,50 @@ def hand_over(request: HandOverRequest) -> HandOverAnswer:
 
 def _run_id(request: HandOverRequest) -> str:
     """Return the name of a run: a time, as benchmarks sort them; the recorded one where a run goes on."""
-    kept = None if request.out is None else request.out / KEPT
+    state_file = None if request.out is None else request.out / STATE_FILE
     if request.out is not None and (request.out / records.FILE).exists():
         raise UserError(f"{request.out} holds a recorded run already, and it is complete", hint="choose another --out")
     if request.resume:
-        if kept is None:
+        if state_file is None:
             raise NotFoundError("--resume goes on with the run in --out: name it")
-        return _kept(kept)
-    if kept is not None and kept.exists():
+        return _read_run_id(state_file)
+    if state_file is not None and state_file.exists():
         raise UserError(f"{request.out} holds a run that was not completed", hint="--resume goes on with it")
     return dt.datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
 
 
-def _kept(file: Path) -> str:
+def _read_run_id(file: Path) -> str:
     """Return the name of a run that was not completed."""
     try:
-        told = json_text.parse(files.content(file, _MOST_BYTES))["run_id"]
+        run_id = json_text.parse(files.content(file, _MOST_BYTES))["run_id"]
     except OSError:
         raise NotFoundError(f"{file.parent} holds no run that was handed over") from None
     except (json_text.JsonError, KeyError, TypeError):
-        told = None
-    if not isinstance(told, str) or not _SAFE.fullmatch(told) or ".." in told:
+        run_id = None
+    if not isinstance(run_id, str) or not _SAFE.fullmatch(run_id) or ".." in run_id:
         raise UserError(f"{file} names no run", code=ExitCode.NOT_RUN)
-    return told
+    return run_id
 
 
 def _variables(request: HandOverRequest, planned: HandOverPlan) -> dict[str, str]:
     """Return the environment variables of the launcher."""
-    found = dict(os.environ)
+    variables = dict(os.environ)
     if planned.workspace is None:
         ours = str(Path(xpl.__file__).parents[1])
-        found["PYTHONPATH"] = os.pathsep.join(filter(None, (ours, found.get("PYTHONPATH"))))
+        variables["PYTHONPATH"] = os.pathsep.join(filter(None, (ours, variables.get("PYTHONPATH"))))
     if request.eval_env not in _UNSAID_ENVIRONMENTS:
         from xpl_cli.lifecycle import interpreter
 
         folder = Path(interpreter.resolve(planned.folder, PythonEnvironment(), env=request.eval_env)).parent
-        found["PATH"] = os.pathsep.join(filter(None, (str(folder), found.get("PATH"))))
-    return {**found, **planned.launcher.environment(planned.values)}
+        variables["PATH"] = os.pathsep.join(filter(None, (str(folder), variables.get("PATH"))))
+    return {**variables, **planned.launcher.environment(planned.values)}
 
 
 @contextlib.contextmanager
-def _address(request: HandOverRequest, planned: HandOverPlan) -> Iterator[tuple[str, str]]:
+def _server_address(request: HandOverRequest, planned: HandOverPlan) -> Iterator[tuple[str, str]]:
     """Yield host and port of the policy server, which runs for the length of a `with` block."""
     if request.connect is not None:
-        yield _split(request.connect)
+        yield _host_and_port(request.connect)
         return
     from xpl_cli.serving.launch import running_server
 
@@ -195,10 +195,10 @@ def _address(request: HandOverRequest, planned: HandOverPlan) -> Iterator[tuple[
     with running_server(
         request.package.path, overrides, python=request.python, env=request.env, gpu=request.gpu
     ) as server:
-        yield _split(server.url)
+        yield _host_and_port(server.url)
 
 
-def _split(url: str) -> tuple[str, str]:
+def _host_and_port(url: str) -> tuple[str, str]:
     """Return host and port of an address.
 
     Raises:
@@ -220,19 +220,19 @@ def _results(planned: HandOverPlan) -> set[Path]:
     pattern = fill_placeholders(
         planned.launcher.entry.result.file, {name: glob.escape(value) for name, value in planned.values.items()}
     )
-    found = (path for path in planned.workspace.glob(pattern) if path.is_file())
+    paths = (path for path in planned.workspace.glob(pattern) if path.is_file())
     # A checkpoint's name may hold slashes, as the benchmarks' own paths do, and must not lead out of the workspace.
-    return {path for path in found if path.resolve().is_relative_to(planned.workspace)}
+    return {path for path in paths if path.resolve().is_relative_to(planned.workspace)}
 
 
-def _found(planned: HandOverPlan, before: set[Path]) -> Path:
+def _find_result(planned: HandOverPlan, before: set[Path]) -> Path:
     """Return the result that the launcher has written.
 
     Raises:
         UserError: there is none, or there are several.
     """
-    there = _results(planned)
-    new = there - before if "*" in planned.launcher.entry.result.file else there
+    results = _results(planned)
+    new = results - before if "*" in planned.launcher.entry.result.file else results
     where = fill_placeholders(planned.launcher.entry.result.file, planned.values)
     if len(new) != 1:
         count = "no result" if not new else f"{len(new)} results"

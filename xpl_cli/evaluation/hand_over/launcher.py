@@ -54,52 +54,54 @@ class Launcher:
         Raises:
             LauncherError: there is none, something is missing, or a word names what there is not.
         """
-        told, where = facts.hand_over, f"{KEY} in the env.yml of {facts.name}"
-        if told is None:
+        entry, where = facts.hand_over, f"{KEY} in the env.yml of {facts.name}"
+        if entry is None:
             raise LauncherError(
                 f"{facts.name} hands nothing over: its env.yml has no {KEY}", hint="see docs/hand-over.md"
             )
-        result = told.result
+        result = entry.result
         needed = {
-            sdk.Deploy.BENCH_NAME: told.bench_name,
-            "workspace": told.workspace.variable and told.workspace.files,
-            "command": told.command,
+            sdk.Deploy.BENCH_NAME: entry.bench_name,
+            "workspace": entry.workspace.variable and entry.workspace.files,
+            "command": entry.command,
             sdk.Payload.RESULT: result.form and result.file,
         }
         lacking = [key for key, value in needed.items() if not value]
         if lacking:
             raise LauncherError(f"{where} lacks {lacking[0]}, or parts of it", hint="see docs/hand-over.md")
-        words = (*told.workspace.files, *told.command, *told.rehearsal, *told.variables.values(), result.file)
+        words = (*entry.workspace.files, *entry.command, *entry.rehearsal, *entry.variables.values(), result.file)
         unknown = sorted({key for word in words for key in _NAME.findall(word)} - set(known_names()))
         if unknown:
             raise LauncherError(f"{where} names {{{unknown[0]}}}; there are {', '.join(known_names())}")
         if Path(result.file).is_absolute() or ".." in Path(result.file).parts:
             raise LauncherError(f"{where}: {sdk.Payload.RESULT}.file must lie below the workspace")
-        return cls(told)
+        return cls(entry)
 
     @property
     def bench_name(self) -> str:
         """What launchers and deploy.yml call the benchmark."""
         return self.entry.bench_name
 
-    def workspace(self, given: Path | None, values: Mapping[str, str]) -> Path:
+    def workspace(self, folder_name: Path | None, values: Mapping[str, str]) -> Path:
         """Return the folder of the benchmark, if all is there that a run needs.
 
         Args:
-            given: a folder; None leaves it to the environment variable.
+            folder_name: a folder; None leaves it to the environment variable.
             values: by name, for the files.
 
         Raises:
             NotFoundError: none was named, or something is missing in it.
         """
-        place = given if given is not None else Path(os.environ.get(self.entry.workspace.variable) or "")
-        if not place.parts:
+        path_given = (
+            folder_name if folder_name is not None else Path(os.environ.get(self.entry.workspace.variable) or "")
+        )
+        if not path_given.parts:
             raise NotFoundError(
                 f"no workspace of {self.bench_name} is known",
                 hint=f"name its folder with --workspace or in {self.entry.workspace.variable}"
                 + ("; --rehearse plays a stand-in without one" if self.entry.rehearsal else ""),
             )
-        folder = place.resolve()
+        folder = path_given.resolve()
         for file in self.entry.workspace.files:
             path = fill_placeholders(file, values)
             if not (folder / path).is_file():
@@ -132,4 +134,4 @@ def known_names() -> tuple[str, ...]:
 
 def fill_placeholders(word: str, values: Mapping[str, str]) -> str:
     """Return a word with its names replaced; what a value holds is not replaced again."""
-    return _NAME.sub(lambda found: values[found.group(1)], word)
+    return _NAME.sub(lambda match: values[match.group(1)], word)

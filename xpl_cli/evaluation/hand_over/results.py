@@ -46,21 +46,21 @@ def layouts(path: Path) -> list[LayoutResult]:
         ResultError: it is none, contradicts itself, or tells a layout twice.
     """
     try:
-        told = benchmark_files.read_json(path)
-        found = _layouts(told)
+        result = benchmark_files.read_json(path)
+        entries = _layouts(result)
     except ValueError as error:
         raise LauncherResultError(f"{path} is no result of the form layouts: {error!s:.200}") from None
-    numbers = [entry.number for entry in found]
+    numbers = [entry.number for entry in entries]
     if len(set(numbers)) < len(numbers):
         twice = next(number for number in numbers if numbers.count(number) > 1)
         raise LauncherResultError(f"{path} tells layout {twice} twice")
-    won = sum(entry.success for entry in found)
-    rate = told.success_rate
-    if found and rate is not None and not math.isclose(rate, won / len(found), abs_tol=1e-6):
+    won = sum(entry.success for entry in entries)
+    rate = result.success_rate
+    if entries and rate is not None and not math.isclose(rate, won / len(entries), abs_tol=1e-6):
         raise LauncherResultError(
-            f"{path} contradicts itself: success_rate {rate:g}, but {won} of {len(found)} succeeded"
+            f"{path} contradicts itself: success_rate {rate:g}, but {won} of {len(entries)} succeeded"
         )
-    return sorted(found, key=lambda entry: entry.number)
+    return sorted(entries, key=lambda entry: entry.number)
 
 
 def rate(path: Path) -> float:
@@ -75,10 +75,10 @@ def rate(path: Path) -> float:
         raise LauncherResultError(f"{path} does not end with a success rate from 0 to 1: {error}") from None
 
 
-def _layouts(told: benchmark_files.ResultFile) -> list[LayoutResult]:
-    if told.entries is None:
+def _layouts(result: benchmark_files.BenchmarkResultFile) -> list[LayoutResult]:
+    if result.entries is None:
         raise ValueError("it has no details")
-    return [_layout(entry) for entry in told.entries]
+    return [_layout(entry) for entry in result.entries]
 
 
 def _layout(entry: benchmark_files.ResultEpisode) -> LayoutResult:

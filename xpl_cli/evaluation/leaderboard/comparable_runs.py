@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.records import Run
 
 _MACHINE = "machine: "
-_MOST_TOLD = 4
+_MOST_LISTED = 4
 _LONGEST = 100
 
 
@@ -41,7 +41,7 @@ class ComparableRuns:
 
     def sentences(self) -> list[str]:
         """Return the differences as people read them."""
-        return [*self.remarks, *(_sentence(self.runs, place, difference) for place, difference in self.differences)]
+        return [*self.remarks, *(_sentence(self.runs, index, difference) for index, difference in self.differences)]
 
 
 class IncompatibleRunsError(UserError):
@@ -68,32 +68,36 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
     for run in runs:
         stand_ins.refuse(run, "ranked")
         _refuse_contradictions(run)
-    reasons = [_too_many_errors(run) or _trusted(run) for run in runs]
+    reasons = [_too_many_errors(run) or _not_isolated(run) for run in runs]
     unranked = tuple(filter(None, reasons))
     runs = [run for run, reason in zip(runs, reasons, strict=True) if reason is None]
     if not runs:
         raise UserError(f"no run can be ranked. {' '.join(unranked)}", code=ExitCode.NOT_RUN)
-    played = tuple(_restricted(runs)) if common else tuple(runs)
-    found = tuple((place, difference) for place, run in enumerate(played) for difference in _unlike(played[0], run))
-    barriers = [(place, difference) for place, difference in found if is_barrier(difference.what)]
+    played = tuple(_restrict_to_common(runs)) if common else tuple(runs)
+    run_differences = tuple(
+        (index, difference) for index, run in enumerate(played) for difference in _differences_from(played[0], run)
+    )
+    barriers = [(index, difference) for index, difference in run_differences if is_barrier(difference.what)]
     if barriers and not anyway:
-        more = f" There are {len(barriers) - _MOST_TOLD} more differences." if len(barriers) > _MOST_TOLD else ""
-        told = " ".join(_sentence(runs, *barrier) for barrier in barriers[:_MOST_TOLD])
+        more = f" There are {len(barriers) - _MOST_LISTED} more differences." if len(barriers) > _MOST_LISTED else ""
+        sentences = " ".join(_sentence(runs, *barrier) for barrier in barriers[:_MOST_LISTED])
         raise IncompatibleRunsError(
-            f"these runs are not alike. {told}{more}",
+            f"these runs are not alike. {sentences}{more}",
             hint="--common ranks by the episodes that all of them played, --anyway in spite of all differences",
             code=ExitCode.NOT_RUN,
         )
-    launched = (f"{run.folder}: {said}" for run in runs if (said := containment.remark(run)) is not None)
-    return ComparableRuns(played, common, found, (*unranked, *launched))
+    launched = (f"{run.folder}: {remark}" for run in runs if (remark := containment.remark(run)) is not None)
+    return ComparableRuns(played, common, run_differences, (*unranked, *launched))
 
 
 def _refuse_contradictions(run: Run) -> None:
     """Raise where a record says of an episode that it succeeded and that it did not."""
     for line in run.finals.values():
-        said = contradiction(line)
-        if said is not None:
-            raise UserError(f"{run.folder}: episode {line.index} {said}: the record was changed", code=ExitCode.NOT_RUN)
+        problem = contradiction(line)
+        if problem is not None:
+            raise UserError(
+                f"{run.folder}: episode {line.index} {problem}: the record was changed", code=ExitCode.NOT_RUN
+            )
 
 
 def _too_many_errors(run: Run) -> str | None:
@@ -106,10 +110,10 @@ def _too_many_errors(run: Run) -> str | None:
     )
 
 
-def _trusted(run: Run) -> str | None:
+def _not_isolated(run: Run) -> str | None:
     """Return why a run is not ranked whose adapter could reach what judged it, or None."""
-    said = containment.sentence(run)
-    return None if said is None else f"{run.folder} is not ranked: {said}"
+    reason = containment.sentence(run)
+    return None if reason is None else f"{run.folder} is not ranked: {reason}"
 
 
 def is_barrier(what: str) -> bool:
@@ -117,7 +121,7 @@ def is_barrier(what: str) -> bool:
     return not what.startswith(_MACHINE)
 
 
-def _unlike(first: Run, run: Run) -> Iterator[RunDifference]:
+def _differences_from(first: Run, run: Run) -> Iterator[RunDifference]:
     """Yield in what a run differs from the first one, and whether it still goes on."""
     if run is not first:
         yield from find_differences(first, run)
@@ -126,19 +130,19 @@ def _unlike(first: Run, run: Run) -> Iterator[RunDifference]:
         yield RunDifference("episodes still to come", "none", str(unplayed))
 
 
-def _sentence(runs: Sequence[Run], place: int, difference: RunDifference) -> str:
+def _sentence(runs: Sequence[Run], index: int, difference: RunDifference) -> str:
     first, second = (
         textwrap.shorten(text, _LONGEST, placeholder=" ...") for text in (difference.first, difference.second)
     )
-    what, folder = f"{difference.what[:1].upper()}{difference.what[1:]}", runs[place].folder
-    if place == 0:
+    what, folder = f"{difference.what[:1].upper()}{difference.what[1:]}", runs[index].folder
+    if index == 0:
         return f"{what}: {second} in {folder}."
     return f"{what}: {first} in {runs[0].folder}, {second} in {folder}."
 
 
-def _restricted(runs: Sequence[Run]) -> Iterator[Run]:
+def _restrict_to_common(runs: Sequence[Run]) -> Iterator[Run]:
     """Yield the runs with the episodes that count in all of them, in the order of the first plan."""
-    counted = [set(_cases(run)) for run in runs]
+    counted = [set(_counted_cases(run)) for run in runs]
     shared = set.intersection(*counted)
     if not shared:
         raise UserError("these runs have no episode in common", code=ExitCode.NOT_RUN)
@@ -148,8 +152,8 @@ def _restricted(runs: Sequence[Run]) -> Iterator[Run]:
         seeds: dict[CellKey, list[int]] = {}
         for slot in order:
             seeds.setdefault((slot.task, slot.setting), []).append(slot.seed)
-        kept = [replace(entries[place], seeds=found) for place, found in seeds.items()]
-        plan = replace(run.plan, until_width=None, cells=kept).named()
+        cells = [replace(entries[key], seeds=cell_seeds) for key, cell_seeds in seeds.items()]
+        plan = replace(run.plan, until_width=None, cells=cells).named()
         by_case = {line.case: line for line in run.finals.values()}
         finals = {slot.index: replace(by_case[slot.case], index=slot.index) for slot in plan.slots()}
         places_of = {line.case: index for index, line in finals.items()}
@@ -157,7 +161,7 @@ def _restricted(runs: Sequence[Run]) -> Iterator[Run]:
         yield replace(run, plan=plan, attempts=attempts, finals=finals)
 
 
-def _cases(run: Run) -> Iterator[EpisodeKey]:
+def _counted_cases(run: Run) -> Iterator[EpisodeKey]:
     """Yield what a run's success rates are made of."""
     for cell in cells(run):
         yield from (line.case for line in cell.counted if cell.counts_as_success(line) is not None)

@@ -37,20 +37,20 @@ _DIGITS = 12
 def robodojo(run: Run) -> Iterator[tuple[Path, str]]:
     """Yield path and text of each file of a run, below RoboDojo's folder of results."""
     plan, config = run.plan, run.plan.policy.config
-    began = _began(run).strftime("%Y-%m-%d_%H-%M-%S")
+    began = _start_time(run).strftime("%Y-%m-%d_%H-%M-%S")
     settings = f"{config.get(sdk.Deploy.SEED, 0)}_ckpt_name={_checkpoint(run)},action_type={plan.action_type}"
-    for cell in _told(run):
+    for cell in _rated_cells(run):
         task = {_PLAIN: cell.task, _RANDOMIZED: f"{cell.task}_random"}.get(cell.setting, f"{cell.task}_{cell.setting}")
-        place = _place(task, plan.policy.name, plan.embodiment) / settings / began / "_result.json"
-        yield place, json.dumps(_details(cell), indent=2, ensure_ascii=False) + "\n"
+        path = _result_path(task, plan.policy.name, plan.embodiment) / settings / began / "_result.json"
+        yield path, json.dumps(_details(cell), indent=2, ensure_ascii=False) + "\n"
 
 
 def robotwin(run: Run) -> Iterator[tuple[Path, str]]:
     """Yield path and text of each file of a run, below RoboTwin's folder of results."""
-    began = _began(run).strftime("%Y-%m-%d %H:%M:%S")
-    for cell in _told(run):
-        place = _place(cell.task, run.plan.policy.name, cell.setting, _checkpoint(run)) / began / "_result.txt"
-        yield place, f"{sum(cell.certain) / len(cell.certain)}\n"
+    began = _start_time(run).strftime("%Y-%m-%d %H:%M:%S")
+    for cell in _rated_cells(run):
+        path = _result_path(cell.task, run.plan.policy.name, cell.setting, _checkpoint(run)) / began / "_result.txt"
+        yield path, f"{sum(cell.certain) / len(cell.certain)}\n"
 
 
 FORMATS: dict[str, Callable[[Run], Iterable[tuple[Path, str]]]] = {"robodojo": robodojo, "robotwin": robotwin}
@@ -69,16 +69,16 @@ def write(name: str, runs: Iterable[Run], folder: Path) -> int:
     texts: dict[Path, str] = {}
     for run in runs:
         stand_ins.refuse(run, "written as a result of a benchmark")
-        for place, text in FORMATS[name](run):
-            if place in texts:
+        for path, text in FORMATS[name](run):
+            if path in texts:
                 raise UserError(
-                    f"{run.folder} and another run would both write {place}: their results are of equal name"
+                    f"{run.folder} and another run would both write {path}: their results are of equal name"
                 )
-            texts[place] = text
+            texts[path] = text
     try:
-        for place, text in texts.items():
-            (folder / place).parent.mkdir(parents=True, exist_ok=True)
-            atomic.write_file(folder / place, text.encode())
+        for path, text in texts.items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            atomic.write_file(folder / path, text.encode())
     except OSError as error:
         raise UserError(f"{folder} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
     return len(texts)
@@ -104,12 +104,12 @@ def _details(cell: Cell) -> dict[str, Any]:
     }
 
 
-def _told(run: Run) -> Iterator[Cell]:
+def _rated_cells(run: Run) -> Iterator[Cell]:
     """Yield the cells that have a success rate."""
     return (cell for cell in cells(run) if cell.outcomes)
 
 
-def _began(run: Run) -> dt.datetime:
+def _start_time(run: Run) -> dt.datetime:
     return dt.datetime.fromisoformat(run.plan.created)
 
 
@@ -120,5 +120,5 @@ def _checkpoint(run: Run) -> str:
     return _UNFIT.sub("_", str(policy.config.get(sdk.Deploy.CKPT_NAME) or digest))
 
 
-def _place(*names: str) -> Path:
+def _result_path(*names: str) -> Path:
     return Path(*(_UNFIT.sub("_", name).strip(".") or "_" for name in names))

@@ -42,7 +42,7 @@ def write(ranking: Ranking, folder: Path) -> None:
 
 def page(ranking: Ranking) -> str:
     """Return a ranking as a page of one file."""
-    shown = [
+    rows = [
         {
             "rank": row.rank,
             "label": label,
@@ -57,7 +57,7 @@ def page(ranking: Ranking) -> str:
         style="report/page.css",
         title=ranking_text.title(ranking),
         confidence=wording.percent(ranking.confidence),
-        rows=shown,
+        rows=rows,
         header=ranking_text.header(ranking),
         table=ranking_text.rows(ranking),
         notes=ranking.notes,

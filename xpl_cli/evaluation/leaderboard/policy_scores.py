@@ -127,42 +127,42 @@ def score_policies(results: Sequence[BenchmarkResult], *, partial: bool = False)
     by_policy: dict[str, list[BenchmarkResult]] = defaultdict(list)
     for result in results:
         by_policy[result.policy].append(result)
-    return [_tallied(name, found, partial=partial) for name, found in sorted(by_policy.items())]
+    return [_score_policy(name, policy_results, partial=partial) for name, policy_results in sorted(by_policy.items())]
 
 
-def _tallied(policy: str, results: Sequence[BenchmarkResult], *, partial: bool) -> PolicyScores:
+def _score_policy(policy: str, results: Sequence[BenchmarkResult], *, partial: bool) -> PolicyScores:
     cells, halves = _cells(results, partial=partial)
-    known = protocol()
+    rules = protocol()
     is_known = any(dimension_of(_base(result)) != OTHER for result in results)
-    asked = {(_base(result), result.variant, result.seed) for result in results}
-    whole = sum(map(len, known.dimensions.values())) * len(known.seeds)
-    found = PolicyScores(policy, counted=len(cells), expected=whole if is_known else len(asked))
-    found.dimensions = _grouped(cells, lambda cell: cell.dimension)
-    found.variants = _grouped(cells, lambda cell: cell.variant)
-    found.tasks = _grouped(cells, lambda cell: cell.task)
-    found.halves = {name: figure for name, part in halves.items() if (figure := _over_seeds(part)) is not None}
-    found.overall = _overall(cells)
-    return found
+    cases = {(_base(result), result.variant, result.seed) for result in results}
+    whole = sum(map(len, rules.dimensions.values())) * len(rules.seeds)
+    scores = PolicyScores(policy, counted=len(cells), expected=whole if is_known else len(cases))
+    scores.dimensions = _grouped(cells, lambda cell: cell.dimension)
+    scores.variants = _grouped(cells, lambda cell: cell.variant)
+    scores.tasks = _grouped(cells, lambda cell: cell.task)
+    scores.halves = {name: figure for name, part in halves.items() if (figure := _over_seeds(part)) is not None}
+    scores.overall = _overall(cells)
+    return scores
 
 
 def _cells(results: Sequence[BenchmarkResult], *, partial: bool) -> tuple[list[_Cell], dict[str, list[_Cell]]]:
     """Return the cells that count, and the halves of those with a randomized form."""
-    known = protocol()
-    suffix, half, full = known.random_suffix, known.halves, known.episodes
+    rules = protocol()
+    suffix, half, full = rules.random_suffix, rules.halves, rules.episodes
     cells: list[_Cell] = []
     halves: dict[str, list[_Cell]] = {"standard": [], "random": []}
-    places = {(result.task, result.variant, result.seed): result for result in results}
-    for (task, variant, seed), result in sorted(places.items()):
+    by_case = {(result.task, result.variant, result.seed): result for result in results}
+    for (task, variant, seed), result in sorted(by_case.items()):
         base = _base(result)
         dimension = dimension_of(base)
         if dimension == OTHER or result.benchmark != ROBODOJO:
             cells.append(_Cell(OTHER, task, variant, seed, result.success, result.score))
-        elif dimension == known.randomized:
+        elif dimension == rules.randomized:
             name = "standard" if task == base else "random"
             part = _first(result, half, partial=partial)
             if part is not None:
                 halves[name].append(_Cell(dimension, base, variant, seed, *part))
-            other = places.get((f"{base}{suffix}", variant, seed)) if task == base else None
+            other = by_case.get((f"{base}{suffix}", variant, seed)) if task == base else None
             rest = None if other is None else _first(other, half, partial=partial)
             if part is not None and rest is not None:
                 success, score = ((one + two) / 2 for one, two in zip(part, rest, strict=True))
@@ -205,14 +205,14 @@ def _grouped(cells: Iterable[_Cell], name: Callable[[_Cell], str]) -> dict[str, 
 
 def _over_seeds(cells: Sequence[_Cell]) -> MeanScore | None:
     """Return mean and spread over the seeds of the means of their cells."""
-    return _figure(_by_seed(cells).values())
+    return _mean_score(_by_seed(cells).values())
 
 
 def _by_seed(cells: Iterable[_Cell]) -> Mapping[int, tuple[float, float | None]]:
     seeds: dict[int, list[_Cell]] = defaultdict(list)
     for cell in cells:
         seeds[cell.seed].append(cell)
-    return {seed: _mean([(cell.success, cell.score) for cell in found]) for seed, found in seeds.items()}
+    return {seed: _mean([(cell.success, cell.score) for cell in seed_cells]) for seed, seed_cells in seeds.items()}
 
 
 def _overall(cells: Sequence[_Cell]) -> MeanScore | None:
@@ -221,10 +221,10 @@ def _overall(cells: Sequence[_Cell]) -> MeanScore | None:
     for cell in cells:
         dimensions[cell.dimension].append(cell)
     means: dict[int, list[tuple[float, float | None]]] = defaultdict(list)
-    for found in dimensions.values():
-        for seed, mean in _by_seed(found).items():
+    for group in dimensions.values():
+        for seed, mean in _by_seed(group).items():
             means[seed].append(mean)
-    return _figure([_mean(found) for found in means.values()])
+    return _mean_score([_mean(group) for group in means.values()])
 
 
 def _mean(pairs: Sequence[tuple[float, float | None]]) -> tuple[float, float | None]:
@@ -233,11 +233,11 @@ def _mean(pairs: Sequence[tuple[float, float | None]]) -> tuple[float, float | N
     return success, statistics.fmean(scores) if len(scores) == len(pairs) else None
 
 
-def _figure(means: Iterable[tuple[float, float | None]]) -> MeanScore | None:
-    found = list(means)
-    if not found:
+def _mean_score(means: Iterable[tuple[float, float | None]]) -> MeanScore | None:
+    values = list(means)
+    if not values:
         return None
-    success, score = _mean(found)
-    scores = [value for _, value in found if value is not None]
+    success, score = _mean(values)
+    scores = [value for _, value in values if value is not None]
     spread = None if score is None else statistics.pstdev(scores)
-    return MeanScore(success, score, statistics.pstdev([value for value, _ in found]), spread)
+    return MeanScore(success, score, statistics.pstdev([value for value, _ in values]), spread)

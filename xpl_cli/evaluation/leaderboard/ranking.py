@@ -136,30 +136,30 @@ def rank(field: ComparableRuns, by: str = SUCCESS) -> Ranking:
         UnknownNameError: no run has a task of such a dimension.
     """
     summaries = [summarise(run) for run in field.runs]
-    known = [row.dimension for summary in summaries for row in summary.dimensions]
-    one_of("--by", by, dict.fromkeys([SUCCESS, SCORE, *filter(None, known)]))
-    order = sorted(range(len(summaries)), key=lambda place: _strength(summaries[place], by), reverse=True)
-    strengths = [_strength(summaries[place], by) for place in order]
-    gaps, refusals = _gaps([field.runs[place] for place in order])
+    dimensions = [row.dimension for summary in summaries for row in summary.dimensions]
+    one_of("--by", by, dict.fromkeys([SUCCESS, SCORE, *filter(None, dimensions)]))
+    order = sorted(range(len(summaries)), key=lambda index: _strength(summaries[index], by), reverse=True)
+    strengths = [_strength(summaries[index], by) for index in order]
+    gaps, refusals = _gaps([field.runs[index] for index in order])
     rows = [
-        _row(field.runs[place], summaries[place], gap, 1 + strengths.index(strength))
-        for place, gap, strength in zip(order, gaps, strengths, strict=True)
+        _row(field.runs[index], summaries[index], gap, 1 + strengths.index(strength))
+        for index, gap, strength in zip(order, gaps, strengths, strict=True)
     ]
     result = Ranking(
         environment=summaries[0].environment,
         confidence=summaries[0].confidence,
         common=field.common,
-        tasks=_named(row.task for summary in summaries for row in summary.tasks),
-        settings=_named(row.setting for summary in summaries for row in summary.settings),
+        tasks=_unique(row.task for summary in summaries for row in summary.tasks),
+        settings=_unique(row.setting for summary in summaries for row in summary.settings),
         differences=[
-            FieldDifference(str(field.runs[place].folder), one.what, one.first, one.second)
-            for place, one in field.differences
+            FieldDifference(str(field.runs[index].folder), one.what, one.first, one.second)
+            for index, one in field.differences
         ],
         rows=rows,
     )
     skipped = caveats.of_skipped([line for run in field.runs for line in run.skipped])
-    asked = [] if by == SUCCESS else [f"Ranked by {by}; the comparison with the first is of success."]
-    return replace(result, notes=[*asked, *skipped, *_subsets(field), *field.sentences(), *refusals, *_notes(result)])
+    by_note = [] if by == SUCCESS else [f"Ranked by {by}; the comparison with the first is of success."]
+    return replace(result, notes=[*by_note, *skipped, *_subsets(field), *field.sentences(), *refusals, *_notes(result)])
 
 
 def _subsets(field: ComparableRuns) -> Iterator[str]:
@@ -174,17 +174,17 @@ def _subsets(field: ComparableRuns) -> Iterator[str]:
         yield f"A subset of the protocol was played, {missing[0]}{more}: this is no board."
 
 
-def _named(names: Iterable[str | None]) -> list[str]:
+def _unique(names: Iterable[str | None]) -> list[str]:
     return list(dict.fromkeys(filter(None, names)))
 
 
 def _strength(summary: Summary, by: str) -> tuple[float, float]:
     row = summary.overall
     if by not in (SUCCESS, SCORE):
-        found = next((row for row in summary.dimensions if row.dimension == by), None)
-        if found is None:
+        match = next((row for row in summary.dimensions if row.dimension == by), None)
+        if match is None:
             return -1.0, -1.0
-        row = found
+        row = match
     rate, score = (-1.0 if value is None else value for value in (row.success_rate, row.mean_score))
     return (score, rate) if by == SCORE else (rate, score)
 

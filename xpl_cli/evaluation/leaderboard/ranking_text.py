@@ -37,10 +37,10 @@ def as_csv(ranking: Ranking) -> str:
     gap = ("difference", "difference_low", "difference_high", "p_value", "adjusted_p_value")
     lines = []
     for row in ranking.rows:
-        found = row.to_first
+        gap_row = row.to_first
         to_first: tuple[float | None, ...] = (None,) * len(gap)
-        if found is not None:
-            to_first = (found.difference, *found.interval, found.p_value, found.adjusted_p_value)
+        if gap_row is not None:
+            to_first = (gap_row.difference, *gap_row.interval, gap_row.p_value, gap_row.adjusted_p_value)
         lines.append(
             [
                 *(getattr(row, name) for name in plain),
@@ -74,11 +74,11 @@ def header(ranking: Ranking) -> tuple[str, ...]:
 def rows(ranking: Ranking) -> list[tuple[str, ...]]:
     """Return the texts of the table."""
     settings = ranking.settings if len(ranking.settings) > 1 else []
-    found = []
+    lines = []
     for row, label in zip(ranking.rows, ranking.labels, strict=True):
         score = wording.NOTHING if row.mean_score is None else f"{row.mean_score:.2f}"
         shares = (row.settings.get(name) for name in settings)
-        found.append(
+        lines.append(
             (
                 str(row.rank),
                 label,
@@ -89,7 +89,7 @@ def rows(ranking: Ranking) -> list[tuple[str, ...]]:
                 *_gap(row.to_first),
             )
         )
-    return found
+    return lines
 
 
 def describe_standing(row: RankingRow) -> str:
@@ -103,5 +103,5 @@ def _gap(to_first: GapToFirst | None) -> tuple[str, str]:
     if to_first is None:
         return wording.NOTHING, wording.NOTHING
     low, high = to_first.interval
-    told = f"{points(to_first.difference)} ({points(low)} to {points(high)})"
-    return told, format_p_value(to_first.adjusted_p_value)
+    difference = f"{points(to_first.difference)} ({points(low)} to {points(high)})"
+    return difference, format_p_value(to_first.adjusted_p_value)

@@ -65,7 +65,7 @@ class BenchmarkResultError(ValueError):
 
 def is_tree(path: Path) -> bool:
     """Tell whether a folder is none of a recorded run, and holds results of the field."""
-    return path.is_dir() and not (path / records.FILE).exists() and next(_found(path), None) is not None
+    return path.is_dir() and not (path / records.FILE).exists() and next(_result_files(path), None) is not None
 
 
 def read(paths: Sequence[Path], *, skip: bool = False) -> tuple[list[BenchmarkResult], list[str]]:
@@ -83,26 +83,26 @@ def read(paths: Sequence[Path], *, skip: bool = False) -> tuple[list[BenchmarkRe
     others: set[tuple[str, str]] = set()
     notes: list[str] = []
     count = 0
-    for path in dict.fromkeys(file for folder in paths for file in sorted(_found(folder))):
+    for path in dict.fromkeys(file for folder in paths for file in sorted(_result_files(folder))):
         count += 1
         if count > _MOST_FILES:
             raise UserError(f"there are more than {_MOST_FILES} results below these folders", code=ExitCode.NOT_RUN)
         try:
             result = parse_result(path)
         except BenchmarkResultError as error:
-            said = f"{path} is no result: {error}"
+            message = f"{path} is no result: {error}"
             if not skip:
-                raise UserError(said, hint="--skip-bad-lines leaves it out", code=ExitCode.NOT_RUN) from None
-            notes.append(f"Left out: {said}.")
+                raise UserError(message, hint="--skip-bad-lines leaves it out", code=ExitCode.NOT_RUN) from None
+            notes.append(f"Left out: {message}.")
             continue
-        known = latest.get(result.key)
-        if known is not None and known.made_by != result.made_by:
+        previous = latest.get(result.key)
+        if previous is not None and previous.made_by != result.made_by:
             others.add((result.policy, result.task))
-        if known is None or known.when <= result.when:
+        if previous is None or previous.when <= result.when:
             latest[result.key] = result
-    found = {result.benchmark for result in latest.values()}
-    if len(found) > 1:
-        raise UserError(f"these are results of {' and '.join(sorted(found))}: rank those of each benchmark alone")
+    benchmarks = {result.benchmark for result in latest.values()}
+    if len(benchmarks) > 1:
+        raise UserError(f"these are results of {' and '.join(sorted(benchmarks))}: rank those of each benchmark alone")
     if not latest:
         raise NotFoundError(f"{', '.join(map(str, paths))}: there is no {' or '.join(_NAMES)} below it")
     if others:
@@ -126,38 +126,56 @@ def parse_result(path: Path) -> BenchmarkResult:
         raise BenchmarkResultError(f"in {variant} something stands in for a part of the benchmark")
     if benchmark == ROBOTWIN:
         return BenchmarkResult(
-            ROBOTWIN, policy, task, variant, 0, made_by, when, None, _asked(benchmark_files.read_rate, path), None
+            ROBOTWIN,
+            policy,
+            task,
+            variant,
+            0,
+            made_by,
+            when,
+            None,
+            _read_or_raise(benchmark_files.read_rate, path),
+            None,
         )
     seed = _SEED.match(made_by)
     if seed is None:
         raise BenchmarkResultError(f"its folder {made_by!r:.80} does not begin with a seed")
     made_by = made_by[seed.end() :]
     return BenchmarkResult(
-        ROBODOJO, policy, task, variant, int(seed[1]), made_by, when, *_details(_asked(benchmark_files.read_json, path))
+        ROBODOJO,
+        policy,
+        task,
+        variant,
+        int(seed[1]),
+        made_by,
+        when,
+        *_details(_read_or_raise(benchmark_files.read_json, path)),
     )
 
 
-def _found(folder: Path) -> Iterator[Path]:
+def _result_files(folder: Path) -> Iterator[Path]:
     """Yield the files with names of results below a folder; links are not followed."""
-    for place, folders, names in os.walk(folder):
+    for folder_path, folders, names in os.walk(folder):
         folders.sort()
         for name in names:
             if name in _NAMES:
-                yield Path(place) / name
+                yield Path(folder_path) / name
 
 
-def _details(told: benchmark_files.ResultFile) -> tuple[tuple[tuple[bool, float], ...] | None, float, float | None]:
+def _details(
+    result: benchmark_files.BenchmarkResultFile,
+) -> tuple[tuple[tuple[bool, float], ...] | None, float, float | None]:
     """Return episodes, success rate and mean score of a result of RoboDojo."""
-    if not told.entries:
-        if told.success_rate is None:
+    if not result.entries:
+        if result.success_rate is None:
             raise BenchmarkResultError("it has neither details nor a success_rate")
-        return None, told.success_rate, told.score
-    episodes = tuple((entry.success, entry.score or 0.0) for entry in told.entries)
+        return None, result.success_rate, result.score
+    episodes = tuple((entry.success, entry.score or 0.0) for entry in result.entries)
     rate = sum(success for success, _ in episodes) / len(episodes)
     return episodes, rate, math.fsum(score for _, score in episodes) / len(episodes)
 
 
-def _asked(reader: Callable[[Path], _Read], path: Path) -> _Read:
+def _read_or_raise(reader: Callable[[Path], _Read], path: Path) -> _Read:
     try:
         return reader(path)
     except benchmark_files.BenchmarkFileError as error:

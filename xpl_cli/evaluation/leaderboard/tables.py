@@ -76,12 +76,12 @@ class Results:
 
 
 def rank(
-    found: Sequence[PolicyScores], benchmark: str = ROBODOJO, by: str = SUCCESS, notes: Sequence[str] = ()
+    scores: Sequence[PolicyScores], benchmark: str = ROBODOJO, by: str = SUCCESS, notes: Sequence[str] = ()
 ) -> Results:
     """Return the ranking: equal ones share a rank, and who has nothing that counts is last.
 
     Args:
-        found: what the results of each policy come to.
+        scores: what the results of each policy come to.
         benchmark: whose results they are.
         by: `success`, `score`, or a dimension, by its success rate.
         notes: sentences about what was left out.
@@ -89,29 +89,29 @@ def rank(
     Raises:
         UserError: there is no such dimension.
     """
-    names = dimensions(found)
+    names = dimensions(scores)
     if by not in (SUCCESS, SCORE):
-        by = one_of("--by", _spelt(by, names), [SUCCESS, SCORE, *names])
-    order = sorted(found, key=lambda one: (*(-part for part in _strength(one, by)), one.policy))
+        by = one_of("--by", _match_case(by, names), [SUCCESS, SCORE, *names])
+    order = sorted(scores, key=lambda one: (*(-part for part in _strength(one, by)), one.policy))
     strengths = [_strength(one, by) for one in order]
     rows = [PolicyRow(1 + strengths.index(strength), one) for one, strength in zip(order, strengths, strict=True)]
     return Results(benchmark, by, names, rows, [*notes, *_notes(order)])
 
 
-def dimensions(found: Sequence[PolicyScores]) -> list[str]:
+def dimensions(scores: Sequence[PolicyScores]) -> list[str]:
     """Return the dimensions that any policy has something in, in the order of the benchmark."""
-    there = {name for one in found for name in one.dimensions}
-    return [name for name in (*protocol().dimensions, OTHER) if name in there]
+    present = {name for one in scores for name in one.dimensions}
+    return [name for name in (*protocol().dimensions, OTHER) if name in present]
 
 
-def ranking(told: Results) -> BenchmarkTable:
+def ranking(results: Results) -> BenchmarkTable:
     """Return the ranking as a table."""
-    if told.benchmark == ROBODOJO:
-        names = told.dimensions if list(told.dimensions) != [OTHER] else []
-        groups = [row.tally.dimensions for row in told.rows]
+    if results.benchmark == ROBODOJO:
+        names = results.dimensions if list(results.dimensions) != [OTHER] else []
+        groups = [row.tally.dimensions for row in results.rows]
     else:
-        names = sorted({name for row in told.rows for name in row.tally.variants})
-        groups = [row.tally.variants for row in told.rows]
+        names = sorted({name for row in results.rows for name in row.tally.variants})
+        groups = [row.tally.variants for row in results.rows]
     header = ("#", "policy", "success", "score", *names, "counted")
     rows = tuple(
         (
@@ -122,40 +122,40 @@ def ranking(told: Results) -> BenchmarkTable:
             *(_spread(group.get(name), SUCCESS) for name in names),
             f"{row.tally.counted}/{row.tally.expected}",
         )
-        for row, group in zip(told.rows, groups, strict=True)
+        for row, group in zip(results.rows, groups, strict=True)
     )
     count = "1 policy" if len(rows) == 1 else f"{len(rows)} policies"
-    return BenchmarkTable(f"{count}, by {told.by} (%, mean and spread over the seeds)", header, rows)
+    return BenchmarkTable(f"{count}, by {results.by} (%, mean and spread over the seeds)", header, rows)
 
 
-def of_the_paper(told: Results) -> list[BenchmarkTable]:
+def of_the_paper(results: Results) -> list[BenchmarkTable]:
     """Return Tables II to IV, as far as there is something in them; figures are score / success rate, in percent.
 
     Raises:
         UserError: the results are of another benchmark.
     """
-    if told.benchmark != ROBODOJO:
+    if results.benchmark != ROBODOJO:
         raise UserError("the tables are those of RoboDojo's paper: these results are of another benchmark")
-    return [table for table in (_second(told), _third(told), _fourth(told)) if table.rows]
+    return [table for table in (_table_2(results), _table_3(results), _table_4(results)) if table.rows]
 
 
-def text(told: Results, tables: Sequence[BenchmarkTable]) -> str:
+def text(results: Results, tables: Sequence[BenchmarkTable]) -> str:
     """Return tables for a terminal, with the notes."""
     parts = [as_lines([table.title, "", *wording.aligned(table.header, table.rows)]) for table in tables]
-    return "\n\n".join([*parts, as_lines(f"- {note}" for note in told.notes)])
+    return "\n\n".join([*parts, as_lines(f"- {note}" for note in results.notes)])
 
 
-def as_markdown(told: Results, tables: Sequence[BenchmarkTable]) -> str:
+def as_markdown(results: Results, tables: Sequence[BenchmarkTable]) -> str:
     """Return tables as Markdown, with the notes."""
     parts = [f"## {in_markdown(table.title)}\n\n{markdown.table(table.header, table.rows)}" for table in tables]
-    return "\n\n".join([*parts, "\n".join(f"- {in_markdown(note)}" for note in told.notes)]) + "\n"
+    return "\n\n".join([*parts, "\n".join(f"- {in_markdown(note)}" for note in results.notes)]) + "\n"
 
 
-def as_csv(told: Results) -> str:
+def as_csv(results: Results) -> str:
     """Return every figure as CSV: policy, kind of group, its name, success, score and their spreads."""
     columns = ("rank", "policy", "kind", "name", SUCCESS, SCORE, "success_spread", "score_spread")
     lines = []
-    for row in told.rows:
+    for row in results.rows:
         one = row.tally
         overall = {} if one.overall is None else {"": one.overall}
         groups = {
@@ -171,20 +171,20 @@ def as_csv(told: Results) -> str:
     return episodes.as_csv(columns, lines)
 
 
-def _second(told: Results) -> BenchmarkTable:
-    names = [name for name in told.dimensions if name != OTHER] or told.dimensions
+def _table_2(results: Results) -> BenchmarkTable:
+    names = [name for name in results.dimensions if name != OTHER] or results.dimensions
     rows = [
         (row.tally.policy, *(_both(row.tally.dimensions.get(name)) for name in names), _both(row.tally.overall))
-        for row in told.rows
+        for row in results.rows
         if row.tally.overall is not None
     ]
     title = "Table II. Results by dimension: score / success rate (%); the average is that of the dimensions"
     return BenchmarkTable(title, ("policy", *names, "Average"), tuple(rows))
 
 
-def _third(told: Results) -> BenchmarkTable:
+def _table_3(results: Results) -> BenchmarkTable:
     rows = []
-    for row in told.rows:
+    for row in results.rows:
         standard, random = (row.tally.halves.get(name) for name in ("standard", "random"))
         if standard is None and random is None:
             continue
@@ -194,11 +194,11 @@ def _third(told: Results) -> BenchmarkTable:
     return BenchmarkTable(title, ("policy", "Standard", "Random", "drop of score", "drop of success"), tuple(rows))
 
 
-def _fourth(told: Results) -> BenchmarkTable:
-    names = sorted({name for row in told.rows for name in row.tally.variants})
+def _table_4(results: Results) -> BenchmarkTable:
+    names = sorted({name for row in results.rows for name in row.tally.variants})
     rows = [
         (row.tally.policy, *(_both(row.tally.variants.get(name)) for name in names), _both(row.tally.overall))
-        for row in told.rows
+        for row in results.rows
         if row.tally.variants
     ]
     return BenchmarkTable(
@@ -214,13 +214,13 @@ def _strength(one: PolicyScores, by: str) -> tuple[float, float]:
     return (score, figure.success) if by == SCORE else (figure.success, score)
 
 
-def _spelt(given: str, names: Sequence[str]) -> str:
+def _match_case(given: str, names: Sequence[str]) -> str:
     """Return a dimension as the benchmark spells it."""
     return next((name for name in names if name.lower() == given.lower()), given)
 
 
-def _notes(found: Sequence[PolicyScores]) -> Iterator[str]:
-    lacking = [one for one in found if one.counted < one.expected]
+def _notes(scores: Sequence[PolicyScores]) -> Iterator[str]:
+    lacking = [one for one in scores if one.counted < one.expected]
     if lacking:
         named = ", ".join(f"{one.policy} {one.counted} of {one.expected}" for one in lacking)
         yield (

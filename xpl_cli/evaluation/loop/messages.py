@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from xpl.loop.shared_arrays import SharedArrays
     from xpl.wire.arrays import Data
 
-_LONGEST = 500
+_MAX_TEXT = 500
 """Characters of what an adapter raised that are passed on."""
 
 
@@ -40,24 +40,26 @@ class LoopRequest:
     ahead: bool
 
     @classmethod
-    def parse(cls, head: Mapping[str, Any], buffers: Sequence[Data], shown: SharedArrays) -> Self:
+    def parse(cls, head: Mapping[str, Any], buffers: Sequence[Data], shared: SharedArrays) -> Self:
         """Return the question in a message.
 
         Args:
             head: its head.
             buffers: its packed value.
-            shown: what the process has been shown.
+            shared: what the process has been shown.
 
         Raises:
             OutOfStepError: it is none.
         """
         try:
             whom, operation = head["target"], head["operation"]
-            arguments, options = packed.decode(buffers[0], shown.resolve)
+            arguments, options = packed.decode(buffers[0], shared.resolve)
         except (LookupError, TypeError, ValueError) as error:
             raise LoopProtocolError(f"the process of its evaluation loop sent no question: {error!s:.200}") from None
-        known = {TASK_ENV: ENV_OPERATIONS, CLIENT: CLIENT_OPERATIONS}.get(whom, ()) if isinstance(whom, str) else ()
-        if operation not in known or not isinstance(arguments, list) or not isinstance(options, dict):
+        operations = (
+            {TASK_ENV: ENV_OPERATIONS, CLIENT: CLIENT_OPERATIONS}.get(whom, ()) if isinstance(whom, str) else ()
+        )
+        if operation not in operations or not isinstance(arguments, list) or not isinstance(options, dict):
             raise LoopProtocolError(f"the process of its evaluation loop asked for {operation!r:.80}")
         return cls(whom, operation, arguments, options, bool(head.get("pipelined")))
 
@@ -79,12 +81,14 @@ class LoopException:
     @classmethod
     def parse(cls, head: object) -> Self:
         """Return what was raised, as far as a message tells it."""
-        told = head.get("raised") if isinstance(head, dict) else None
-        told = told if isinstance(told, dict) else {}
-        return cls(_text(told.get("type")) or "an exception", _text(told.get("message")), bool(told.get("forwarded")))
+        raised = head.get("raised") if isinstance(head, dict) else None
+        raised = raised if isinstance(raised, dict) else {}
+        return cls(
+            _text(raised.get("type")) or "an exception", _text(raised.get("message")), bool(raised.get("forwarded"))
+        )
 
 
-def parse_message(head: object, buffers: Sequence[Data], shown: SharedArrays) -> LoopRequest | LoopException | None:
+def parse_message(head: object, buffers: Sequence[Data], shared: SharedArrays) -> LoopRequest | LoopException | None:
     """Return what a loop that plays asks or raised; None where it has returned.
 
     Raises:
@@ -93,7 +97,7 @@ def parse_message(head: object, buffers: Sequence[Data], shown: SharedArrays) ->
     if not isinstance(head, dict) or not isinstance(head.get("raised", {}), dict):
         raise LoopProtocolError("the process of its evaluation loop fell out of step")
     if "target" in head:
-        return LoopRequest.parse(head, buffers, shown)
+        return LoopRequest.parse(head, buffers, shared)
     return LoopException.parse(head) if "raised" in head else None
 
 
@@ -104,7 +108,7 @@ def parse_functions(head: object) -> frozenset[str] | LoopException:
     return frozenset(name for name in head["functions"] if isinstance(name, str))
 
 
-def _text(given: object) -> str:
+def _text(value: object) -> str:
     """Return a text that can be written down, in one line."""
-    text = given if isinstance(given, str) else ""
-    return " ".join(text.encode("utf-8", "replace").decode().split())[:_LONGEST]
+    text = value if isinstance(value, str) else ""
+    return " ".join(text.encode("utf-8", "replace").decode().split())[:_MAX_TEXT]

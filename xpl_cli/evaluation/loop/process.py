@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from xpl_cli.isolation.sandbox import Isolation
 
 _START = "from xpl.loop.worker import main; main(int(sys.argv[2]))"
-_LARGEST = 1 << 30
+_MAX_MESSAGE_BYTES = 1 << 30
 """Bytes of a message from a loop: more than the observations of many environments are."""
 
 
@@ -42,11 +42,11 @@ class LoopTimeouts:
 
     Attributes:
         load_s: to import deploy.py.
-        think_s: between one operation of environment or policy and the next, and until it returns.
+        request_s: between one operation of environment or policy and the next, and until it returns.
     """
 
     load_s: float = 300.0
-    think_s: float = 60.0
+    request_s: float = 60.0
 
 
 class LoopLostError(LoopError):
@@ -108,7 +108,7 @@ class AdapterLoop:
         self._isolation = isolation
         self._is_silent = is_silent
         self._process: _Process | None = None
-        self._shown = SharedArrays()
+        self._shared_arrays = SharedArrays()
         self._functions: frozenset[str] = frozenset()
 
     def load(self, *, batch: bool) -> str:
@@ -145,14 +145,14 @@ class AdapterLoop:
             EnvLostError, EnvRaisedError, ClientError: environment or policy failed.
         """
         name = self.load(batch=batch)
-        desk = LoopRequestHandler(task_env, client, self._shown)
+        handler = LoopRequestHandler(task_env, client, self._shared_arrays)
         try:
-            raised = self._played(desk, name)
+            raised = self._answer_requests(handler, name)
         except BaseException:
             self.close()  # in the middle of a trial: it could not go on with the next one
             raise
-        if desk.refused is not None and (desk.is_untold or (raised is not None and raised.is_told)):
-            raise desk.refused
+        if handler.rejected is not None and (handler.is_unreported or (raised is not None and raised.is_told)):
+            raise handler.rejected
         if raised is not None:
             raise LoopRaisedError(raised)
 
@@ -162,17 +162,17 @@ class AdapterLoop:
         if process is not None:
             process.kill()
 
-    def _played(self, desk: LoopRequestHandler, name: str) -> LoopException | None:
+    def _answer_requests(self, handler: LoopRequestHandler, name: str) -> LoopException | None:
         """Answer what a loop asks until it has ended, and return what it raised, or None."""
         assert self._process is not None  # noqa: S101 - for the type checker: it was loaded
-        pieces: list[Data] | None = link.encode({"run": name, "running": desk.running})
+        pieces: list[Data] | None = link.encode({"run": name, "running": handler.running})
         try:
             while True:
-                self._process.send(pieces or (), self._limits.think_s)
-                told = messages.parse_message(*self._process.take(), self._shown)
-                if not isinstance(told, LoopRequest):
-                    return told
-                pieces = desk.answer(told)
+                self._process.send(pieces or (), self._limits.request_s)
+                message = messages.parse_message(*self._process.take(), self._shared_arrays)
+                if not isinstance(message, LoopRequest):
+                    return message
+                pieces = handler.answer(message)
         except (ProcessLostError, LoopProtocolError, PackingError) as error:
             raise LoopLostError(str(error)) from None
 
@@ -183,9 +183,9 @@ class AdapterLoop:
             prefix=() if isolation is None else isolation.prefix,
             environment=None if isolation is None else isolation.environment(os.environ),
             is_silent=self._is_silent,
-            largest=_LARGEST,
+            largest=_MAX_MESSAGE_BYTES,
         )
-        self._shown = SharedArrays()
+        self._shared_arrays = SharedArrays()
         try:
             self._process.send(link.encode({"load": str(self._file)}), self._limits.load_s)
             head, _ = self._process.take()
@@ -195,8 +195,8 @@ class AdapterLoop:
         except BaseException:
             self.close()
             raise
-        told = messages.parse_functions(head)
-        if isinstance(told, LoopException):
+        functions = messages.parse_functions(head)
+        if isinstance(functions, LoopException):
             self.close()
-            raise LoopRaisedError(told)
-        self._functions = told
+            raise LoopRaisedError(functions)
+        self._functions = functions

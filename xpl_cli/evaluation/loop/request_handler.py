@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from xpl.wire.arrays import Data
     from xpl_cli.evaluation.loop.messages import LoopRequest
 
-_AFTER_THE_END = 100
+_MAX_AFTER_END = 100
 """Operations after the end, none of which notices it, after which a loop is taken to go on for ever."""
-_WITHOUT_A_STEP = 10_000
+_MAX_WITHOUT_STEP = 10_000
 """Operations between two control steps, after which a loop is taken to go on for ever."""
 _STEPS = ("take_action", "take_action_batch")
 _FINISH, _RENDER, _RESULTS = "finish_episode", "render", "results"
 _WITHHELD = ("layout", sdk.Deploy.SEED, "digest")
 """Of an outcome: where things are, or what tells it. A loop sees what cameras and robot show: an oracle would win."""
-_OF_SEVERAL = ("get_obs_batch", "take_action_batch")
+_BATCH_OPERATIONS = ("get_obs_batch", "take_action_batch")
 
 
 class LoopError(Exception):
@@ -53,13 +53,13 @@ class LoopRequestHandler:
         is_untold: whether the loop does not know of it yet.
     """
 
-    def __init__(self, task_env: TaskEnv, client: Any, shown: SharedArrays) -> None:
+    def __init__(self, task_env: TaskEnv, client: Any, shared: SharedArrays) -> None:
         self._env = task_env
         self._client = client
-        self._shown = shown
+        self._shared_arrays = shared
         self._idle = 0
-        self.refused: Exception | None = None
-        self.is_untold = False
+        self.rejected: Exception | None = None
+        self.is_unreported = False
 
     @property
     def running(self) -> list[int]:
@@ -73,29 +73,29 @@ class LoopRequestHandler:
             EndlessError: there were too many of them without a control step.
             EnvLostError, EnvRaisedError, ClientError: environment or policy failed, and the loop need not know.
         """
-        self._count(question.operation)
-        value = None if self.is_untold else self._done(question)
+        self._check_progress(question.operation)
+        value = None if self.is_unreported else self._execute(question)
         if question.ahead:
             return None
-        is_refused, self.is_untold = self.is_untold, False
-        if is_refused and self.refused is not None:
-            return self._pieces(_told(self.refused), ok=False)
+        is_refused, self.is_unreported = self.is_unreported, False
+        if is_refused and self.rejected is not None:
+            return self._encode(_describe_error(self.rejected), ok=False)
         if question.whom == TASK_ENV:
-            self._shown.add(value)
-        return self._pieces(value, ok=True)
+            self._shared_arrays.add(value)
+        return self._encode(value, ok=True)
 
-    def _done(self, question: LoopRequest) -> Any:
+    def _execute(self, question: LoopRequest) -> Any:
         """Run an operation and return what it returns; what refuses it is kept for the loop."""
         operation = question.operation
         try:
             if question.whom == TASK_ENV:
-                value = _checked(self._env, operation, question.arguments, question.options)
-                return [_without_secrets(told) for told in value] if operation == _RESULTS else value
+                value = _call_env(self._env, operation, question.arguments, question.options)
+                return [_public_result(result) for result in value] if operation == _RESULTS else value
             return getattr(self._client, operation)(*question.arguments, **question.options)
         except (ActionError, ClientError, ValueError, TypeError, AttributeError) as error:
             if isinstance(error, ClientError) and error.is_infrastructure_error:
                 raise
-            self.refused, self.is_untold = error, True
+            self.rejected, self.is_unreported = error, True
         except (EnvLostError, EnvRaisedError):
             raise
         except Exception as error:
@@ -104,13 +104,13 @@ class LoopRequestHandler:
             raise EnvRaisedError(type(error).__name__, str(error)) from error
         return None
 
-    def _pieces(self, value: Any, *, ok: bool) -> list[Data]:
+    def _encode(self, value: Any, *, ok: bool) -> list[Data]:
         return link.encode({"ok": ok, "running": self.running}, [b"".join(packed.encode(value))])
 
-    def _count(self, operation: str) -> None:
+    def _check_progress(self, operation: str) -> None:
         running = self.running
         self._idle = 0 if running and operation in _STEPS else self._idle + 1
-        if self._idle > (_WITHOUT_A_STEP if running else _AFTER_THE_END):
+        if self._idle > (_MAX_WITHOUT_STEP if running else _MAX_AFTER_END):
             raise EndlessLoopError(
                 "its evaluation loop asked for one thing after the other without a control step"
                 if running
@@ -118,12 +118,12 @@ class LoopRequestHandler:
             )
 
 
-def _without_secrets(told: Result) -> Result:
+def _public_result(result: Result) -> Result:
     """Return what a loop is told of the outcome of an episode."""
-    return {key: value for key, value in told.items() if key not in _WITHHELD}
+    return {key: value for key, value in result.items() if key not in _WITHHELD}
 
 
-def _checked(env: TaskEnv, operation: str, arguments: list[Any], options: dict[str, Any]) -> Any:
+def _call_env(env: TaskEnv, operation: str, arguments: list[Any], options: dict[str, Any]) -> Any:
     """Run an operation of the environment, if its arguments are of the right form.
 
     What an environment raises is held against the environment, so a loop must not be able to make it raise: nothing of
@@ -139,7 +139,7 @@ def _checked(env: TaskEnv, operation: str, arguments: list[Any], options: dict[s
         raise AttributeError(f"this environment has no {operation}")
     if options:
         raise TypeError(f"{operation} was given {', '.join(map(str, options))} by name")
-    if operation in _OF_SEVERAL:
+    if operation in _BATCH_OPERATIONS:
         _check_lists(operation, arguments)
     if operation == _FINISH and env.get_running_env_idx_list():
         return None
@@ -151,7 +151,7 @@ def _checked(env: TaskEnv, operation: str, arguments: list[Any], options: dict[s
         raise
 
 
-def _told(error: Exception) -> Payload:
+def _describe_error(error: Exception) -> Payload:
     """Return what a loop is told of an error, which it raises on its side."""
     if isinstance(error, PolicyServerError):
         text, kind = str(error).removeprefix(f"{error.code}: "), PolicyServerError.__name__

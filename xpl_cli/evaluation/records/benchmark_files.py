@@ -43,7 +43,7 @@ class ResultEpisode:
 
 
 @dataclass(frozen=True)
-class ResultFile:
+class BenchmarkResultFile:
     """What a `_result.json` says.
 
     Attributes:
@@ -57,7 +57,7 @@ class ResultFile:
     score: float | None
 
 
-def read_json(path: Path) -> ResultFile:
+def read_json(path: Path) -> BenchmarkResultFile:
     """Return what a `_result.json` says.
 
     Raises:
@@ -65,19 +65,19 @@ def read_json(path: Path) -> ResultFile:
     """
     content = _content(path)
     try:
-        found = json_text.parse(content, finite=True)
+        document = json_text.parse(content, finite=True)
     except json_text.JsonError as error:
         raise BenchmarkFileError(str(error)) from None
-    if not isinstance(found, dict):
+    if not isinstance(document, dict):
         raise BenchmarkFileError("it is no map")
-    details = found.get("details")
+    details = document.get("details")
     entries = None
     if isinstance(details, dict):
         if len(details) > _MOST_EPISODES:
             raise BenchmarkFileError(f"it has {len(details)} episodes")
-        entries = tuple(_entry(entry) for _, entry in sorted(details.items(), key=_place))
-    rate, score = found.get("success_rate"), found.get("score")
-    return ResultFile(
+        entries = tuple(_entry(entry) for _, entry in sorted(details.items(), key=_episode_order))
+    rate, score = document.get("success_rate"), document.get("score")
+    return BenchmarkResultFile(
         entries,
         None if rate is None else _share(rate, "success_rate"),
         None if score is None else _share(_number(score, "score") / 100, "score / 100"),
@@ -114,7 +114,7 @@ def _entry(entry: object) -> ResultEpisode:
     )
 
 
-def _place(item: tuple[str, object]) -> tuple[int, str]:
+def _episode_order(item: tuple[str, object]) -> tuple[int, str]:
     return (int(item[0]) if item[0].isdecimal() and len(item[0]) < 10 else 10**9, item[0])
 
 

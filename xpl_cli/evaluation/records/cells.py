@@ -60,29 +60,33 @@ class Cell:
     @property
     def outcomes(self) -> list[bool]:
         """Whether each episode succeeded that counts for the success rate."""
-        return [found for found in map(outcome, self.counted) if found is not None]
+        return [success for success in map(outcome, self.counted) if success is not None]
 
     @property
     def certain(self) -> list[bool]:
         """Whether each episode counts as a success (`counts_as_success`); empty if no episode defines success."""
-        return [told for told in map(self.counts_as_success, self.counted) if told is not None] if self._tells else []
+        return (
+            [success for success in map(self.counts_as_success, self.counted) if success is not None]
+            if self._defines_success
+            else []
+        )
 
     @property
     def scores(self) -> list[float]:
         """Scores of the episodes, 0 for infrastructure errors; empty if no episode has a score."""
-        found = [self.score(line) for line in self.counted if line.failure != INFRASTRUCTURE]
-        known = [told for told in found if told is not None]
-        tells = bool(known) or (self.is_judged and not found)
-        return [*known, *[0.0] * self.failed(INFRASTRUCTURE)] if tells else []
+        scores = [self.score(line) for line in self.counted if line.failure != INFRASTRUCTURE]
+        defined = [score for score in scores if score is not None]
+        tells = bool(defined) or (self.is_judged and not scores)
+        return [*defined, *[0.0] * self.failed(INFRASTRUCTURE)] if tells else []
 
     @property
     def by_seed(self) -> dict[int, bool]:
         """Seed to whether the episode certainly succeeded."""
-        told = ((line.seed, self.counts_as_success(line)) for line in self.counted)
-        return {seed: found for seed, found in told if found is not None} if self._tells else {}
+        successes = ((line.seed, self.counts_as_success(line)) for line in self.counted)
+        return {seed: success for seed, success in successes if success is not None} if self._defines_success else {}
 
     @property
-    def _tells(self) -> bool:
+    def _defines_success(self) -> bool:
         """Whether success is defined; other cells of the run decide if all episodes are infrastructure errors."""
         is_silent = any(outcome(line) is None and line.failure != INFRASTRUCTURE for line in self.counted)
         return bool(self.outcomes) or (self.is_judged and not is_silent)
@@ -93,8 +97,8 @@ class Cell:
 
     def score(self, line: EpisodeRecord) -> float | None:
         """Return the score of an episode of this cell; 0 where it was played again because the policy had died."""
-        found = score(line)
-        return found if found is None or line.index not in self.survived else 0.0
+        value = score(line)
+        return value if value is None or line.index not in self.survived else 0.0
 
     def failed(self, kind: str) -> int:
         """Return the number of episodes whose failure is of this class."""
@@ -133,8 +137,8 @@ def counts_as_success(line: EpisodeRecord, survived: Collection[int]) -> bool | 
     """
     if line.failure == INFRASTRUCTURE:
         return False
-    found = outcome(line)
-    return found and line.index not in survived if found is not None else None
+    success = outcome(line)
+    return success and line.index not in survived if success is not None else None
 
 
 def retried_after_crash(attempts: Iterable[EpisodeRecord]) -> frozenset[int]:
@@ -157,16 +161,16 @@ def paired_counts(first: Mapping[_Case, bool], second: Mapping[_Case, bool]) -> 
 
 def cells(run: Run) -> list[Cell]:
     """Return the cells of a run in the order of its plan."""
-    places: dict[int, list[int]] = defaultdict(list)
+    indices: dict[int, list[int]] = defaultdict(list)
     for slot in run.plan.slots():
-        places[slot.cell].append(slot.index)
+        indices[slot.cell].append(slot.index)
     width, survived = run.plan.until_width, retried_after_crash(run.attempts)
     is_judged = any(outcome(line) is not None for line in run.finals.values())
-    found = [
-        _cell(planned, [run.finals.get(index) for index in places[number]], width, survived)
+    result = [
+        _cell(planned, [run.finals.get(index) for index in indices[number]], width, survived)
         for number, planned in enumerate(run.plan.cells)
     ]
-    return [replace(cell, is_judged=is_judged) for cell in found]
+    return [replace(cell, is_judged=is_judged) for cell in result]
 
 
 def _cell(

@@ -18,16 +18,16 @@ LAUNCHER: Final = "launcher"
 def sentence(run: Run) -> str | None:
     """Return what is to be said of a run in which the adapter may have reached its judge, or None."""
     lines = [line for line in run.finals.values() if not _is_launched(line, run)]
-    for is_so, said in (
+    for applies, reason in (
         (
             lambda line: line.containment == TRUSTED,
             "the system could not keep the adapter from what judges it; `xpl doctor` says what this machine lacks",
         ),
-        (_is_silent, "the record does not say how far the adapter was kept from what judges it"),
+        (_is_unstated, "the record does not say how far the adapter was kept from what judges it"),
     ):
-        count = sum(map(is_so, lines))
+        count = sum(map(applies, lines))
         if count:
-            return f"in {count} of its {len(run.finals)} episodes {said}."
+            return f"in {count} of its {len(run.finals)} episodes {reason}."
     return None
 
 
@@ -42,6 +42,6 @@ def _is_launched(line: EpisodeRecord, run: Run) -> bool:
     return line.containment is None and LAUNCHER in run.machines.get(line.machine, {})
 
 
-def _is_silent(line: EpisodeRecord) -> bool:
+def _is_unstated(line: EpisodeRecord) -> bool:
     """Tell whether an episode that was played does not say so; what is lost with its player cannot."""
     return line.containment not in (ISOLATED, APART) and line.failure != INFRASTRUCTURE

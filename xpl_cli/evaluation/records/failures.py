@@ -23,8 +23,13 @@ SUCCESS_OF = {None: (True, None), TASK: (False,), POLICY: (False, None), INFRAST
 """What `success` may be for each class of failure."""
 _GUARDED = (FAR_FIRST_ACTION, NON_FINITE)
 _NO_SUCCESS = (None, MAX_STEPS, POLICY_ERROR, POLICY_DIED, INFRASTRUCTURE, *_GUARDED)
-_TOLD = {item.name for item in fields(EpisodeOutcome)} - {"failure", "error"}
-_SPOILT: dict[str, Any] = {"success": None, "score": None, "failure": INFRASTRUCTURE, "end_reason": INFRASTRUCTURE}
+_REPORTED = {item.name for item in fields(EpisodeOutcome)} - {"failure", "error"}
+_INFRASTRUCTURE_ENDING: dict[str, Any] = {
+    "success": None,
+    "score": None,
+    "failure": INFRASTRUCTURE,
+    "end_reason": INFRASTRUCTURE,
+}
 _UNFINISHED = "the evaluation loop returned before the episode had ended"
 
 
@@ -33,21 +38,21 @@ def outcome_of(result: Result) -> EpisodeOutcome:
 
     Whoever has nothing to succeed at (success None) has no failure either.
     """
-    told = _told(result)
-    if told.end_reason == INFRASTRUCTURE:
-        return replace(told, **_SPOILT, error=str(result.get("error") or "the environment was lost"))
-    if told.success or told.success is None:
-        return told
-    if told.end_reason is None:
+    ending = _ending_of(result)
+    if ending.end_reason == INFRASTRUCTURE:
+        return replace(ending, **_INFRASTRUCTURE_ENDING, error=str(result.get("error") or "the environment was lost"))
+    if ending.success or ending.success is None:
+        return ending
+    if ending.end_reason is None:
         return policy_error(result, _UNFINISHED)
-    if told.end_reason in _GUARDED:
-        return replace(told, failure=POLICY, error=f"a guard ended the episode: {told.end_reason}")
-    return replace(told, failure=TASK)
+    if ending.end_reason in _GUARDED:
+        return replace(ending, failure=POLICY, error=f"a guard ended the episode: {ending.end_reason}")
+    return replace(ending, failure=TASK)
 
 
 def policy_error(result: Result, reason: str) -> EpisodeOutcome:
     """Return what is recorded where the policy broke an episode off: no success, and the score that it had come to."""
-    return replace(_told(result), success=False, failure=POLICY, end_reason=POLICY_ERROR, error=reason)
+    return replace(_ending_of(result), success=False, failure=POLICY, end_reason=POLICY_ERROR, error=reason)
 
 
 def policy_crash(result: Result, reason: str) -> EpisodeOutcome:
@@ -77,15 +82,15 @@ def contradiction(ending: EpisodeRecord) -> str | None:
         "after 0 steps": ending.steps == 0,
         "without a request to the policy": ending.inference is not None and ending.inference.count == 0,
     }
-    found = next((said for said, holds in against.items() if holds), None)
-    return None if found is None else f"succeeded, {found}"
+    problem = next((text for text, holds in against.items() if holds), None)
+    return None if problem is None else f"succeeded, {problem}"
 
 
 def infrastructure_error(reason: str) -> EpisodeOutcome:
     """Return what is recorded where an attempt says nothing about the policy."""
-    return EpisodeOutcome(**_SPOILT, error=reason)
+    return EpisodeOutcome(**_INFRASTRUCTURE_ENDING, error=reason)
 
 
-def _told(result: Result) -> EpisodeOutcome:
+def _ending_of(result: Result) -> EpisodeOutcome:
     """Return what an environment says of an episode; whose failure it was is not for it to say."""
-    return EpisodeOutcome(**{name: result[name] for name in _TOLD if name in result})
+    return EpisodeOutcome(**{name: result[name] for name in _REPORTED if name in result})

@@ -44,13 +44,13 @@ def files_of(folder: Path) -> list[Path]:
 
     Hidden folders are left out, virtual environments among them; links to folders are not followed.
     """
-    found: list[Path] = []
-    for place, folders, names in os.walk(folder):
-        at_top = Path(place) == folder
+    paths: list[Path] = []
+    for directory, folders, names in os.walk(folder):
+        at_top = Path(directory) == folder
         folders[:] = [name for name in folders if not _is_left_over(name, at_top=at_top)]
-        found += [Path(place) / name for name in names if not name.endswith((".pyc", ".pyo"))]
+        paths += [Path(directory) / name for name in names if not name.endswith((".pyc", ".pyo"))]
     # Neither sockets nor links that lead nowhere.
-    own = (path.relative_to(folder) for path in found if path.is_file())
+    own = (path.relative_to(folder) for path in paths if path.is_file())
     return sorted(own, key=lambda path: path.as_posix())
 
 
@@ -72,8 +72,8 @@ def checkpoint_of(package: Package, config: Config) -> LoadedCheckpoint | None:
         path = checkpoint.resolve(config, package.path)
     except checkpoint.CheckpointError:
         return None
-    shown = path.relative_to(package.path) if path.is_relative_to(package.path) else path
-    return LoadedCheckpoint(shown.as_posix(), hashed(path)[0])
+    name = path.relative_to(package.path) if path.is_relative_to(package.path) else path
+    return LoadedCheckpoint(name.as_posix(), hashed(path)[0])
 
 
 def machine_facts() -> Facts:
@@ -113,7 +113,7 @@ def _processor() -> tuple[str, str]:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         lines = []
-    told = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
-    features = told.get("flags") or told.get("Features") or ""
-    name = told.get("model name") or platform.processor() or platform.machine()
+    info = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
+    features = info.get("flags") or info.get("Features") or ""
+    name = info.get("model name") or platform.processor() or platform.machine()
     return name, hashlib.sha256(" ".join(sorted(features.split())).encode()).hexdigest()[:12]

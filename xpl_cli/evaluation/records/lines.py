@@ -56,11 +56,11 @@ def parse_line(raw: bytes) -> Line:
         raise LineError(str(error)) from None
     kind = line.get("kind") if isinstance(line, dict) else None
     if not isinstance(kind, str) or kind not in KINDS:
-        raise LineError(f"expected a map whose kind is one of {', '.join(KINDS)}, got {_shown(kind or line)}")
+        raise LineError(f"expected a map whose kind is one of {', '.join(KINDS)}, got {_shorten(kind or line)}")
     if not _validator(kind)(line) or not all(_are_integers(line, path) for path in _integers(kind)):
         raise LineError(_reason(line, kind))
-    found: Line = line
-    return found
+    parsed: Line = line
+    return parsed
 
 
 def definition(kind: str) -> str:
@@ -75,20 +75,20 @@ def _validator(kind: str) -> Callable[[object], bool]:
 
     schemas = [spec.schema(name) for name in spec.schema_names()]
     registry = jsonschema_rs.Registry([(schema["$id"], schema) for schema in schemas])
-    wanted = {"$ref": f"{spec.schema(_SCHEMA)['$id']}#/$defs/{kind}"}
-    found: Callable[[object], bool] = jsonschema_rs.Draft202012Validator(
-        wanted, registry=registry, validate_formats=True
+    reference = {"$ref": f"{spec.schema(_SCHEMA)['$id']}#/$defs/{kind}"}
+    is_valid: Callable[[object], bool] = jsonschema_rs.Draft202012Validator(
+        reference, registry=registry, validate_formats=True
     ).is_valid
-    return found
+    return is_valid
 
 
 @cache
 def _integers(kind: str) -> tuple[tuple[str, ...], ...]:
     """Return where the schema has integers in a line of a kind: to JSON Schema 2.0 is one, to Python it is not."""
-    return tuple(_places(spec.schema(_SCHEMA)["$defs"][kind], ()))
+    return tuple(_integer_paths(spec.schema(_SCHEMA)["$defs"][kind], ()))
 
 
-def _places(schema: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+def _integer_paths(schema: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
     reference = schema.get("$ref", "")
     if reference.startswith("#/$defs/"):
         schema = spec.schema(_SCHEMA)["$defs"][reference.removeprefix("#/$defs/")]
@@ -96,18 +96,18 @@ def _places(schema: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[tuple[
     if "integer" in ([kinds] if isinstance(kinds, str) else kinds):
         yield path
     for name, inner in schema.get("properties", {}).items():
-        yield from _places(inner, (*path, name))
+        yield from _integer_paths(inner, (*path, name))
     for key in ("items", "additionalProperties"):
         if isinstance(inner := schema.get(key), dict):
-            yield from _places(inner, (*path, _EACH))
+            yield from _integer_paths(inner, (*path, _EACH))
 
 
 def _are_integers(value: Any, path: tuple[str, ...]) -> bool:
     """Tell whether what stands at a path of a valid line are integers; what need not be there may be missing."""
-    for place, name in enumerate(path):
+    for position, name in enumerate(path):
         if name == _EACH:
             inner = value.values() if isinstance(value, dict) else value
-            rest = path[place + 1 :]
+            rest = path[position + 1 :]
             if not rest:
                 return not any(type(entry) is float for entry in inner)
             return all(_are_integers(entry, rest) for entry in inner)
@@ -122,12 +122,12 @@ def _reason(line: Line, kind: str) -> str:
     from xpl_cli.standard.validate import validate
 
     problems = validate(line, definition(kind))
-    said = str(problems[0]) if problems else "a time is not written as 2026-01-31T12:00:00Z"
+    message = str(problems[0]) if problems else "a time is not written as 2026-01-31T12:00:00Z"
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    return f"{said if len(said) <= _LONGEST else f'{said[:_LONGEST]} ...'}{more}"
+    return f"{message if len(message) <= _LONGEST else f'{message[:_LONGEST]} ...'}{more}"
 
 
-def _shown(value: object) -> str:
+def _shorten(value: object) -> str:
     try:
         text = json.dumps(value)
     except (TypeError, ValueError, RecursionError):

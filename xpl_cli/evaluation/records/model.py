@@ -148,12 +148,12 @@ class RunPlan:
     def parse(cls, line: Line) -> Self:
         """Return the plan that the first line of a record describes."""
         policy, checkpoint = line["policy"], line["policy"]["checkpoint"]
-        told = {key: value for key, value in line.items() if key not in ("kind", "schema")}
-        told["policy"] = PlannedPolicy(**{**policy, "checkpoint": checkpoint and LoadedCheckpoint(**checkpoint)})
-        told["environment"] = PlannedEnvironment(**line["environment"])
-        told["control"] = Control(**line["control"])
-        told["cells"] = [PlannedCell(**cell) for cell in line["cells"]]
-        return cls(**told)
+        fields = {key: value for key, value in line.items() if key not in ("kind", "schema")}
+        fields["policy"] = PlannedPolicy(**{**policy, "checkpoint": checkpoint and LoadedCheckpoint(**checkpoint)})
+        fields["environment"] = PlannedEnvironment(**line["environment"])
+        fields["control"] = Control(**line["control"])
+        fields["cells"] = [PlannedCell(**cell) for cell in line["cells"]]
+        return cls(**fields)
 
     def as_json(self) -> Line:
         """Return the first line of a record."""
@@ -295,18 +295,18 @@ class EpisodeRecord(AttemptExecution, EpisodeOutcome, AttemptKey):
     @classmethod
     def parse(cls, line: Line) -> Self:
         """Return the episode that a line of a record describes."""
-        told = {key: value for key, value in line.items() if key != "kind"}
+        fields = {key: value for key, value in line.items() if key != "kind"}
         for name, kind in _PARTS.items():
-            if name in told:
-                told[name] = kind(**told[name])
-        return cls(**told)
+            if name in fields:
+                fields[name] = kind(**fields[name])
+        return cls(**fields)
 
     def as_json(self) -> Line:
         """Return the line of a record; of what need not be there it has what is known, or may be null."""
-        told = {name: value for name, value in vars(self).items() if value is not None or name in _NULL}
-        for name in _PARTS.keys() & told.keys():
-            told[name] = {key: value for key, value in vars(told[name]).items() if value is not None}
-        return {"kind": "episode", **told}
+        fields = {name: value for name, value in vars(self).items() if value is not None or name in _NULL}
+        for name in _PARTS.keys() & fields.keys():
+            fields[name] = {key: value for key, value in vars(fields[name]).items() if value is not None}
+        return {"kind": "episode", **fields}
 
     @property
     def place(self) -> CellKey:

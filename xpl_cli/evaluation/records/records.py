@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 FILE = "records.jsonl"
 _NEWLINE = b"\n"
-_LONGEST = 80
+_MAX_INDEX_TEXT = 80
 
 
 class RecordError(UserError):
@@ -92,12 +92,12 @@ def read(path: Path, *, skip: bool = False) -> Run:
     file = path if path.name == FILE else path / FILE
     bad: list[_BadLineError] = []
     try:
-        found = _parse(file, _content(file), bad.append if skip else _refuse)[0]
+        run = _parse(file, _content(file), bad.append if skip else _refuse)[0]
     except (FileNotFoundError, NotADirectoryError):
         raise NotFoundError(f"{path} holds no recorded run: {file} is missing") from None
-    if found is None:
+    if run is None:
         raise RecordError(f"{file} has no first line yet: the run was ended before it began")
-    return replace(found, skipped=tuple(map(str, bad)))
+    return replace(run, skipped=tuple(map(str, bad)))
 
 
 class InMemoryRecord:
@@ -121,7 +121,7 @@ class InMemoryRecord:
 
     def add(self, episode: EpisodeRecord) -> None:
         """Add one attempt at an episode."""
-        _take(episode, self.run)
+        _add_to_run(episode, self.run)
 
 
 class RecordWriter:
@@ -150,7 +150,7 @@ class RecordWriter:
         except OSError as error:
             raise RecordError(f"{self._file} cannot be written: {error.strerror or error}") from None
         try:
-            self.run = self._begin(folder, plan)
+            self.run = self._open_run(folder, plan)
         except BaseException:
             os.close(self._descriptor)
             raise
@@ -172,7 +172,7 @@ class RecordWriter:
         """
         _check(episode, self._slots, self.run, str(self._file))
         self._append(episode.as_json())
-        _take(episode, self.run)
+        _add_to_run(episode, self.run)
 
     def close(self) -> None:
         """Let others write."""
@@ -184,24 +184,24 @@ class RecordWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _begin(self, folder: Path, plan: RunPlan) -> Run:
+    def _open_run(self, folder: Path, plan: RunPlan) -> Run:
         """Lock the file, cut off what is torn, and return what it holds; a new one gets its first line."""
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise RecordError(f"{self._file} is being written by another process") from None
-        found, whole = _parse(self._file, _content(self._file), _refuse)
+        run, whole = _parse(self._file, _content(self._file), _refuse)
         os.truncate(self._descriptor, whole)
-        if found is None:
+        if run is None:
             self._append(plan.as_json())
             _sync_folder(folder)
             return Run(folder, plan)
-        if not found.plan.plays_the_same(plan):
+        if not run.plan.plays_the_same(plan):
             raise RecordError(
-                f"{self._file} is of another run: {_differences(found.plan.as_json(), plan.as_json())} differ",
+                f"{self._file} is of another run: {_differences(run.plan.as_json(), plan.as_json())} differ",
                 hint="run the command that began it, or choose another folder with --out",
             )
-        return replace(found, folder=folder, torn=False)
+        return replace(run, folder=folder, torn=False)
 
     def _append(self, line: Line) -> None:
         data = json.dumps(line, separators=(",", ":"), ensure_ascii=False).encode() + _NEWLINE
@@ -252,7 +252,7 @@ def _parse(file: Path, content: bytes, met: Callable[[_BadLineError], None]) -> 
     *whole, rest = content.split(_NEWLINE)
     torn, length = bool(rest), len(content) - len(rest)
     run: Run | None = None
-    places: Sequence[PlannedEpisode] = ()
+    planned: Sequence[PlannedEpisode] = ()
     for number, raw in enumerate(whole, 1):
         where = f"{file}, line {number}"
         try:
@@ -268,10 +268,10 @@ def _parse(file: Path, content: bytes, met: Callable[[_BadLineError], None]) -> 
             continue
         if run is None:
             run = Run(file.parent, _plan(line, where))
-            places = run.plan.slots()
+            planned = run.plan.slots()
             continue
         try:
-            _add(line, places, run, where)
+            _add(line, planned, run, where)
         except _BadLineError as error:
             error.hint = _hint(number)
             met(error)
@@ -303,7 +303,7 @@ def _plan(line: Line, where: str) -> RunPlan:
     return plan
 
 
-def _add(line: Line, places: Sequence[PlannedEpisode], run: Run, where: str) -> None:
+def _add(line: Line, planned: Sequence[PlannedEpisode], run: Run, where: str) -> None:
     """Add what a line after the first tells.
 
     Raises:
@@ -315,18 +315,18 @@ def _add(line: Line, places: Sequence[PlannedEpisode], run: Run, where: str) -> 
     if line["kind"] != "episode":
         raise _BadLineError(f"{where} is neither a machine nor an episode")
     episode = EpisodeRecord.parse(line)
-    _check(episode, places, run, where)
-    _take(episode, run)
+    _check(episode, planned, run, where)
+    _add_to_run(episode, run)
 
 
-def _check(episode: EpisodeRecord, places: Sequence[PlannedEpisode], run: Run, where: str) -> None:
+def _check(episode: EpisodeRecord, planned: Sequence[PlannedEpisode], run: Run, where: str) -> None:
     """Raise a _BadLineError unless an episode may still be played."""
     index = episode.index
-    if index >= len(places):
+    if index >= len(planned):
         raise _BadLineError(
-            f"{where}: there is no episode {str(index)[:_LONGEST]} in the plan, which has {len(places)}"
+            f"{where}: there is no episode {str(index)[:_MAX_INDEX_TEXT]} in the plan, which has {len(planned)}"
         )
-    slot = places[index]
+    slot = planned[index]
     if episode.case != slot.case:
         raise _BadLineError(f"{where}: episode {index} of the plan is {slot.case}, got {episode.case}")
     if index in run.finals:
@@ -340,14 +340,14 @@ def _check(episode: EpisodeRecord, places: Sequence[PlannedEpisode], run: Run, w
     if not episode.final and not may_retry(episode):
         raise _BadLineError(f"{where}: final: expected true: this attempt at episode {index} may not be retried")
     if episode.success not in SUCCESS_OF[episode.failure]:
-        told, allowed = json.dumps(episode.success), SUCCESS_OF[episode.failure]
+        success, allowed = json.dumps(episode.success), SUCCESS_OF[episode.failure]
         raise _BadLineError(
             f"{where}: success: expected {' or '.join(map(json.dumps, allowed))} with failure "
-            f"{json.dumps(episode.failure)}, got {told}"
+            f"{json.dumps(episode.failure)}, got {success}"
         )
 
 
-def _take(episode: EpisodeRecord, run: Run) -> None:
+def _add_to_run(episode: EpisodeRecord, run: Run) -> None:
     run.attempts.append(episode)
     run.latest[episode.index] = episode
     if episode.final:
@@ -356,14 +356,14 @@ def _take(episode: EpisodeRecord, run: Run) -> None:
 
 def _differences(one: Line, other: Line) -> str:
     """Return the names of what differs between two plans, one level into those that are maps."""
-    found = []
+    names = []
     for key in sorted((one.keys() | other.keys()) - {"run", "created"}):
         a, b = one.get(key), other.get(key)
         if a != b and isinstance(a, dict) and isinstance(b, dict):
-            found += [f"{key}.{name}" for name in sorted(a.keys() | b.keys()) if a.get(name) != b.get(name)]
+            names += [f"{key}.{name}" for name in sorted(a.keys() | b.keys()) if a.get(name) != b.get(name)]
         elif a != b:
-            found.append(key)
-    return ", ".join(found)
+            names.append(key)
+    return ", ".join(names)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -38,31 +38,33 @@ class RunMode:
     @property
     def description(self) -> str:
         """What is unusual about it, in words; "" for nothing."""
-        told = [] if self.announced is None else ["by a policy server that somebody else runs, from files unknown here"]
-        told += [f"in batches of {self.num_envs}"] if self.num_envs > 1 else []
-        told += [] if self.instruction is None else [INSTRUCTIONS[self.instruction]]
-        return ", ".join(told)
+        parts = (
+            [] if self.announced is None else ["by a policy server that somebody else runs, from files unknown here"]
+        )
+        parts += [f"in batches of {self.num_envs}"] if self.num_envs > 1 else []
+        parts += [] if self.instruction is None else [INSTRUCTIONS[self.instruction]]
+        return ", ".join(parts)
 
     def add_to(self, config: Config) -> Config:
         """Return the configuration of a policy with this manner in it."""
-        told: dict[str, Any] = {_NUM_ENVS: self.num_envs} if self.num_envs > 1 else {}
+        mode: dict[str, Any] = {_NUM_ENVS: self.num_envs} if self.num_envs > 1 else {}
         if self.announced is not None:
-            told[_ANNOUNCED] = dict(self.announced)
+            mode[_ANNOUNCED] = dict(self.announced)
         if self.instruction is not None:
-            told[_INSTRUCTION] = self.instruction
-        return {**without_run_mode(config), **({_KEY: told} if told else {})}
+            mode[_INSTRUCTION] = self.instruction
+        return {**without_run_mode(config), **({_KEY: mode} if mode else {})}
 
 
 def run_mode_of(plan: RunPlan) -> RunMode:
     """Return the manner of a plan; whatever is no such thing in it is taken for the usual one."""
-    told = plan.policy.config.get(_KEY)
-    told = told if isinstance(told, Mapping) else {}
-    count, announced = told.get(_NUM_ENVS), told.get(_ANNOUNCED)
+    mode = plan.policy.config.get(_KEY)
+    mode = mode if isinstance(mode, Mapping) else {}
+    count, announced = mode.get(_NUM_ENVS), mode.get(_ANNOUNCED)
     if not isinstance(count, int) or isinstance(count, bool) or count < 1:
         count = 1
-    said = told.get(_INSTRUCTION)
-    known = said if isinstance(said, str) and said in INSTRUCTIONS else None
-    return RunMode(count, announced if isinstance(announced, Mapping) else None, known)
+    value = mode.get(_INSTRUCTION)
+    instruction = value if isinstance(value, str) and value in INSTRUCTIONS else None
+    return RunMode(count, announced if isinstance(announced, Mapping) else None, instruction)
 
 
 def without_run_mode(config: Config) -> Config:

@@ -25,11 +25,11 @@ def is_one(setting: str) -> bool:
 
 def sentence(environment: str, settings: Iterable[str]) -> str | None:
     """Return what is to be said beside any figure of some settings; None if none of them is one."""
-    found = [setting for setting in dict.fromkeys(settings) if is_one(setting)]
-    if not found:
+    mocks = [setting for setting in dict.fromkeys(settings) if is_one(setting)]
+    if not mocks:
         return None
     return (
-        f"In {', '.join(found)} something stands in for a part of {environment}: these episodes show whether code fits "
+        f"In {', '.join(mocks)} something stands in for a part of {environment}: these episodes show whether code fits "
         f"together, and are none of {environment}'s numbers."
     )
 
@@ -44,6 +44,6 @@ def refuse(run: Run, what: str) -> None:
     Raises:
         UserError: it did.
     """
-    said = sentence(run.plan.environment.name, (cell.setting for cell in run.plan.cells))
-    if said is not None:
-        raise UserError(f"{run.folder} is not {what}. {said}", code=ExitCode.NOT_RUN)
+    message = sentence(run.plan.environment.name, (cell.setting for cell in run.plan.cells))
+    if message is not None:
+        raise UserError(f"{run.folder} is not {what}. {message}", code=ExitCode.NOT_RUN)

@@ -66,16 +66,16 @@ def read(content: bytes, name: str) -> Curves:
     for key, values in sorted(arrays.items()):
         source, _, curve = key.partition(".")
         steps.setdefault(source, np.arange(len(values)))
-        for place, column in enumerate(values.T):
-            columns.setdefault(curve, {}).setdefault(place, {})[source] = _thin(column)
+        for index, column in enumerate(values.T):
+            columns.setdefault(curve, {}).setdefault(index, {})[source] = _thin(column)
     return {
         sdk.Obs.FREQUENCY: frequency,
         "chunks": chunks,
         "at": {source: _thin(at).tolist() for source, at in steps.items()},
         "panels": [
-            {"title": _title(curve, place, len(places)), **_levels(sources)}
-            for curve, places in columns.items()
-            for place, sources in places.items()
+            {"title": _title(curve, index, len(columns_of_curve)), **_levels(sources)}
+            for curve, columns_of_curve in columns.items()
+            for index, sources in columns_of_curve.items()
         ],
     }
 
@@ -140,11 +140,11 @@ def _levels(sources: Mapping[str, np.ndarray]) -> dict[str, Any]:
     return {"low": low, "high": high, **drawn}
 
 
-def _title(name: str, place: int, count: int) -> str:
+def _title(name: str, index: int, count: int) -> str:
     """Return the title of a column: ``left_arm_joint_state``, 2 -> ``left arm joint 3``."""
     for ending, words in _TITLES.items():
         if name.endswith(ending):
             side = name.removesuffix(ending).rstrip("_")
-            number = "" if count == 1 else f" {_POSE[place] if count == len(_POSE) and 'pose' in ending else place + 1}"
+            number = "" if count == 1 else f" {_POSE[index] if count == len(_POSE) and 'pose' in ending else index + 1}"
             return f"{side} {words}{number}".strip()
-    return f"{name.replace('_', ' ')} {place + 1}" if count > 1 else name.replace("_", " ")
+    return f"{name.replace('_', ' ')} {index + 1}" if count > 1 else name.replace("_", " ")

@@ -62,8 +62,8 @@ def packed(run: Run) -> dict[str, Any]:
     pool = _Pool()
     finals = run.finals.values()
     columns: dict[str, Sequence[object]] = {name: [getattr(episode, name) for episode in finals] for name in _PLAIN}
-    columns |= {name: [pool.place(getattr(episode, name)) for episode in finals] for name in _SHARED}
-    columns["outcome"] = [pool.place(verdict(episode)) for episode in finals]
+    columns |= {name: [pool.index_of(getattr(episode, name)) for episode in finals] for name in _SHARED}
+    columns["outcome"] = [pool.index_of(verdict(episode)) for episode in finals]
     columns["attempt"] = [episode.attempt for episode in finals]
     columns["seconds"] = [round(episode.wall_seconds, 2) for episode in finals]
     columns["ms"] = [_milliseconds(episode) for episode in finals]
@@ -71,7 +71,7 @@ def packed(run: Run) -> dict[str, Any]:
     earlier: dict[str, list[int]] = {}
     for episode in run.attempts:
         if not episode.final:
-            earlier.setdefault(str(episode.index), []).append(pool.place(episode.error))
+            earlier.setdefault(str(episode.index), []).append(pool.index_of(episode.error))
     return {"values": pool.values, "shared": [*_SHARED, "outcome"], "columns": columns, "earlier": earlier}
 
 
@@ -93,14 +93,14 @@ class _Pool:
 
     def __init__(self) -> None:
         self.values: list[object] = []
-        self._places: dict[str, int] = {}
+        self._indices: dict[str, int] = {}
 
-    def place(self, value: object) -> int:
+    def index_of(self, value: object) -> int:
         key = value if isinstance(value, str) else json.dumps(value)
-        known = self._places.setdefault(f"{type(value).__name__} {key}", len(self.values))
-        if known == len(self.values):
+        index = self._indices.setdefault(f"{type(value).__name__} {key}", len(self.values))
+        if index == len(self.values):
             self.values.append(value)
-        return known
+        return index
 
 
 def _milliseconds(episode: EpisodeRecord) -> float | None:
@@ -111,7 +111,7 @@ def _milliseconds(episode: EpisodeRecord) -> float | None:
 def _row(episode: EpisodeRecord) -> list[object]:
     """Return the values of a line of the table."""
     success, inference = episode.success, episode.inference
-    known = {
+    values = {
         **vars(episode),
         "outcome": verdict(episode),
         "success": None if success is None else int(success),
@@ -120,4 +120,4 @@ def _row(episode: EpisodeRecord) -> list[object]:
         "trace": None if episode.trace is None else episode.trace.path,
         "film": None if episode.film is None else episode.film.path,
     }
-    return [known[name] for name in _COLUMNS]
+    return [values[name] for name in _COLUMNS]

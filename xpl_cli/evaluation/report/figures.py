@@ -62,14 +62,14 @@ def shares(counts: Mapping[str, int], label: str) -> Markup:
 def columns(counts: Sequence[int], label: str) -> Markup:
     """Return a histogram; bins are equally wide."""
     most, width = max(counts, default=0) or 1, 100 / max(1, len(counts))
-    drawn = ((place, 96 * count / most) for place, count in enumerate(counts) if count)
-    parts = [_rect("column", (place + 0.06) * width, 100 - tall, 0.88 * width, tall) for place, tall in drawn]
+    drawn = ((index, 96 * count / most) for index, count in enumerate(counts) if count)
+    parts = [_rect("column", (index + 0.06) * width, 100 - tall, 0.88 * width, tall) for index, tall in drawn]
     return _svg("columns", label, [*parts, _line("base", 0, 100, 100, 100)])
 
 
 def _svg(kind: str, label: str, parts: Iterable[str]) -> Markup:
-    shown = escape(escape_controls(label))
-    head = f'<svg class="{kind}" viewBox="0 0 100 100" preserveAspectRatio="none" role="img" aria-label="{shown}">'
+    text = escape(escape_controls(label))
+    head = f'<svg class="{kind}" viewBox="0 0 100 100" preserveAspectRatio="none" role="img" aria-label="{text}">'
     return Markup(f"{head}{''.join(parts)}</svg>")  # noqa: S704 - made of numbers, our own classes and an escaped label
 
 

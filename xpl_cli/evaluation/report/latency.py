@@ -30,18 +30,18 @@ class LatencyView:
 def view(inference: Latency) -> LatencyView | None:
     """Return the histogram without its empty ends, with its sentence and the edges of its bins; None without any."""
     counts = inference.histogram
-    filled = [place for place, count in enumerate(counts) if count]
+    filled = [index for index, count in enumerate(counts) if count]
     if not filled:
         return None
     # Even in number, so that the edges that are labelled are whole doublings.
     first = filled[0] - filled[0] % _STEP
     last = min(len(counts), filled[-1] + _STEP - filled[-1] % _STEP)
-    said = (
+    caption = (
         f"Round trips of get_action as the environment's side saw them: {many(inference.count, 'request')}, median "
         f"{milliseconds(inference.p50)}, 95 % within {milliseconds(inference.p95)}, 99 % within "
         f"{milliseconds(inference.p99)}."
     )
     edges = range(first, last + 1, _STEP)
     return LatencyView(
-        said, figures.columns(counts[first:last], said), [milliseconds(bin_edge(place)) for place in edges]
+        caption, figures.columns(counts[first:last], caption), [milliseconds(bin_edge(index)) for index in edges]
     )

@@ -17,31 +17,31 @@ if TYPE_CHECKING:
 
 def render(run: Run, summary: Summary) -> str:
     """Return the report of a run."""
-    said = view(run, summary, "")
+    page = view(run, summary, "")
     parts = [
-        f"# {in_markdown(said.policy)} in {in_markdown(said.environment)}",
-        in_markdown(said.about),
-        f"**{said.headline.rate} {said.headline.unit}** {in_markdown(said.headline.said)}".replace(" ** ", "** "),
+        f"# {in_markdown(page.policy)} in {in_markdown(page.environment)}",
+        in_markdown(page.about),
+        f"**{page.headline.rate} {page.headline.unit}** {in_markdown(page.headline.said)}".replace(" ** ", "** "),
         table(wording.HEADER, wording.table(summary)),
     ]
-    if not said.complete:
-        parts.insert(2, f"This run is not complete: {said.state}.")
-    if said.contrasts.lines:
-        parts += [f"## {in_markdown(said.contrasts.title)}", in_markdown(said.contrasts.said)]
-        parts.append(table(("Task", "Difference"), [(row.name, row.text) for row in said.contrasts.lines]))
+    if not page.complete:
+        parts.insert(2, f"This run is not complete: {page.state}.")
+    if page.contrasts.lines:
+        parts += [f"## {in_markdown(page.contrasts.title)}", in_markdown(page.contrasts.said)]
+        parts.append(table(("Task", "Difference"), [(row.name, row.text) for row in page.contrasts.lines]))
     parts += [
         "## Failures",
-        table(("How episodes ended", "Number"), [(part.name, part.count) for part in said.failures.parts]),
+        table(("How episodes ended", "Number"), [(part.name, part.count) for part in page.failures.parts]),
     ]
-    if said.failures.reasons:
+    if page.failures.reasons:
         parts.append(
-            table(("What ended them", "Number"), [(reason.text, reason.count) for reason in said.failures.reasons])
+            table(("What ended them", "Number"), [(reason.text, reason.count) for reason in page.failures.reasons])
         )
-    if said.latency:
-        parts += ["## Latency", in_markdown(said.latency.said)]
-    if said.notes:
-        parts += ["## What these figures do not say", "\n".join(f"- {in_markdown(note)}" for note in said.notes)]
-    parts += ["## What was run", table(("", ""), [(pair.name, pair.value) for pair in said.versions])]
+    if page.latency:
+        parts += ["## Latency", in_markdown(page.latency.said)]
+    if page.notes:
+        parts += ["## What these figures do not say", "\n".join(f"- {in_markdown(note)}" for note in page.notes)]
+    parts += ["## What was run", table(("", ""), [(pair.name, pair.value) for pair in page.versions])]
     return "\n\n".join(parts) + "\n"
 
 

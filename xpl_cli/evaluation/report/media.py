@@ -64,9 +64,9 @@ def collect_media(run: Run, budget: int, link: str) -> dict[str, EpisodeMedia]:
     Returns:
         what is shown, by index.
     """
-    found: dict[str, EpisodeMedia] = {}
+    media: dict[str, EpisodeMedia] = {}
     full: set[str] = set()
-    for episode in _in_turn(run):
+    for episode in _in_display_order(run):
         entry: EpisodeMedia = {}
         for kind, file in ((FILM, episode.film), (TRACE, episode.trace)):
             if file is None:
@@ -84,10 +84,10 @@ def collect_media(run: Run, budget: int, link: str) -> dict[str, EpisodeMedia]:
                 budget -= size
             elif size:  # read in vain: the others of its kind are linked without a look
                 full.add(kind)
-            entry |= piece or _linked(kind, f"{link}{file.path}")
+            entry |= piece or _link(kind, f"{link}{file.path}")
         if entry:
-            found[str(episode.index)] = entry
-    return found
+            media[str(episode.index)] = entry
+    return media
 
 
 def locate(folder: Path, file: RecordedFile, kind: str) -> Path:
@@ -118,11 +118,11 @@ def _piece(kind: str, path: Path, file: RecordedFile, budget: int) -> tuple[Epis
         size = len(json.dumps(piece))
     else:
         address = f"data:{_media_type(path)};base64,{base64.b64encode(content).decode()}"
-        piece, size = _linked(FILM, address), len(address)
+        piece, size = _link(FILM, address), len(address)
     return None if size > budget else piece, size
 
 
-def _linked(kind: str, address: str) -> EpisodeMedia:
+def _link(kind: str, address: str) -> EpisodeMedia:
     if kind == TRACE:
         return {"trace": address}
     is_video = address.startswith("data:video/") or address.endswith((".mp4", ".webm"))
@@ -130,13 +130,13 @@ def _linked(kind: str, address: str) -> EpisodeMedia:
 
 
 def _media_type(path: Path) -> str:
-    known = MEDIA_TYPES.get(path.suffix.lower())
-    if known is None:
+    media_type = MEDIA_TYPES.get(path.suffix.lower())
+    if media_type is None:
         raise UserError(f"{path.name} is no film: expected {', '.join(MEDIA_TYPES)}")
-    return known
+    return media_type
 
 
-def _in_turn(run: Run) -> Iterator[EpisodeRecord]:
+def _in_display_order(run: Run) -> Iterator[EpisodeRecord]:
     """Yield the episodes with a film or trace: of each cell in turn, and in each a failure and a success in turn."""
     cells: dict[tuple[str, str], tuple[list[EpisodeRecord], list[EpisodeRecord]]] = {}
     for episode in run.finals.values():

@@ -39,12 +39,12 @@ def write(run: Run, folder: Path, budget: int) -> dict[str, Any]:
     """
     _check(folder)
     summary = summarise(run)
-    found = document(run, summary)
+    report = document(run, summary)
     link = f"{urllib.parse.quote(os.path.relpath(run.folder.resolve(), folder.resolve()))}/"
     texts = {
         PAGE: page.render(run, summary, media.collect_media(run, budget, link)),
         MARKDOWN: markdown.render(run, summary),
-        DOCUMENT: escape_controls(json.dumps(found, indent=2, ensure_ascii=False)) + "\n",
+        DOCUMENT: escape_controls(json.dumps(report, indent=2, ensure_ascii=False)) + "\n",
         TABLE: episodes.as_csv(wording.HEADER, wording.table(summary)),
         EPISODES: episodes.table(run),
     }
@@ -55,7 +55,7 @@ def write(run: Run, folder: Path, budget: int) -> dict[str, Any]:
                 (staging / name).write_bytes(text.encode(errors="replace"))
     except OSError as error:
         raise UserError(f"{folder} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
-    return found
+    return report
 
 
 def document(run: Run, summary: Summary) -> dict[str, Any]:

@@ -78,7 +78,7 @@ def view(run: Run, summary: Summary, media_said: str) -> PageView:
 def _kinds(summary: Summary) -> dict[str, str]:
     """Return the colour class of each setting."""
     settings = filter(None, (row.setting for row in summary.cells))
-    return {name: f"s{place % _COLOURS}" for place, name in enumerate(dict.fromkeys(settings))}
+    return {name: f"s{index % _COLOURS}" for index, name in enumerate(dict.fromkeys(settings))}
 
 
 def _about(summary: Summary, unusual: str) -> str:
@@ -86,24 +86,24 @@ def _about(summary: Summary, unusual: str) -> str:
     robot = f"{summary.embodiment}, {summary.action_type} control"
     planned = f"{many(summary.overall.planned, 'episode')} planned"
     unreal = stand_ins.sentence(summary.environment, filter(None, (row.setting for row in summary.settings)))
-    told = f", {unusual}" if unusual else ""
-    said = f"{robot}. {many(tasks, 'task')} in {many(settings, 'setting')}, {planned}{told}."
-    return said if unreal is None else f"{unreal} {said}"
+    mode = f", {unusual}" if unusual else ""
+    summary_text = f"{robot}. {many(tasks, 'task')} in {many(settings, 'setting')}, {planned}{mode}."
+    return summary_text if unreal is None else f"{unreal} {summary_text}"
 
 
 def _headline(summary: Summary) -> Headline:
     overall = summary.overall
     rate, interval = overall.success_rate, overall.success_interval
     if rate is None or interval is None:
-        said = "No episode has a success to speak of yet."
-        return Headline(wording.NOTHING, "", said, figures.strip(None, None, "s0", said))
+        caption = "No episode has a success to speak of yet."
+        return Headline(wording.NOTHING, "", caption, figures.strip(None, None, "s0", caption))
     low, high = interval
-    said = (
+    caption = (
         f"{overall.successes} of {overall.judged} episodes succeeded. "
         f"The {wording.percent(summary.confidence)} interval goes from {100 * low:.1f} to {100 * high:.1f} %."
     )
-    figure = figures.strip(rate, interval, "s0", f"{100 * rate:.1f} % {said}")
-    return Headline(f"{100 * rate:.1f}".removesuffix(".0"), "%", said, figure)
+    figure = figures.strip(rate, interval, "s0", f"{100 * rate:.1f} % {caption}")
+    return Headline(f"{100 * rate:.1f}".removesuffix(".0"), "%", caption, figure)
 
 
 def _facts(summary: Summary) -> list[HeadFigure]:
@@ -133,13 +133,13 @@ def _bounds(overall: SummaryRow, execution: ExecutionStats) -> str:
 
 
 def _tasks(summary: Summary, kinds: Mapping[str, str]) -> list[TaskBars]:
-    found: dict[str, TaskBars] = {}
+    tasks: dict[str, TaskBars] = {}
     for row in summary.cells:
         task, setting = str(row.task), str(row.setting)
         label = f"{task}, {setting}: {wording.rate(row)}"
         figure = figures.bar(row.success_rate, row.success_interval, kinds[setting], label)
-        found.setdefault(task, TaskBars(task, row.dimension, [])).bars.append(Bar(figure, wording.rate(row)))
-    return list(found.values())
+        tasks.setdefault(task, TaskBars(task, row.dimension, [])).bars.append(Bar(figure, wording.rate(row)))
+    return list(tasks.values())
 
 
 def _groups(summary: Summary, kinds: Mapping[str, str]) -> list[ChartGroup]:
@@ -200,7 +200,7 @@ def _table(summary: Summary, kinds: Mapping[str, str]) -> PageTable:
         LabelledClass("Steps", "number"),
     ]
     rows = []
-    for row in wording.shown(summary):
+    for row in wording.table_rows(summary):
         texts = _cells(row, kinds.get(row.setting or "", "s0"))
         cells = [TableCell(value, column.kind) for value, column in zip(texts, header, strict=True)]
         rows.append(TableRow(row.task is None, cells))

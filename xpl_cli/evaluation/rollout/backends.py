@@ -33,13 +33,13 @@ def check_backend(room: BackendConfig) -> None:
         raise UserError(f"there is no backend {room.backend!r}; there are: {', '.join(NAMES)}")
 
 
-def make_backend(room: BackendConfig, orders: RolloutConfig, server_orders: ServerConfig, episodes: int) -> Backend:
+def make_backend(room: BackendConfig, config: RolloutConfig, server_config: ServerConfig, episodes: int) -> Backend:
     """Return the backend of a run.
 
     Args:
         room: where, and how much at a time.
-        orders: what lanes play.
-        server_orders: how the policy is served.
+        config: what lanes play.
+        server_config: how the policy is served.
         episodes: how many are to be played; more lanes than that are no use.
 
     Raises:
@@ -48,10 +48,10 @@ def make_backend(room: BackendConfig, orders: RolloutConfig, server_orders: Serv
     if room.backend == RAY:
         from xpl_cli.evaluation.rollout.ray_backend import RayBackend
 
-        return RayBackend(orders, server_orders, room, episodes)
+        return RayBackend(config, server_config, room, episodes)
     from xpl_cli.evaluation.rollout.local_backend import LocalBackend, assign_servers
 
-    lanes = min(room.lanes or len(os.sched_getaffinity(0)), max(1, episodes))
+    workers = min(room.lanes or len(os.sched_getaffinity(0)), max(1, episodes))
     # A model on a GPU takes room there: it is loaded once, unless somebody says otherwise.
-    servers = room.servers or (lanes if server_orders.gpu is None else 1)
-    return LocalBackend(orders, assign_servers(server_orders, lanes, min(servers, lanes)))
+    servers = room.servers or (workers if server_config.gpu is None else 1)
+    return LocalBackend(config, assign_servers(server_config, workers, min(servers, workers)))

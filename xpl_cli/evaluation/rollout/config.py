@@ -80,10 +80,10 @@ class EnvSettings:
 
     def as_config(self) -> Config:
         """Return the configuration that an environment is made with."""
-        told = asdict(self)
+        config = asdict(self)
         if self.setting is None:
-            del told["setting"]
-        return told
+            del config["setting"]
+        return config
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from xpl.contract import Action, ObservationDict
     from xpl.environment import TaskEnv
 
-_ASKS = (sdk.Method.GET_ACTION, sdk.Method.GET_ACTION_BATCH, sdk.Method.INFER)
+_INFERENCE_OPERATIONS = (sdk.Method.GET_ACTION, sdk.Method.GET_ACTION_BATCH, sdk.Method.INFER)
 
 
 class TaskEnvWrapper:
@@ -40,9 +40,9 @@ class TaskEnvWrapper:
         last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
     ) -> list[ObservationDict]:
         """Return the observations of some environments, of all running ones by default."""
-        wanted = list(self._env.get_running_env_idx_list() if env_idx_list is None else env_idx_list)
+        indices = list(self._env.get_running_env_idx_list() if env_idx_list is None else env_idx_list)
         observations = self._env.get_obs_batch(env_idx_list, last_frame)
-        return [self._on_observation(env, obs) for env, obs in zip(wanted, observations, strict=False)]
+        return [self._on_observation(env, obs) for env, obs in zip(indices, observations, strict=False)]
 
     def take_action(self, action: Action) -> Any:
         """Execute an action step."""
@@ -80,17 +80,17 @@ class TaskEnvWrapper:
 class TimedClient:
     """A client whose answers with actions are timed; everything else passes."""
 
-    def __init__(self, client: Any, asked: Callable[[float], None]) -> None:
+    def __init__(self, client: Any, on_inference: Callable[[float], None]) -> None:
         self._client = client
-        self._asked = asked
+        self._asked = on_inference
 
     def __getattr__(self, name: str) -> Any:
-        found = getattr(self._client, name)
-        return self._timed(found) if name in _ASKS else found
+        attribute = getattr(self._client, name)
+        return self._timed(attribute) if name in _INFERENCE_OPERATIONS else attribute
 
     def call(self, func_name: str, *args: Any, **kwargs: Any) -> Any:
         """Call an operation by name."""
-        call = self._timed(self._client.call) if func_name in _ASKS else self._client.call
+        call = self._timed(self._client.call) if func_name in _INFERENCE_OPERATIONS else self._client.call
         return call(func_name, *args, **kwargs)
 
     def _timed(self, function: Callable[..., Any]) -> Callable[..., Any]:

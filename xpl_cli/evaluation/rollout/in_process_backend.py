@@ -57,11 +57,11 @@ class InProcessBackend:
         access: how it is reached.
     """
 
-    def __init__(self, orders: RolloutConfig, server: ServerHandle, access: ServerAccess) -> None:
-        self._lane = RolloutWorker(orders, f"{platform.node()}/0", access)
-        self._places = orders.num_envs
+    def __init__(self, config: RolloutConfig, server: ServerHandle, access: ServerAccess) -> None:
+        self._worker = RolloutWorker(config, f"{platform.node()}/0", access)
+        self._num_envs = config.num_envs
         self._server = server
-        self._given: list[RolloutJob] = []
+        self._jobs: list[RolloutJob] = []
 
     def prepare(self, task: str, setting: str) -> None:
         """Make the environment before a server is started.
@@ -69,15 +69,15 @@ class InProcessBackend:
         Raises:
             UserError: it cannot be played.
         """
-        self._lane.prepare(task, setting)
+        self._worker.prepare(task, setting)
 
     def free(self) -> int:
         """Return how many more jobs fit in the next batch."""
-        return self._places - len(self._given)
+        return self._num_envs - len(self._jobs)
 
     def submit(self, job: RolloutJob) -> None:
         """Take a job for the next batch."""
-        self._given.append(job)
+        self._jobs.append(job)
 
     def wait(self) -> list[RolloutResult]:
         """Play the batch, and return its outcomes.
@@ -85,20 +85,20 @@ class InProcessBackend:
         Raises:
             UserError: no job can be played.
         """
-        first = self._given[0]
+        first = self._jobs[0]
         # A batch is of one task and setting; the others wait for the next one.
-        jobs = [job for job in self._given if (job.task, job.setting) == (first.task, first.setting)]
-        self._given = [job for job in self._given if job not in jobs]
+        jobs = [job for job in self._jobs if (job.task, job.setting) == (first.task, first.setting)]
+        self._jobs = [job for job in self._jobs if job not in jobs]
         try:
             url = self._server.url()
         except ServerLostError as error:
             raise UserError(f"the policy server does not start any more: {error}", code=ExitCode.NOT_RUN) from None
-        outcomes = self._lane.play_batch(jobs, url)
+        outcomes = self._worker.play_batch(jobs, url)
         if any(outcome.is_server_suspect for outcome in outcomes):
             self._server.drop()
         return outcomes
 
     def close(self) -> None:
         """End the lane, and the server where it is ours."""
-        self._lane.close()
+        self._worker.close()
         self._server.close()

@@ -27,7 +27,7 @@ _TRIES = 30
 """Seeds that are looked at for one that is about something else."""
 
 
-def with_instruction(env: TaskEnv, instead: str, jobs: Sequence[RolloutJob], places: int) -> InstructionWrapper:
+def with_instruction(env: TaskEnv, instead: str, jobs: Sequence[RolloutJob], num_envs: int) -> InstructionWrapper:
     """Return an environment whose observations hold other instructions; it has to be reset afterwards.
 
     Args:
@@ -35,35 +35,37 @@ def with_instruction(env: TaskEnv, instead: str, jobs: Sequence[RolloutJob], pla
         instead: `blank` for an empty text; `swap` for what the episode of the next seed is told that is told another
             one. Which that is depends on nothing but the seed.
         jobs: the episodes that are to be played.
-        places: environments at once.
+        num_envs: environments at once.
 
     Raises:
         UserError: none of the next seeds is told anything else, or the environment refuses a seed.
         InfrastructureError: the environment is lost.
     """
     if instead == BLANK:
-        return InstructionWrapper(env, [""] * places)
-    told: list[str | None] = [None] * len(jobs)
-    own = _said(env, jobs, 0, places)
+        return InstructionWrapper(env, [""] * num_envs)
+    texts: list[str | None] = [None] * len(jobs)
+    own = _instructions(env, jobs, 0, num_envs)
     for ahead in range(1, _TRIES + 1):
-        others = _said(env, jobs, ahead, places)
-        told = [text or (other if other != mine else None) for text, other, mine in zip(told, others, own, strict=True)]
-        if all(told):
-            return InstructionWrapper(env, [*(text or "" for text in told), *[""] * (places - len(jobs))])
+        others = _instructions(env, jobs, ahead, num_envs)
+        texts = [
+            text or (other if other != mine else None) for text, other, mine in zip(texts, others, own, strict=True)
+        ]
+        if all(texts):
+            return InstructionWrapper(env, [*(text or "" for text in texts), *[""] * (num_envs - len(jobs))])
     raise UserError(
         f"{jobs[0].task}, {jobs[0].setting}: episodes of the next {_TRIES} seeds are told nothing else; "
         "--instruction swap is for tasks whose instruction differs from episode to episode"
     )
 
 
-def _said(env: TaskEnv, jobs: Sequence[RolloutJob], ahead: int, places: int) -> list[str]:
+def _instructions(env: TaskEnv, jobs: Sequence[RolloutJob], ahead: int, num_envs: int) -> list[str]:
     """Return what the episodes so many seeds ahead are told."""
-    reset_envs(env, [replace(job, seed=job.seed + ahead) for job in jobs], places)
+    reset_envs(env, [replace(job, seed=job.seed + ahead) for job in jobs], num_envs)
     try:
-        seen = env.get_obs_batch(list(range(len(jobs))))
+        observations = env.get_obs_batch(list(range(len(jobs))))
     except (EnvLostError, EnvRaisedError) as error:
         raise InfrastructureError(str(error)) from None
-    return [get_instruction(obs) or "" for obs in seen]
+    return [get_instruction(obs) or "" for obs in observations]
 
 
 class InstructionWrapper(TaskEnvWrapper):
@@ -79,5 +81,5 @@ class InstructionWrapper(TaskEnvWrapper):
         self._texts = list(texts)
 
     def _on_observation(self, env: int, obs: ObservationDict) -> ObservationDict:
-        kept = {key: value for key, value in obs.items() if key not in (sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS)}
-        return {**kept, sdk.Obs.INSTRUCTION: self._texts[env]}
+        rest = {key: value for key, value in obs.items() if key not in (sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS)}
+        return {**rest, sdk.Obs.INSTRUCTION: self._texts[env]}

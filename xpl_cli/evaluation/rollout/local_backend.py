@@ -32,16 +32,16 @@ if TYPE_CHECKING:
 _GRACE_S = 10.0
 
 
-def assign_servers(server_orders: ServerConfig, lanes: int, servers: int) -> list[tuple[ServerHandle, ServerAccess]]:
+def assign_servers(server_config: ServerConfig, workers: int, servers: int) -> list[tuple[ServerHandle, ServerAccess]]:
     """Return the servers that lanes share as evenly as may be, one for each lane, and how each is reached.
 
     Args:
-        server_orders: how the policy is served.
-        lanes: episodes that are played at a time.
+        server_config: how the policy is served.
+        workers: episodes that are played at a time.
         servers: how many there are.
     """
-    shares = [lanes * (number + 1) // servers - lanes * number // servers for number in range(servers)]
-    owned = [(ManagedServer(server_orders, share), share) for share in shares]
+    shares = [workers * (number + 1) // servers - workers * number // servers for number in range(servers)]
+    owned = [(ManagedServer(server_config, share), share) for share in shares]
     return [(server, ServerAccess(server.token)) for server, share in owned for _ in range(share)]
 
 
@@ -53,14 +53,14 @@ class LocalBackend:
         reached: for each lane its policy server, and how it is reached.
     """
 
-    def __init__(self, orders: RolloutConfig, reached: Sequence[tuple[ServerHandle, ServerAccess]]) -> None:
+    def __init__(self, config: RolloutConfig, reached: Sequence[tuple[ServerHandle, ServerAccess]]) -> None:
         self._servers = list(dict.fromkeys(server for server, _ in reached))
         self._done: _Done = queue.SimpleQueue()
-        self._lanes = [_WorkerThread(orders, number, *each, self._done) for number, each in enumerate(reached)]
-        self._idle = list(self._lanes)
+        self._workers = [_WorkerThread(config, number, *each, self._done) for number, each in enumerate(reached)]
+        self._idle = list(self._workers)
         self._returned: list[RolloutJob] = []
-        for lane in self._lanes:
-            lane.start()
+        for worker in self._workers:
+            worker.start()
 
     def free(self) -> int:
         """Return how many lanes have nothing to do; none while a job waits that was given back."""
@@ -76,32 +76,32 @@ class LocalBackend:
         Raises:
             UserError: no job can be played.
         """
-        lane, told = self._done.get()
-        if isinstance(told, Exception):
-            raise told
-        if lane.is_sound:
-            self._idle.append(lane)
+        worker, result = self._done.get()
+        if isinstance(result, Exception):
+            raise result
+        if worker.is_sound:
+            self._idle.append(worker)
         else:
-            self._dismiss(lane, told)
+            self._dismiss(worker, result)
         while self._returned and self._idle:
             self.submit(self._returned.pop(0))
-        return [told] if lane.is_sound else []
+        return [result] if worker.is_sound else []
 
-    def _dismiss(self, lane: _WorkerThread, told: RolloutResult) -> None:
+    def _dismiss(self, worker: _WorkerThread, result: RolloutResult) -> None:
         """Remove a worker without a server: it would fail one job after the other, faster than others run them."""
-        self._lanes.remove(lane)
-        lane.end()
-        if not self._lanes:
-            reason = str(told.ending.error)
+        self._workers.remove(worker)
+        worker.end()
+        if not self._workers:
+            reason = str(result.ending.error)
             raise UserError(reason, hint="put that right, and go on with --resume", code=ExitCode.NOT_RUN)
-        self._returned.append(told.job)
+        self._returned.append(result.job)
 
     def close(self) -> None:
         """End lanes and servers; what is being played is broken off."""
-        for lane in self._lanes:
-            lane.end()
-        for lane in self._lanes:
-            lane.join(_GRACE_S)
+        for worker in self._workers:
+            worker.end()
+        for worker in self._workers:
+            worker.join(_GRACE_S)
         for server in self._servers:
             server.close()
 
@@ -116,7 +116,7 @@ class _WorkerThread(threading.Thread):
 
     def __init__(
         self,
-        orders: RolloutConfig,
+        config: RolloutConfig,
         number: int,
         server: ServerHandle,
         access: ServerAccess,
@@ -126,7 +126,7 @@ class _WorkerThread(threading.Thread):
         super().__init__(daemon=True)
         self.jobs: queue.SimpleQueue[RolloutJob | None] = queue.SimpleQueue()
         self._worker = f"{platform.node()}/{number}"
-        self._process = _WorkerProcess(orders, self._worker, access)
+        self._process = _WorkerProcess(config, self._worker, access)
         self._server = server
         self._done = done
         self._is_busy = False
@@ -137,11 +137,11 @@ class _WorkerThread(threading.Thread):
         while (job := self.jobs.get()) is not None:
             self._is_busy = True
             try:
-                told: RolloutResult | Exception = self._play(job)
+                result: RolloutResult | Exception = self._play(job)
             except Exception as error:  # noqa: BLE001 - raised where the run is led
-                told = error
+                result = error
             self._is_busy = False
-            self._done.put((self, told))
+            self._done.put((self, result))
         self._process.close()
 
     def end(self) -> None:
@@ -172,8 +172,8 @@ class WorkerLostError(RuntimeError):
 class _WorkerProcess:
     """A worker in a process of its own (`worker_process`), which is started when it is needed."""
 
-    def __init__(self, orders: RolloutConfig, worker: str, access: ServerAccess) -> None:
-        self._given = orders, worker, access
+    def __init__(self, config: RolloutConfig, worker: str, access: ServerAccess) -> None:
+        self._worker_arguments = config, worker, access
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: Connection[Any, Any] | None = None
 
@@ -185,14 +185,14 @@ class _WorkerProcess:
             WorkerLostError: the process ended.
         """
         try:
-            channel = self._channel or self._started()
+            channel = self._channel or self._start_process()
             channel.send((job, url))
-            told: RolloutResult | Exception = channel.recv()
+            result: RolloutResult | Exception = channel.recv()
         except (EOFError, OSError):
-            raise WorkerLostError(self._ended()) from None
-        if isinstance(told, Exception):
-            raise told
-        return told
+            raise WorkerLostError(self._end_process()) from None
+        if isinstance(result, Exception):
+            raise result
+        return result
 
     def kill(self) -> None:
         """Let the process break off what it plays, close its environment and end; whoever waits for it sees to that."""
@@ -205,9 +205,9 @@ class _WorkerProcess:
         if self._channel is not None:
             with contextlib.suppress(OSError):
                 self._channel.send(None)
-            self._ended()
+            self._end_process()
 
-    def _started(self) -> Connection[Any, Any]:
+    def _start_process(self) -> Connection[Any, Any]:
         # Not by `multiprocessing`, which would run the main module of whoever uses this once more in the lane.
         ours, theirs = socket.socketpair()
         with theirs:
@@ -219,10 +219,10 @@ class _WorkerProcess:
                 start_new_session=True,
             )
         self._channel = Connection(ours.detach())
-        self._channel.send(self._given)
+        self._channel.send(self._worker_arguments)
         return self._channel
 
-    def _ended(self) -> str:
+    def _end_process(self) -> str:
         """Clear up after a process that has ended, or is to, and return how it did."""
         process, channel = self._process, self._channel
         self._process = self._channel = None

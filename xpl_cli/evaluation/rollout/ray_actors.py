@@ -77,10 +77,10 @@ class PolicyServerActor:
         token: what it asks for.
     """
 
-    def __init__(self, version: str, orders: ServerConfig, clients: int, token: str | None) -> None:
+    def __init__(self, version: str, config: ServerConfig, clients: int, token: str | None) -> None:
         self._version = version
-        self._orders = orders = replace(orders, bounds=_kept(orders))
-        self._server = ManagedServer(orders, clients, () if token is None else ("--host", _address()), token)
+        self._config = config = replace(config, bounds=_isolation_here(config))
+        self._server = ManagedServer(config, clients, () if token is None else ("--host", _address()), token)
         self.token = self._server.token
         self._is_checked = False
 
@@ -107,8 +107,8 @@ class PolicyServerActor:
         """Raise a UserError unless this machine has what the run is about; looks at it once."""
         if not self._is_checked:
             _check_version(self._version)
-            _check_files("adapter", self._orders.policy, self._orders.policy_digest)
-            _check_checkpoint(self._orders)
+            _check_files("adapter", self._config.policy, self._config.policy_digest)
+            _check_checkpoint(self._config)
             self._is_checked = True
 
 
@@ -124,23 +124,23 @@ class RolloutActor:
     """
 
     def __init__(
-        self, version: str, orders: RolloutConfig, own_server: ServerConfig | None, number: int, token: str | None
+        self, version: str, config: RolloutConfig, own_server: ServerConfig | None, number: int, token: str | None
     ) -> None:
         self._version = version
-        self._orders = orders = replace(orders, bounds=_kept(orders))
+        self._config = config = replace(config, bounds=_isolation_here(config))
         self._worker = f"{platform.node()}/{number}"
         self._server = None if own_server is None else PolicyServerActor(version, own_server, 1, None)
         self._token = token if self._server is None else self._server.token
-        self._lane: RolloutWorker | None = None
+        self._rollout_worker: RolloutWorker | None = None
 
     def ready(self) -> ActorInfo | Refusal | ActorUnavailable:
         """Prepare for playing and return where that is; doing so again changes nothing."""
         try:
             _check_version(self._version)
-            _check_files("adapter", self._orders.policy, self._orders.policy_digest)
-            _check_files("environment", self._orders.environment, self._orders.environment_digest)
-            if self._lane is None:
-                self._lane = RolloutWorker(self._orders, self._worker, ServerAccess(self._token))
+            _check_files("adapter", self._config.policy, self._config.policy_digest)
+            _check_files("environment", self._config.environment, self._config.environment_digest)
+            if self._rollout_worker is None:
+                self._rollout_worker = RolloutWorker(self._config, self._worker, ServerAccess(self._token))
         except UserError as error:
             return Refusal.of(error)
         url = None if self._server is None else self._server.url()
@@ -148,12 +148,12 @@ class RolloutActor:
 
     def play(self, job: RolloutJob, url: str | None) -> RolloutResult | Refusal | ActorUnavailable:
         """Play an attempt at an episode, with the policy server at an address, or with its own."""
-        assert self._lane is not None  # noqa: S101 - for the type checker: nobody plays who is not ready
-        asked = url if self._server is None else self._server.url()
-        if not isinstance(asked, str):
-            return asked or ActorUnavailable("the lane has no policy server")
+        assert self._rollout_worker is not None  # noqa: S101 - for the type checker: nobody plays who is not ready
+        address = url if self._server is None else self._server.url()
+        if not isinstance(address, str):
+            return address or ActorUnavailable("the lane has no policy server")
         try:
-            outcome = self._lane.play(job, asked)
+            outcome = self._rollout_worker.play(job, address)
         except UserError as error:
             return Refusal.of(error)
         if self._server is not None and outcome.is_server_suspect:
@@ -178,18 +178,18 @@ def _check_files(what: str, folder: str, digest: str) -> None:
         )
 
 
-def _kept(orders: RolloutConfig | ServerConfig) -> IsolationSettings:
+def _isolation_here(config: RolloutConfig | ServerConfig) -> IsolationSettings:
     """Return what the adapter is kept from on this machine."""
-    asked = orders.bounds
-    return asked if asked.isolate else IsolationSettings.strictest(Path(orders.policy).parent, isolate=False)
+    settings = config.bounds
+    return settings if settings.isolate else IsolationSettings.strictest(Path(config.policy).parent, isolate=False)
 
 
-def _check_checkpoint(orders: ServerConfig) -> None:
-    found = checkpoint_of(package.load(orders.policy, orders.overrides), orders.overrides)
-    if (None if found is None else found.digest) != orders.checkpoint_digest:
+def _check_checkpoint(config: ServerConfig) -> None:
+    checkpoint = checkpoint_of(package.load(config.policy, config.overrides), config.overrides)
+    if (None if checkpoint is None else checkpoint.digest) != config.checkpoint_digest:
         raise UserError(
-            f"{platform.node()}: the checkpoint of {orders.policy} is not the run's: "
-            f"{'there is none' if found is None else found.path}",
+            f"{platform.node()}: the checkpoint of {config.policy} is not the run's: "
+            f"{'there is none' if checkpoint is None else checkpoint.path}",
             hint=_SAME_PLACE,
             code=ExitCode.NOT_RUN,
         )

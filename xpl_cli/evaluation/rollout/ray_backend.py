@@ -36,7 +36,7 @@ PATIENCE_S = 1200.0
 """How long there may be no lane at all; a model may take half of that to load."""
 _NOTE_S = 20.0
 _CALL_S = 10.0
-_AGAIN = -1
+_UNLIMITED = -1
 """Ray's number for as often as it takes."""
 
 
@@ -92,37 +92,37 @@ class RayBackend:
         UserError: Ray is not installed, or there is no cluster.
     """
 
-    def __init__(self, orders: RolloutConfig, server_orders: ServerConfig, room: BackendConfig, episodes: int) -> None:
+    def __init__(self, config: RolloutConfig, server_config: ServerConfig, room: BackendConfig, episodes: int) -> None:
         self._resources = contextlib.ExitStack()
-        self._ray = _connected(self._resources)
+        self._ray = _connect(self._resources)
         self._gpus = room.gpus
-        self._has_played = False
-        self._unplayed: list[RolloutJob] = []
-        self._awaited: dict[Any, Callable[[Any], list[RolloutResult]]] = {}
+        self._has_results = False
+        self._returned_jobs: list[RolloutJob] = []
+        self._callbacks: dict[Any, Callable[[Any], list[RolloutResult]]] = {}
         servers = room.servers or (1 if room.gpus else 0)
-        lanes = min(room.lanes or _processors(self._ray) - servers, episodes)
+        workers = min(room.lanes or _processors(self._ray) - servers, episodes)
         token = secrets.token_urlsafe(32) if servers else None
-        shared = self._serving(server_orders, min(servers, lanes), lanes, token)
-        own = None if shared else server_orders
-        self._places = [
-            _RayWorker(self._actor(RolloutActor).remote(xpl_cli.__version__, orders, own, number, token), server)
-            for number, server in enumerate(shared or [None] * lanes)
+        shared = self._start_servers(server_config, min(servers, workers), workers, token)
+        own = None if shared else server_config
+        self._workers = [
+            _RayWorker(self._actor(RolloutActor).remote(xpl_cli.__version__, config, own, number, token), server)
+            for number, server in enumerate(shared or [None] * workers)
         ]
         for server in dict.fromkeys(shared):
             self._locate(server, server.actor.url)
-        for place in self._places:
-            self._prepare(place)
+        for worker in self._workers:
+            self._prepare(worker)
 
     def free(self) -> int:
         """Return how many lanes could play now."""
-        return max(0, sum(place.is_free for place in self._places) - len(self._unplayed))
+        return max(0, sum(worker.is_free for worker in self._workers) - len(self._returned_jobs))
 
     def submit(self, job: RolloutJob) -> None:
         """Give a job to a lane that is free."""
-        place = next(place for place in self._places if place.is_free)
-        place.job = job
-        url = None if place.server is None else place.server.url
-        self._awaited[place.actor.play.remote(job, url)] = partial(self._played, place)
+        worker = next(worker for worker in self._workers if worker.is_free)
+        worker.job = job
+        url = None if worker.server is None else worker.server.url
+        self._callbacks[worker.actor.play.remote(job, url)] = partial(self._on_result, worker)
 
     def wait(self) -> list[RolloutResult]:
         """Wait for outcomes, or until more lanes are free.
@@ -130,112 +130,114 @@ class RayBackend:
         Raises:
             UserError: no job can be played, or the cluster has had no room for too long.
         """
-        free, found = self.free(), list[RolloutResult]()
-        while not found and self.free() <= free:
-            for ref in self._arrived():
-                found += self._awaited.pop(ref)(ref)
-            while self._unplayed and any(place.is_free for place in self._places):
-                self.submit(self._unplayed.pop())
-        return found
+        free, results = self.free(), list[RolloutResult]()
+        while not results and self.free() <= free:
+            for ref in self._ready_refs():
+                results += self._callbacks.pop(ref)(ref)
+            while self._returned_jobs and any(worker.is_free for worker in self._workers):
+                self.submit(self._returned_jobs.pop())
+        return results
 
     def close(self) -> None:
         """Leave the cluster, which ends all actors of this run and what they have started."""
         self._resources.close()
 
-    def _serving(self, orders: ServerConfig, servers: int, lanes: int, token: str | None) -> list[_RayServer]:
+    def _start_servers(self, config: ServerConfig, servers: int, workers: int, token: str | None) -> list[_RayServer]:
         """Return the server of each lane, or nothing where lanes have their own."""
-        found: list[_RayServer] = []
+        actors: list[_RayServer] = []
         for number in range(servers):
-            clients = lanes * (number + 1) // servers - lanes * number // servers
+            clients = workers * (number + 1) // servers - workers * number // servers
             # No processor of its own: a lane must not be able to take the last one from the server that it waits for.
             actor = self._actor(PolicyServerActor, num_cpus=0, num_gpus=self._gpus)
-            found += [_RayServer(actor.remote(xpl_cli.__version__, orders, clients, token))] * clients
-        return found
+            actors += [_RayServer(actor.remote(xpl_cli.__version__, config, clients, token))] * clients
+        return actors
 
     def _actor(self, kind: type, **needs: float) -> Any:
         """Return what makes actors of a class, each of which Ray starts again as often as it is lost."""
-        options = {"num_cpus": 1, "max_restarts": _AGAIN, "scheduling_strategy": "SPREAD", **needs}
+        options = {"num_cpus": 1, "max_restarts": _UNLIMITED, "scheduling_strategy": "SPREAD", **needs}
         return self._ray.remote(kind).options(**options)
 
-    def _arrived(self) -> list[Any]:
+    def _ready_refs(self) -> list[Any]:
         """Return what has been answered, at least one, as references.
 
         Raises:
             UserError: nothing is, because Ray could not place anything.
         """
-        asked = list(self._awaited)
-        if any(place.job for place in self._places):
-            self._ray.wait(asked)
-        elif not self._ray.wait(asked, timeout=_NOTE_S)[0]:
-            console.note(f"waiting for the Ray cluster: {self._wanted()}")
-            if not self._ray.wait(asked, timeout=PATIENCE_S)[0]:
+        pending = list(self._callbacks)
+        if any(worker.job for worker in self._workers):
+            self._ray.wait(pending)
+        elif not self._ray.wait(pending, timeout=_NOTE_S)[0]:
+            console.note(f"waiting for the Ray cluster: {self._missing_resources()}")
+            if not self._ray.wait(pending, timeout=PATIENCE_S)[0]:
                 raise UserError(
-                    f"no worker could be started on the Ray cluster within {PATIENCE_S:g} s: {self._wanted()}",
+                    f"no worker started on the Ray cluster within {PATIENCE_S:g} s: {self._missing_resources()}",
                     hint="add machines, or ask for less, and go on with --resume",
                     code=ExitCode.NOT_RUN,
                 )
-        arrived: list[Any] = self._ray.wait(asked, num_returns=len(asked), timeout=0)[0]
+        arrived: list[Any] = self._ray.wait(pending, num_returns=len(pending), timeout=0)[0]
         return arrived
 
-    def _wanted(self) -> str:
+    def _missing_resources(self) -> str:
         left = {name: count for name, count in self._ray.available_resources().items() if name in ("CPU", "GPU")}
         server = f" and a policy server (GPU {self._gpus:g})" if self._gpus else ""
-        found = ", ".join(f"{name} {count:g}" for name, count in sorted(left.items())) or "nothing"
-        return f"it must have room for a lane (CPU 1){server}; left are: {found}"
+        resources = ", ".join(f"{name} {count:g}" for name, count in sorted(left.items())) or "nothing"
+        return f"it must have room for a lane (CPU 1){server}; left are: {resources}"
 
-    def _prepare(self, place: _RayWorker) -> None:
+    def _prepare(self, worker: _RayWorker) -> None:
         """Let a lane tell when it can play; one that is being started again answers then."""
-        place.post = None
-        self._awaited[place.actor.ready.options(max_task_retries=_AGAIN).remote()] = partial(self._prepared, place)
+        worker.post = None
+        self._callbacks[worker.actor.ready.options(max_task_retries=_UNLIMITED).remote()] = partial(
+            self._on_ready, worker
+        )
 
-    def _prepared(self, place: _RayWorker, ref: Any) -> list[RolloutResult]:
-        told = self._begun(ref)
-        if isinstance(told, ActorUnavailable):
-            self._give_up([place], told)
+    def _on_ready(self, worker: _RayWorker, ref: Any) -> list[RolloutResult]:
+        answer = self._start_answer(ref)
+        if isinstance(answer, ActorUnavailable):
+            self._remove_workers([worker], answer)
         else:
-            place.post = told
+            worker.post = answer
         return []
 
     def _locate(self, server: _RayServer, ask: Any) -> None:
         """Ask where a server answers, by one of its actor's methods; each starts it where it does not run."""
         server.url = None
-        self._awaited[ask.options(max_task_retries=_AGAIN).remote()] = partial(self._located, server)
+        self._callbacks[ask.options(max_task_retries=_UNLIMITED).remote()] = partial(self._on_address, server)
 
-    def _located(self, server: _RayServer, ref: Any) -> list[RolloutResult]:
-        told = self._begun(ref)
-        if isinstance(told, ActorUnavailable):
-            self._give_up([place for place in self._places if place.server is server], told)
+    def _on_address(self, server: _RayServer, ref: Any) -> list[RolloutResult]:
+        answer = self._start_answer(ref)
+        if isinstance(answer, ActorUnavailable):
+            self._remove_workers([worker for worker in self._workers if worker.server is server], answer)
         else:
-            server.url = told
+            server.url = answer
         return []
 
-    def _played(self, place: _RayWorker, ref: Any) -> list[RolloutResult]:
+    def _on_result(self, worker: _RayWorker, ref: Any) -> list[RolloutResult]:
         """Return what became of a lane's job, and see to it that the lane can play again."""
-        job, post = place.job, place.post
+        job, post = worker.job, worker.post
         assert job is not None and post is not None  # noqa: S101, PT018 - for the type checker: it was playing
-        place.job = None
+        worker.job = None
         try:
-            told = self._answer(ref)
+            answer = self._answer(ref)
         except self._ray.exceptions.RayTaskError:
             raise  # a fault of ours
         except self._ray.exceptions.RayError as error:
-            told = lost_rollout(
+            answer = lost_rollout(
                 job, f"the worker or its machine was lost ({type(error).__name__})", post.worker, post.facts
             )
-            if place in self._places:
-                self._prepare(place)
-        if isinstance(told, ActorUnavailable):
-            self._give_up([place], told)
-            self._unplayed.append(job)  # it had not begun
+            if worker in self._workers:
+                self._prepare(worker)
+        if isinstance(answer, ActorUnavailable):
+            self._remove_workers([worker], answer)
+            self._returned_jobs.append(job)  # it had not begun
             return []
-        outcome: RolloutResult = told
-        self._has_played = True
+        outcome: RolloutResult = answer
+        self._has_results = True
         # The server may have failed: ask for its address, which may be on another machine now.
-        if outcome.is_server_suspect and place.server is not None and place.server.url is not None:
-            self._locate(place.server, place.server.actor.url_after_failure)
+        if outcome.is_server_suspect and worker.server is not None and worker.server.url is not None:
+            self._locate(worker.server, worker.server.actor.url_after_failure)
         return [outcome]
 
-    def _begun(self, ref: Any) -> Any:
+    def _start_answer(self, ref: Any) -> Any:
         """Return what an actor answered that was to begin, or to begin again; who refuses that is unfit.
 
         Raises:
@@ -251,7 +253,7 @@ class RayBackend:
             )
         except UserError as error:
             refusal = error
-        if not self._has_played:
+        if not self._has_results:
             raise refusal from None
         return ActorUnavailable(str(refusal))
 
@@ -266,21 +268,21 @@ class RayBackend:
             raise answer.error()
         return answer
 
-    def _give_up(self, places: list[_RayWorker], why: ActorUnavailable) -> None:
+    def _remove_workers(self, workers: list[_RayWorker], why: ActorUnavailable) -> None:
         """Remove workers that can run no job.
 
         Raises:
             UserError: no worker is left.
         """
-        console.note(f"the run goes on without {len(places)} of {len(self._places)} workers: {why.reason}")
-        for place in places:
-            self._places.remove(place)
-            self._ray.kill(place.actor)
-        if not self._places:
+        console.note(f"the run goes on without {len(workers)} of {len(self._workers)} workers: {why.reason}")
+        for worker in workers:
+            self._workers.remove(worker)
+            self._ray.kill(worker.actor)
+        if not self._workers:
             raise UserError(f"no worker is left: {why.reason}", hint="go on with --resume", code=ExitCode.NOT_RUN)
 
 
-def _connected(resources: contextlib.ExitStack) -> Any:
+def _connect(resources: contextlib.ExitStack) -> Any:
     """Return the module `ray`, connected to a cluster until the resources are given back."""
     # By default Ray tries a quarter of an hour where nobody answers any more; it reads this when it is imported.
     os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "1")
@@ -292,10 +294,10 @@ def _connected(resources: contextlib.ExitStack) -> Any:
             hint=how_to_install("ray"),
             code=ExitCode.NOT_RUN,
         ) from None
-    resources.enter_context(_silence())
+    resources.enter_context(_no_stdout())
     try:
-        _call_at(os.environ.get("RAY_ADDRESS", ""))
-        with _same_end():
+        _check_address(os.environ.get("RAY_ADDRESS", ""))
+        with _keep_sigterm_handler():
             ray.init(address="auto", log_to_driver=False, logging_level="error")
     except (OSError, RuntimeError, ValueError) as error:
         resources.close()
@@ -309,7 +311,7 @@ def _connected(resources: contextlib.ExitStack) -> Any:
 
 
 @contextlib.contextmanager
-def _same_end() -> Iterator[None]:
+def _keep_sigterm_handler() -> Iterator[None]:
     """Keep what SIGTERM does to a command; Ray would put an end of its own in its place."""
     before = signal.getsignal(signal.SIGTERM)
     yield
@@ -317,7 +319,7 @@ def _same_end() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _call_at(address: str) -> None:
+def _check_address(address: str) -> None:
     """See whether somebody listens at an address; Ray itself would take its time, and say less.
 
     Raises:
@@ -341,6 +343,6 @@ def _processors(ray: Any) -> int:
 
 
 @contextlib.contextmanager
-def _silence() -> Iterator[None]:
+def _no_stdout() -> Iterator[None]:
     with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):  # noqa: PTH123
         yield

@@ -51,12 +51,12 @@ def with_short_connect_timeout(config: Config) -> Config:
     Whoever leads the run starts servers before lanes need them, and again when they have ended. A lane waits as long
     as a place on the server may be kept for a client that was cut off, and a little more.
     """
-    kept = config.get(sdk.Deploy.CLOSE_TIMEOUT_S)
-    kept = sdk.DEPLOY_DEFAULTS[sdk.Deploy.CLOSE_TIMEOUT_S] if kept is None else kept
-    return {**config, sdk.Deploy.MAX_CONNECT_SECONDS: kept + _CONNECT_S, sdk.Deploy.CONNECT_RETRY_DELAY_S: _AGAIN_S}
+    timeout = config.get(sdk.Deploy.CLOSE_TIMEOUT_S)
+    timeout = sdk.DEPLOY_DEFAULTS[sdk.Deploy.CLOSE_TIMEOUT_S] if timeout is None else timeout
+    return {**config, sdk.Deploy.MAX_CONNECT_SECONDS: timeout + _CONNECT_S, sdk.Deploy.CONNECT_RETRY_DELAY_S: _AGAIN_S}
 
 
-def reset_envs(env: TaskEnv, jobs: Sequence[RolloutJob], places: int) -> None:
+def reset_envs(env: TaskEnv, jobs: Sequence[RolloutJob], num_envs: int) -> None:
     """Begin episodes; places that are left over get seeds that nobody asked for.
 
     Raises:
@@ -66,7 +66,7 @@ def reset_envs(env: TaskEnv, jobs: Sequence[RolloutJob], places: int) -> None:
     seeds = [job.seed for job in jobs]
     beyond = max(seeds) + 1
     try:
-        env.reset(seed=[*seeds, *range(beyond, beyond + places - len(seeds))])
+        env.reset(seed=[*seeds, *range(beyond, beyond + num_envs - len(seeds))])
     except ValueError as error:
         raise UserError(f"{jobs[0].task}, {jobs[0].setting}, seeds {seeds}: {error}") from None
     except EnvRaisedError as error:

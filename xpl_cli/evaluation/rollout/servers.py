@@ -78,16 +78,16 @@ class ManagedServer:
     """
 
     def __init__(
-        self, orders: ServerConfig, clients: int, options: Sequence[str] = (), token: str | None = None
+        self, config: ServerConfig, clients: int, options: Sequence[str] = (), token: str | None = None
     ) -> None:
-        self._orders = orders
+        self._config = config
         self.token = token or secrets.token_urlsafe(32)
         self._options = (*options, *(("--workers", str(clients)) if clients > 1 else ()))
         self._is_shared = clients > 1
         self._turn = threading.Lock()
         self._stack = contextlib.ExitStack()
         self._running: RunningServer | None = None
-        self._worked = False
+        self._has_run = False
 
     def url(self) -> str:
         """Return where it answers; starts it where it does not run.
@@ -100,18 +100,18 @@ class ManagedServer:
             if self._running is None or self._running.exit_code is not None:
                 self._running = None
                 self._stack.close()
-                self._running = self._started()
-                self._worked = True
+                self._running = self._start_process()
+                self._has_run = True
             return self._running.url
 
-    def _started(self) -> RunningServer:
+    def _start_process(self) -> RunningServer:
         """Start it; if need be several times, where it has worked before."""
         failed: list[ServerStartError] = []
         while len(failed) < _STARTS:
             try:
-                return self._stack.enter_context(self._orders.start(self._options, self.token))
+                return self._stack.enter_context(self._config.start(self._options, self.token))
             except ServerStartError as error:
-                if not self._worked:
+                if not self._has_run:
                     raise
                 failed.append(error)
         raise ServerLostError(failed[-1].reason)
@@ -119,7 +119,7 @@ class ManagedServer:
     def drop(self) -> None:
         """End it after an attempt in which it may have failed; a shared server that still responds keeps running."""
         running = self._running
-        if not self._is_shared or (running is not None and not _answers(running.url)):
+        if not self._is_shared or (running is not None and not _accepts_connections(running.url)):
             self.close()
 
     def close(self) -> None:
@@ -133,7 +133,7 @@ class ServerLostError(RuntimeError):
     """A server that had worked cannot be started any more."""
 
 
-def _answers(url: str) -> bool:
+def _accepts_connections(url: str) -> bool:
     """Tell whether somebody accepts connections; a process that was killed does not at once look ended."""
     address = urlsplit(url)
     try:

@@ -93,20 +93,20 @@ class TelemetryWrapper(TaskEnvWrapper):
 
     def _on_observation(self, _env: int, obs: ObservationDict) -> ObservationDict:
         if not self._steps and self._reel is not None and not self._reel.steps:
-            self._look()
+            self._add_film_frame()
         state = obs.get(sdk.Obs.STATE) if self._names and isinstance(obs, Mapping) else None
         if isinstance(state, Mapping) and (not self._states or self._states[-1][0] < self._steps):
-            self._states.append((self._steps, self._chosen(state)))
+            self._states.append((self._steps, self._values(state)))
         return obs
 
     def _after_step(self, actions: Sequence[Action]) -> None:
         for action in actions:
             if self._names and isinstance(action, Mapping):
-                self._actions.append(self._chosen(action))
+                self._actions.append(self._values(action))
             self._steps += 1
-            self._look()
+            self._add_film_frame()
 
-    def _chosen(self, values: State) -> list[Any]:
+    def _values(self, values: State) -> list[Any]:
         # Copies: a view would keep a whole observation, pictures and all, for as long as the episode lasts.
         return [np.array(values[name], np.float32) if name in values else None for name in self._names]
 
@@ -119,7 +119,7 @@ class TelemetryWrapper(TaskEnvWrapper):
         self._chunks.append(self._steps)
         self._latencies.append(seconds)
 
-    def _look(self) -> None:
+    def _add_film_frame(self) -> None:
         """Film the moment; an environment that cannot be filmed is played without."""
         from xpl_cli.basics.errors import UserError
 

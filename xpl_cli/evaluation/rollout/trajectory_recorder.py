@@ -41,20 +41,20 @@ def is_kept(ending: EpisodeOutcome, keep: str) -> bool:
 
 @contextlib.contextmanager
 def recording(
-    task_env: TaskEnv, orders: RolloutConfig, jobs: Sequence[RolloutJob], frequency: float
+    task_env: TaskEnv, config: RolloutConfig, jobs: Sequence[RolloutJob], frequency: float
 ) -> Iterator[TrajectoryRecorder | None]:
     """Yield what stands before an environment and keeps its episodes; None where nobody wants that.
 
     Args:
         task_env: the environment.
-        orders: what is played.
+        config: what is played.
         jobs: the attempt that each environment plays.
         frequency: control rate, Hz.
     """
-    if orders.demos is None:
+    if config.demos is None:
         yield None
         return
-    recorder = TrajectoryRecorder(task_env, orders, jobs, frequency)
+    recorder = TrajectoryRecorder(task_env, config, jobs, frequency)
     try:
         yield recorder
     finally:
@@ -64,15 +64,15 @@ def recording(
 class TrajectoryRecorder(TaskEnvWrapper):
     """A task environment whose episodes are kept; see `recorded`."""
 
-    def __init__(self, task_env: TaskEnv, orders: RolloutConfig, jobs: Sequence[RolloutJob], frequency: float) -> None:
-        assert orders.demos is not None  # noqa: S101 - for the type checker: `recorded` looks
+    def __init__(self, task_env: TaskEnv, config: RolloutConfig, jobs: Sequence[RolloutJob], frequency: float) -> None:
+        assert config.demos is not None  # noqa: S101 - for the type checker: `recorded` looks
         super().__init__(task_env)
-        self._orders, self._demos, self._jobs = orders, orders.demos, list(jobs)
+        self._config, self._settings, self._jobs = config, config.demos, list(jobs)
         self._frequency = frequency
-        self._hides = orders.demos.privileged and not orders.settings.privileged
-        self._seen: dict[int, ObservationDict] = {}
-        self._is_asked = False
-        self._failed: Exception | None = None
+        self._hides = config.demos.privileged and not config.settings.privileged
+        self._observations: dict[int, ObservationDict] = {}
+        self._has_inferred = False
+        self._error: Exception | None = None
         self._writers: dict[int, trajectory.Writer] = {}
 
     def keep(self, endings: Sequence[EpisodeOutcome]) -> None:
@@ -85,12 +85,12 @@ class TrajectoryRecorder(TaskEnvWrapper):
             UserError: one could not be written.
         """
         try:
-            if self._failed is not None:
-                raise self._failed
+            if self._error is not None:
+                raise self._error
             for env, (job, ending) in enumerate(zip(self._jobs, endings, strict=True)):
                 writer = self._writers.get(env)
-                if writer is not None and is_kept(ending, self._demos.keep):
-                    writer.episode = self._facts(job, ending)
+                if writer is not None and is_kept(ending, self._settings.keep):
+                    writer.episode = self._metadata(job, ending)
                     del self._writers[env]
                     writer.commit()
         except (trajectory.TrajectoryError, ImportError) as error:
@@ -104,35 +104,35 @@ class TrajectoryRecorder(TaskEnvWrapper):
 
     def _on_observation(self, env: int, obs: ObservationDict) -> ObservationDict:
         """Return an observation as the policy gets it: what only the file is told is not in it."""
-        self._seen[env] = obs
+        self._observations[env] = obs
         return {key: value for key, value in obs.items() if key != sdk.Obs.PRIVILEGED} if self._hides else obs
 
     def _before_step(self, actions: Sequence[Action], envs: Sequence[int]) -> None:
         for env, action in zip(envs, actions, strict=False):
             self._add(env, action)
-        self._is_asked = False
+        self._has_inferred = False
 
     def _on_inference(self, seconds: float) -> None:  # noqa: ARG002 - a file tells when, not how long
-        self._is_asked = True
+        self._has_inferred = True
 
     def _add(self, env: int, action: Action) -> None:
         """Add a step. What goes wrong is raised at the end: a loop would take it for a fault of the policy."""
-        if self._failed is not None or env >= len(self._jobs) or env not in self._env.get_running_env_idx_list():
+        if self._error is not None or env >= len(self._jobs) or env not in self._env.get_running_env_idx_list():
             return
-        obs = self._seen.pop(env, None)
+        obs = self._observations.pop(env, None)
         if obs is None:  # a loop that executes a chunk without looking
             obs = self._env.get_obs_batch([env])[0]
         try:
             if env not in self._writers:
                 self._writers[env] = self._writer(self._jobs[env])
-            shown = obs if self._demos.depth else _without_depth(obs)
-            self._writers[env].add(shown, action, asked=self._is_asked)
+            recorded_obs = obs if self._settings.depth else _without_depth(obs)
+            self._writers[env].add(recorded_obs, action, asked=self._has_inferred)
         except (trajectory.TrajectoryError, ImportError) as error:
-            self._failed = error
+            self._error = error
 
     def _writer(self, job: RolloutJob) -> trajectory.Writer:
-        path = Path(self._demos.folder) / file_name(job.index)
-        demos = self._demos
+        path = Path(self._settings.folder) / file_name(job.index)
+        demos = self._settings
         return trajectory.Writer(
             path,
             images=demos.images,
@@ -141,22 +141,24 @@ class TrajectoryRecorder(TaskEnvWrapper):
             privileged=demos.privileged,
         )
 
-    def _facts(self, job: RolloutJob, ending: EpisodeOutcome) -> dict[str, Any]:
+    def _metadata(self, job: RolloutJob, ending: EpisodeOutcome) -> dict[str, Any]:
         """Return what is told of an episode: what was played by whom, and how it went."""
-        orders = self._orders
+        config = self._config
         return {
-            "environment": Path(orders.environment).name,
-            "environment_digest": orders.environment_digest,
+            "environment": Path(config.environment).name,
+            "environment_digest": config.environment_digest,
             "task": job.task,
             "setting": job.setting,
             sdk.Deploy.SEED: job.seed,
-            "robot": orders.settings.embodiment,
-            sdk.Deploy.ACTION_TYPE: orders.settings.action_type,
-            "policy": Path(orders.policy).name,
-            "policy_digest": orders.policy_digest,
+            "robot": config.settings.embodiment,
+            sdk.Deploy.ACTION_TYPE: config.settings.action_type,
+            "policy": Path(config.policy).name,
+            "policy_digest": config.policy_digest,
             **{name: getattr(ending, name) for name in ("success", "score", "end_reason")},
             **{
-                name: told for name in ("steps", "corrections", "digest") if (told := getattr(ending, name)) is not None
+                name: value
+                for name in ("steps", "corrections", "digest")
+                if (value := getattr(ending, name)) is not None
             },
             "recorded": now(),
             "writer": f"xpl {__version__}",

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.model import EpisodeOutcome
     from xpl_cli.evaluation.rollout.config import EnvSettings
 
-_TOLD = ("success", "score", "steps", "end_reason")
+_REPORTED = ("success", "score", "steps", "end_reason")
 _UNKNOWN = (sdk.ErrorCode.UNKNOWN_MESSAGE_TYPE, sdk.ErrorCode.INVALID_FRAME)
 
 
@@ -38,11 +38,11 @@ def describe_case(settings: EnvSettings) -> Payload:
 
 def describe_outcome(endings: Sequence[EpisodeOutcome]) -> Payload:
     """Return what is told of how a trial went: of one episode as it is, of several as a list."""
-    told = [{name: getattr(ending, name) for name in _TOLD} for ending in endings]
-    return told[0] if len(told) == 1 else {"results": told}
+    results = [{name: getattr(ending, name) for name in _REPORTED} for ending in endings]
+    return results[0] if len(results) == 1 else {"results": results}
 
 
-def begin(client: Client, told: Payload) -> None:
+def begin(client: Client, case: Payload) -> None:
     """Announce a trial to the policy; a server that does not know how is left alone.
 
     Raises:
@@ -50,7 +50,7 @@ def begin(client: Client, told: Payload) -> None:
     """
     client.trial_id = uuid.uuid4().hex
     try:
-        client.prepare_case(**told)
+        client.prepare_case(**case)
     except PolicyServerError as error:
         if error.code not in _UNKNOWN:
             raise

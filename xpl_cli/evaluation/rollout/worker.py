@@ -61,16 +61,16 @@ class RolloutWorker:
         access: how it gets at policy servers.
     """
 
-    def __init__(self, orders: RolloutConfig, worker: str, access: ServerAccess | None = None) -> None:
-        self._orders = orders
-        self._worker = worker
+    def __init__(self, config: RolloutConfig, name: str, access: ServerAccess | None = None) -> None:
+        self._config = config
+        self._name = name
         self._access = access or ServerAccess()
         self._tls = None if self._access.ca_file is None else client_tls_context(self._access.ca_file)
-        self._facts = environments.manifest(environments.find(orders.environment))
-        self._robot = get_embodiment(orders.settings.embodiment)
+        self._env_manifest = environments.manifest(environments.find(config.environment))
+        self._robot = get_embodiment(config.settings.embodiment)
         self._machine = machine_facts()
-        self._open = contextlib.ExitStack()
-        self._own = None if orders.horizon is not None else self._own_loop()
+        self._resources = contextlib.ExitStack()
+        self._adapter_loop = None if config.horizon is not None else self._make_adapter_loop()
         self._scene: RolloutScene | None = None
 
     def prepare(self, task: str, setting: str) -> None:
@@ -79,8 +79,8 @@ class RolloutWorker:
         Raises:
             UserError: the environment refuses its configuration, or cannot be played.
         """
-        self._load()
-        self._set(task, setting)
+        self._load_adapter_loop()
+        self._switch_scene(task, setting)
 
     def play(self, job: RolloutJob, url: str) -> RolloutResult:
         """Play an attempt at an episode.
@@ -105,129 +105,129 @@ class RolloutWorker:
         Raises:
             UserError: nothing can be played, as for `play`.
         """
-        self._load()
+        self._load_adapter_loop()
         started, clock = now(), time.perf_counter()
-        watch, endings = self._played(jobs, url)
+        watch, endings = self._run_jobs(jobs, url)
         took = round(time.perf_counter() - clock, 3)
-        kept = self._orders.bounds.name
-        conduct = AttemptExecution(started=started, wall_seconds=took, worker=self._worker, containment=kept)
-        server = self._server()  # None where its connection was let go of
+        containment = self._config.bounds.name
+        conduct = AttemptExecution(started=started, wall_seconds=took, worker=self._name, containment=containment)
+        server = self._server_id()  # None where its connection was let go of
         outcomes = []
         for job, ending in zip(jobs, endings, strict=True):
             if watch is None or ending.failure == INFRASTRUCTURE:
                 outcomes.append(RolloutResult(job, ending, conduct, self._machine, is_server_suspect=True))
                 continue
             inference = watch.inference if job is jobs[0] else None  # a batch is answered once for all
-            seen = replace(conduct, server=server, inference=inference)
+            execution = replace(conduct, server=server, inference=inference)
             outcomes.append(
-                RolloutResult(job, ending, seen, self._machine, watch.trace(), watch.film(), server is None)
+                RolloutResult(job, ending, execution, self._machine, watch.trace(), watch.film(), server is None)
             )
         return outcomes
 
     def close(self) -> None:
         """End the connection, the environment and the adapter's loop."""
-        self._open.close()
-        self._leave()
+        self._resources.close()
+        self._close_scene()
 
-    def _load(self) -> None:
+    def _load_adapter_loop(self) -> None:
         """Import the adapter's evaluation loop, where it is what plays.
 
         Raises:
             NotFoundError: there is no such loop.
             UserError: it cannot be imported.
         """
-        if self._own is None:
+        if self._adapter_loop is None:
             return
         try:
-            self._own.load(batch=self._orders.num_envs > 1)
+            self._adapter_loop.load(batch=self._config.num_envs > 1)
         except LoopError as error:
             raise UserError(str(error), code=ExitCode.NOT_RUN) from None
 
-    def _own_loop(self) -> AdapterLoop:
+    def _make_adapter_loop(self) -> AdapterLoop:
         """Return the evaluation loop of the adapter, which is imported when it is to play.
 
         Raises:
             NotFoundError: there is none.
             UserError: it cannot be kept within bounds.
         """
-        policy = Path(self._orders.policy)
+        policy = Path(self._config.policy)
         with contextlib.ExitStack() as opened:
-            loop = AdapterLoop(policy, isolation=opened.enter_context(self._orders.bounds.isolate_adapter(policy)))
+            loop = AdapterLoop(policy, isolation=opened.enter_context(self._config.bounds.isolate_adapter(policy)))
             opened.callback(loop.close)
-            self._open = opened.pop_all()
+            self._resources = opened.pop_all()
         return loop
 
-    def _leave(self) -> None:
+    def _close_scene(self) -> None:
         """End the connection and the environment."""
         scene, self._scene = self._scene, None
         if scene is not None:
             disconnect(scene)
             scene.env.close()
 
-    def _played(self, jobs: Sequence[RolloutJob], url: str) -> tuple[TelemetryWrapper | None, list[EpisodeOutcome]]:
+    def _run_jobs(self, jobs: Sequence[RolloutJob], url: str) -> tuple[TelemetryWrapper | None, list[EpisodeOutcome]]:
         """Return who looked on, if it came to that, and what is recorded of each outcome."""
         watch = None
         try:
-            scene = self._ready(jobs[0])
+            scene = self._scene_for(jobs[0])
             reel = FilmRecorder(scene.frequency, scene.camera) if jobs[0].film and scene.camera is not None else None
-            env: TaskEnv = ActionCheckWrapper(scene.env, self._robot, self._orders.settings.action_type)
-            if self._orders.instruction is not None:
-                env = with_instruction(env, self._orders.instruction, jobs, self._orders.num_envs)
-            with recording(env, self._orders, jobs, scene.frequency) as recorder:
+            env: TaskEnv = ActionCheckWrapper(scene.env, self._robot, self._config.settings.action_type)
+            if self._config.instruction is not None:
+                env = with_instruction(env, self._config.instruction, jobs, self._config.num_envs)
+            with recording(env, self._config, jobs, scene.frequency) as recorder:
                 watch = TelemetryWrapper(recorder or env, self._robot, scene.frequency, traced=jobs[0].trace, reel=reel)
-                reset_envs(scene.env, jobs, self._orders.num_envs)
+                reset_envs(scene.env, jobs, self._config.num_envs)
                 try:
-                    client = self._connected(scene, url)
+                    client = self._connect(scene, url)
                 except ServerFailedError as error:
-                    return watch, self._failed(watch, error, len(jobs))
-                endings = self._tried(watch, client, jobs)
+                    return watch, self._failed_outcomes(watch, error, len(jobs))
+                endings = self._run_trial(watch, client, jobs)
                 if recorder is not None:
                     recorder.keep(endings)
                 return watch, endings
         except InfrastructureError as error:
-            self._drop()
+            self._disconnect()
             return watch, [failures.infrastructure_error(str(error))] * len(jobs)
 
-    def _tried(self, watch: TelemetryWrapper, client: Client, jobs: Sequence[RolloutJob]) -> list[EpisodeOutcome]:
+    def _run_trial(self, watch: TelemetryWrapper, client: Client, jobs: Sequence[RolloutJob]) -> list[EpisodeOutcome]:
         """Announce a trial, judge it, and tell the policy how it went.
 
         Raises:
             InfrastructureError: the infrastructure broke it off.
         """
-        told = trial.describe_case(self._settings(jobs[0].task, jobs[0].setting))
-        endings = self._judged(watch, client, len(jobs), told)
+        case = trial.describe_case(self._settings(jobs[0].task, jobs[0].setting))
+        endings = self._run_loop(watch, client, len(jobs), case)
         is_connected = self._scene is not None and self._scene.client is not None
         if is_connected and not trial.end(client, endings):
-            self._drop()
+            self._disconnect()
         return endings
 
-    def _judged(self, watch: TelemetryWrapper, client: Client, count: int, told: Payload) -> list[EpisodeOutcome]:
+    def _run_loop(self, watch: TelemetryWrapper, client: Client, count: int, case: Payload) -> list[EpisodeOutcome]:
         """Run the loop and return how each episode went.
 
         Raises:
             InfrastructureError: the infrastructure broke them off.
         """
-        orders, batch = self._orders, self._orders.num_envs > 1
+        config, batch = self._config, self._config.num_envs > 1
         try:
-            trial.begin(client, told)
-            if self._own is not None:
-                self._own.play(watch, rollout.listened(watch, client), batch=batch)
+            trial.begin(client, case)
+            if self._adapter_loop is not None:
+                self._adapter_loop.play(watch, rollout.listened(watch, client), batch=batch)
             elif batch:
-                rollout.run_batch(watch, client, horizon=orders.horizon)
+                rollout.run_batch(watch, client, horizon=config.horizon)
             else:
-                rollout.run_episode(watch, client, horizon=orders.horizon)
+                rollout.run_episode(watch, client, horizon=config.horizon)
             return [failures.outcome_of(result) for result in watch.results()[:count]]
         except (ClientError, ActionError, LoopError) as error:
             broken: Exception = error
         except (ValueError, TypeError, AttributeError) as error:
-            if self._own is None:
+            if self._adapter_loop is None:
                 raise  # a fault of our own loop
             broken = error
         except (EnvLostError, EnvRaisedError) as error:
             raise InfrastructureError(str(error)) from None
-        return self._failed(watch, broken, count)
+        return self._failed_outcomes(watch, broken, count)
 
-    def _failed(self, watch: TelemetryWrapper, error: Exception, count: int) -> list[EpisodeOutcome]:
+    def _failed_outcomes(self, watch: TelemetryWrapper, error: Exception, count: int) -> list[EpisodeOutcome]:
         """Return how episodes went that the policy's side broke off.
 
         Raises:
@@ -237,49 +237,49 @@ class RolloutWorker:
         url = "" if scene is None or scene.client is None else scene.client[0]
         if failure_attribution.is_policy_crash(error, url, self._tls):
             if not isinstance(error, LoopLostError):
-                self._drop()
+                self._disconnect()
             return [failures.policy_crash(result, str(error)) for result in results]
         if isinstance(error, ClientError) and failure_attribution.is_infrastructure_error(error):
             raise InfrastructureError(str(error))
         return [failures.policy_error(result, str(error)) for result in results]
 
-    def _ready(self, job: RolloutJob) -> RolloutScene:
+    def _scene_for(self, job: RolloutJob) -> RolloutScene:
         """Return the scene of a job.
 
         Raises:
             InfrastructureError: there is none now.
         """
         try:
-            return self._set(job.task, job.setting)
+            return self._switch_scene(job.task, job.setting)
         except UserError as error:
             if error.code != ExitCode.NOT_RUN:
                 raise
             raise InfrastructureError(str(error)) from None
 
-    def _set(self, task: str, setting: str) -> RolloutScene:
+    def _switch_scene(self, task: str, setting: str) -> RolloutScene:
         """Return the scene with an environment for a task and setting; a new one where they have changed."""
         if self._scene is not None and self._scene.key == (task, setting):
             return self._scene
-        self._leave()
-        orders = self._orders
-        python = interpreter.resolve(Path(orders.environment), self._facts.environment, env=orders.eval_env)
+        self._close_scene()
+        config = self._config
+        python = interpreter.resolve(Path(config.environment), self._env_manifest.environment, env=config.eval_env)
         settings = self._settings(task, setting)
-        if orders.demos is not None and orders.demos.privileged:
-            if not self._facts.privileged:
-                name = Path(orders.environment).name
+        if config.demos is not None and config.demos.privileged:
+            if not self._env_manifest.privileged:
+                name = Path(config.environment).name
                 raise UserError(f"--privileged: {name} tells nobody more than a robot sees (`privileged` in env.yml)")
             settings = replace(settings, privileged=True)
-        env = environments.start(orders.environment, settings.as_config(), workers=orders.env_workers, python=python)
-        names = list(self._facts.cameras)
+        env = environments.start(config.environment, settings.as_config(), workers=config.env_workers, python=python)
+        names = list(self._env_manifest.cameras)
         camera = next((name for name in sdk.OPTIONAL_CAMERAS if name in names), next(iter(names), None))
-        self._scene = RolloutScene((task, setting), env, self._facts.frequency(task), camera)
+        self._scene = RolloutScene((task, setting), env, self._env_manifest.frequency(task), camera)
         return self._scene
 
     def _settings(self, task: str, setting: str) -> EnvSettings:
         """Return the settings of the environment for a task and setting."""
-        return replace(self._orders.settings, task=task, setting=setting, num_envs=self._orders.num_envs)
+        return replace(self._config.settings, task=task, setting=setting, num_envs=self._config.num_envs)
 
-    def _connected(self, scene: RolloutScene, url: str) -> Client:
+    def _connect(self, scene: RolloutScene, url: str) -> Client:
         """Return a client of the policy server, connected for this scene.
 
         Raises:
@@ -290,14 +290,14 @@ class RolloutWorker:
         if scene.client is not None and scene.client[0] == url:
             return scene.client[1]
         disconnect(scene)
-        settings = self._orders.settings
+        settings = self._config.settings
         offer = {
             "embodiment": settings.embodiment,
             sdk.Deploy.ACTION_TYPE: settings.action_type,
             "control_frequency": scene.frequency,
-            **({REAL_TIME: True} if self._facts.real_time else {}),
+            **({REAL_TIME: True} if self._env_manifest.real_time else {}),
         }
-        access, config = self._access, failure_attribution.with_longer_timeout(self._orders.config)
+        access, config = self._access, failure_attribution.with_longer_timeout(self._config.config)
         try:
             obs = scene.env.get_obs_batch([0])[0]
             client = Client(
@@ -325,11 +325,11 @@ class RolloutWorker:
         scene.client = url, client
         return client
 
-    def _server(self) -> str | None:
+    def _server_id(self) -> str | None:
         scene = self._scene
         return None if scene is None or scene.client is None else scene.client[1].server_instance_id
 
-    def _drop(self) -> None:
+    def _disconnect(self) -> None:
         """Let go of a connection that may not be able to go on; an environment that was lost starts itself again."""
         if self._scene is not None:
             disconnect(self._scene)

@@ -22,20 +22,20 @@ def main(descriptor: int) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGTERM, _end_in_order)
     channel: Connection[Any, Any] = Connection(descriptor)
-    lane = None
+    worker = None
     try:
-        given = channel.recv()
-        while (asked := channel.recv()) is not None:
+        arguments = channel.recv()
+        while (job_and_url := channel.recv()) is not None:
             try:
-                lane = lane or RolloutWorker(*given)
-                channel.send(lane.play(*asked))
+                worker = worker or RolloutWorker(*arguments)
+                channel.send(worker.play(*job_and_url))
             except UserError as error:
                 channel.send(error)
     except EOFError:
         pass
     finally:
-        if lane is not None:
-            lane.close()
+        if worker is not None:
+            worker.close()
 
 
 def _end_in_order(_number: int, _frame: object) -> NoReturn:

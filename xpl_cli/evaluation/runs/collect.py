@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from xpl_cli.packages.package import Package
 
 RUN, SURPLUS = "run", ".surplus"
-_SEEDS: Final = 1000
+_MIN_SEEDS: Final = 1000
 """Seeds of a plan, at least: a set may grow later without becoming another one."""
-_TRIES, _HOPELESS = 4, 20
+_MAX_TRIES, _MIN_TRIES = 4, 20
 """A task ends after so many times the wanted episodes, or after so many of which none can be kept."""
 
 
@@ -158,43 +158,45 @@ def collect(request: RecordRequest, progress: Progress) -> DemonstrationSet:
             `resume`, or nothing can be played. What was recorded stays.
     """
     trajectory_recorder.require_library()
-    adapter = _player(request)
+    adapter = _load_player(request)
     folder = Path(request.demos.folder)
     run = folder / RUN
     if (run / records.FILE).exists() and not request.resume:
         raise UserError(
             f"{folder} holds demonstrations already", hint="continue with --resume, or choose another --out"
         )
-    overrides, wishes = _asked(request)
-    place = environments.find(request.environment)
-    planned = plan.make_plan(adapter, place, adapter.config(overrides), wishes).plan
+    overrides, wishes = _plan_request(request)
+    environment = environments.find(request.environment)
+    planned = plan.make_plan(adapter, environment, adapter.config(overrides), wishes).plan
     bounds = IsolationSettings.strictest(adapter.path.parent, isolate=request.runtime.isolate)
-    lane_orders, server_orders = evaluate.make_configs(
-        adapter, place, planned, request.runtime, bounds, demos=request.demos
+    rollout_config, server_config = evaluate.make_configs(
+        adapter, environment, planned, request.runtime, bounds, demos=request.demos
     )
-    wanted = request.size if request.size is not None else lane_orders.settings.cameras or True
-    lane_orders = replace(lane_orders, settings=replace(lane_orders.settings, cameras=wanted))
-    _return_surplus(folder)
+    cameras = request.size if request.size is not None else rollout_config.settings.cameras or True
+    rollout_config = replace(rollout_config, settings=replace(rollout_config.settings, cameras=cameras))
+    _restore_surplus(folder)
     began = time.monotonic()
     with records.RecordWriter(run, planned) as writer:
         keep = request.demos.keep
         schedule = Schedule(
             writer.run,
             request.films,
-            _enough(request.episodes),
+            _stop_rule(request.episodes),
             traced=False,
             judge=lambda final: trajectory_recorder.is_kept(final, keep),
         )
-        before = sum(map(len, _kept(writer.run, request)))
+        before = sum(map(len, _saved_episodes(writer.run, request)))
         if not schedule.is_done:
             room = BackendConfig(LOCAL, request.workers)
-            with contextlib.closing(backends.make_backend(room, lane_orders, server_orders, schedule.left)) as backend:
-                shown = _RecordProgress(writer.run, request, before, progress)
-                runner.run_schedule(writer, backend, schedule, shown, ahead=False)
+            with contextlib.closing(
+                backends.make_backend(room, rollout_config, server_config, schedule.left)
+            ) as backend:
+                progress_view = _RecordProgress(writer.run, request, before, progress)
+                runner.run_schedule(writer, backend, schedule, progress_view, ahead=False)
     return _summary(records.read(run), request, adapter.name, time.monotonic() - began)
 
 
-def _player(request: RecordRequest) -> Package:
+def _load_player(request: RecordRequest) -> Package:
     """Return who plays.
 
     Raises:
@@ -210,7 +212,7 @@ def _player(request: RecordRequest) -> Package:
     )
 
 
-def _asked(request: RecordRequest) -> tuple[Config, PlanRequest]:
+def _plan_request(request: RecordRequest) -> tuple[Config, PlanRequest]:
     """Return the keys of deploy.yml that the policy is given, and what is to be played."""
     first = None if request.tasks in (None, plan.ALL) else request.tasks.partition(",")[0]
     facts = environments.manifest(environments.find(request.environment))
@@ -230,7 +232,7 @@ def _asked(request: RecordRequest) -> tuple[Config, PlanRequest]:
     wishes = PlanRequest(
         request.tasks or what.task,
         what.setting,
-        max(_SEEDS, _TRIES * request.episodes),
+        max(_MIN_SEEDS, _MAX_TRIES * request.episodes),
         request.seed,
         request.horizon,
         is_practice=True,
@@ -238,18 +240,18 @@ def _asked(request: RecordRequest) -> tuple[Config, PlanRequest]:
     return overrides, wishes
 
 
-def _enough(wanted: int) -> Callable[[Sequence[bool | None]], bool]:
+def _stop_rule(requested: int) -> Callable[[Sequence[bool | None]], bool]:
     """Return what tells whether a task has all of its episodes, or will never have them."""
 
     def enough(outcomes: Sequence[bool | None]) -> bool:
-        kept = sum(map(bool, outcomes))
-        hopeless = len(outcomes) >= _HOPELESS and not kept
-        return kept >= wanted or hopeless or len(outcomes) >= max(_HOPELESS, _TRIES * wanted)
+        saved = sum(map(bool, outcomes))
+        hopeless = len(outcomes) >= _MIN_TRIES and not saved
+        return saved >= requested or hopeless or len(outcomes) >= max(_MIN_TRIES, _MAX_TRIES * requested)
 
     return enough
 
 
-def _kept(run: Run, request: RecordRequest) -> list[list[EpisodeRecord]]:
+def _saved_episodes(run: Run, request: RecordRequest) -> list[list[EpisodeRecord]]:
     """Return the episodes of each task that belong to the set: the first ones of the plan that are to be kept.
 
     Which these are does not depend on how many were played at once.
@@ -261,7 +263,7 @@ def _kept(run: Run, request: RecordRequest) -> list[list[EpisodeRecord]]:
     return cells
 
 
-def _return_surplus(folder: Path) -> None:
+def _restore_surplus(folder: Path) -> None:
     """Bring back what was beyond the number that was wanted before: more may be wanted now."""
     for path in (folder / SURPLUS).glob("*.hdf5"):
         path.replace(folder / path.name)
@@ -271,7 +273,7 @@ def _summary(run: Run, request: RecordRequest, player: str, seconds: float) -> D
     """Put aside what is too much, and return what the set holds."""
     folder = Path(request.demos.folder)
     tasks, files = [], []
-    for cell, lines in zip(run.plan.cells, _kept(run, request), strict=True):
+    for cell, lines in zip(run.plan.cells, _saved_episodes(run, request), strict=True):
         for line in lines[request.episodes :]:
             path = folder / trajectory_recorder.file_name(line.index)
             if path.exists():
@@ -296,9 +298,9 @@ def _summary(run: Run, request: RecordRequest, player: str, seconds: float) -> D
                 steps=sum(line.steps or 0 for line in mine),
             )
         )
-    there = [path for path in files if path.is_file()]
-    if len(there) < len(files):
-        lost = next(path for path in files if path not in there)
+    existing = [path for path in files if path.is_file()]
+    if len(existing) < len(files):
+        lost = next(path for path in files if path not in existing)
         raise UserError(f"{lost} was recorded and is not there any more", code=ExitCode.NOT_RUN)
     return DemonstrationSet(
         folder=str(folder),
@@ -310,7 +312,7 @@ def _summary(run: Run, request: RecordRequest, player: str, seconds: float) -> D
         tasks=tasks,
         episodes=sum(task.episodes for task in tasks),
         steps=sum(task.steps for task in tasks),
-        bytes=sum(path.stat().st_size for path in there),
+        bytes=sum(path.stat().st_size for path in existing),
         seconds=round(seconds, 1),
     )
 
@@ -326,14 +328,14 @@ class _RecordProgress:
         """Say how far it is."""
         if self._began is None:  # models are loaded by now
             self._began = time.monotonic() - line.wall_seconds
-        cells = _kept(self._run, self._request)
-        wanted = self._request.episodes
-        kept = sum(min(len(lines), wanted) for lines in cells)
-        total, tried = wanted * len(cells), len(self._run.finals)
-        pace = (kept - self._before) / max(time.monotonic() - self._began, 1e-3)
-        told = [f"{line.task}: {kept} of {total} episodes", f"{tried - kept} discarded" if tried > kept else ""]
+        cells = _saved_episodes(self._run, self._request)
+        requested = self._request.episodes
+        saved = sum(min(len(lines), requested) for lines in cells)
+        total, tried = requested * len(cells), len(self._run.finals)
+        pace = (saved - self._before) / max(time.monotonic() - self._began, 1e-3)
+        parts = [f"{line.task}: {saved} of {total} episodes", f"{tried - saved} discarded" if tried > saved else ""]
         if pace > 0:
-            told += [f"{60 * pace:.1f} a minute", f"{(total - kept) / pace / 60:.0f} min left"]
+            parts += [f"{60 * pace:.1f} a minute", f"{(total - saved) / pace / 60:.0f} min left"]
         if line.error:
-            told.append(line.error)
-        self._progress.step(", ".join(filter(None, told)))
+            parts.append(line.error)
+        self._progress.step(", ".join(filter(None, parts)))

@@ -87,36 +87,38 @@ def evaluate(request: EvalRequest) -> Run:
     backends.check_backend(request.room)
     if request.demos is not None and request.room.backend != LOCAL:
         raise UserError(f"--backend {request.room.backend} plays on other machines, and --record writes on this one")
-    there = (request.out / records.FILE).exists()
-    if there and not request.resume:
+    exists = (request.out / records.FILE).exists()
+    if exists and not request.resume:
         raise UserError(
             f"{request.out} holds a recorded run already", hint="continue it with --resume, or choose another --out"
         )
-    folder, planned = _planned(request)
-    lane_orders, server_orders = make_configs(
+    folder, planned = _load_or_make_plan(request)
+    rollout_config, server_config = make_configs(
         request.package,
         folder,
         planned,
         request.runtime,
-        _bounds(request),
+        _isolation(request),
         env_workers=request.env_workers,
         demos=request.demos,
     )
     with records.RecordWriter(request.out, planned) as writer:
-        run, is_batch = writer.run, lane_orders.num_envs > 1
+        run, is_batch = writer.run, rollout_config.num_envs > 1
         # What is seen of a batch is not told apart by its episodes: it has neither films nor curves.
-        schedule = Schedule(run, 0 if is_batch else request.films, _enough(run.plan.until_width), traced=not is_batch)
+        schedule = Schedule(
+            run, 0 if is_batch else request.films, _stop_rule(run.plan.until_width), traced=not is_batch
+        )
         if schedule.is_done:
             return records.read(request.out)
         with (
-            contextlib.closing(_backend(request, lane_orders, server_orders, schedule.left)) as backend,
-            show_progress(run, schedule.left) as shown,
+            contextlib.closing(_backend(request, rollout_config, server_config, schedule.left)) as backend,
+            show_progress(run, schedule.left) as progress_view,
         ):
-            runner.run_schedule(writer, backend, schedule, shown)
+            runner.run_schedule(writer, backend, schedule, progress_view)
     return records.read(request.out)
 
 
-def _planned(request: EvalRequest) -> tuple[Path, RunPlan]:
+def _load_or_make_plan(request: EvalRequest) -> tuple[Path, RunPlan]:
     """Return the folder of the environment, and the plan: the record's where the request leaves it to that."""
     if request.wishes is None and (request.out / records.FILE).exists():
         recorded = records.read(request.out).plan
@@ -136,7 +138,7 @@ def _planned(request: EvalRequest) -> tuple[Path, RunPlan]:
     return folder, planned.plan
 
 
-def _enough(width: float | None) -> Callable[[Sequence[bool | None]], bool]:
+def _stop_rule(width: float | None) -> Callable[[Sequence[bool | None]], bool]:
     """Return what tells whether a cell may end."""
     if width is None:
         return lambda _outcomes: False
@@ -147,33 +149,35 @@ def _enough(width: float | None) -> Callable[[Sequence[bool | None]], bool]:
     return enough
 
 
-def _backend(request: EvalRequest, lane_orders: RolloutConfig, server_orders: ServerConfig, episodes: int) -> Backend:
+def _backend(
+    request: EvalRequest, rollout_config: RolloutConfig, server_config: ServerConfig, episodes: int
+) -> Backend:
     """Return what plays a run.
 
     Raises:
         UserError: a cluster has neither batches nor servers of somebody else.
     """
     remote = request.remote
-    if remote is None and lane_orders.num_envs == 1:
-        return backends.make_backend(request.room, lane_orders, server_orders, episodes)
+    if remote is None and rollout_config.num_envs == 1:
+        return backends.make_backend(request.room, rollout_config, server_config, episodes)
     if request.room.backend != LOCAL:
         raise UserError(f"--backend {request.room.backend} starts its own servers, and plays each episode alone")
-    server, access = policy_server(remote, server_orders)
-    if lane_orders.num_envs > 1:
-        return InProcessBackend(lane_orders, server, access)
-    lanes = min(request.room.lanes or 1, max(1, episodes))
-    return LocalBackend(lane_orders, [(server, access)] * lanes)
+    server, access = policy_server(remote, server_config)
+    if rollout_config.num_envs > 1:
+        return InProcessBackend(rollout_config, server, access)
+    workers = min(request.room.lanes or 1, max(1, episodes))
+    return LocalBackend(rollout_config, [(server, access)] * workers)
 
 
-def policy_server(remote: RemoteServer | None, server_orders: ServerConfig) -> tuple[ServerHandle, ServerAccess]:
+def policy_server(remote: RemoteServer | None, server_config: ServerConfig) -> tuple[ServerHandle, ServerAccess]:
     """Return who answers for the policy, and how it is reached.
 
     Args:
         remote: a server that somebody else runs; None for one of ours.
-        server_orders: how ours is started.
+        server_config: how ours is started.
     """
     if remote is None:
-        server = ManagedServer(server_orders, 1)
+        server = ManagedServer(server_config, 1)
         return server, ServerAccess(server.token)
     return ExternalServer(remote.url), ServerAccess(remote.token, is_patient=True, ca_file=remote.ca_file)
 
@@ -205,7 +209,7 @@ def make_configs(  # noqa: PLR0913 - all that travels with a run
     config, how = run_mode.without_run_mode(planned.policy.config), run_mode.run_mode_of(planned)
     cell = planned.cells[0]
     settings = environment_settings(package, str(folder), config, task=cell.task, setting=cell.setting)
-    lane_orders = RolloutConfig(
+    rollout_config = RolloutConfig(
         policy=str(package.path),
         policy_digest=planned.policy.digest,
         environment=str(folder),
@@ -220,7 +224,7 @@ def make_configs(  # noqa: PLR0913 - all that travels with a run
         demos=demos,
         instruction=how.instruction,
     )
-    server_orders = ServerConfig(
+    server_config = ServerConfig(
         policy=str(package.path),
         policy_digest=planned.policy.digest,
         checkpoint_digest=planned.policy.weights,
@@ -230,10 +234,10 @@ def make_configs(  # noqa: PLR0913 - all that travels with a run
         gpu=runtime.gpu,
         bounds=bounds,
     )
-    return lane_orders, server_orders
+    return rollout_config, server_config
 
 
-def _bounds(request: EvalRequest) -> IsolationSettings:
+def _isolation(request: EvalRequest) -> IsolationSettings:
     """Return what the adapter is kept from; on a cluster only what was asked for, for each machine has its own."""
     if request.room.backend != LOCAL:
         return IsolationSettings(isolate=request.runtime.isolate)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
 SCHEMA: Final = "xpl.eval/1"
-_SHOWN: Final = ("task", "setting", sdk.Deploy.SEED, *(item.name for item in fields(EpisodeOutcome)))
+_REPORTED: Final = ("task", "setting", sdk.Deploy.SEED, *(item.name for item in fields(EpisodeOutcome)))
 _NULL: Final = ("success", "score", "failure", "end_reason")
 
 
@@ -61,7 +61,7 @@ class Evaluation:
     @property
     def successes(self) -> int | None:
         """Number of episodes that succeeded; None where none has a success to speak of."""
-        return _won(self.episodes) if self._judged else None
+        return _successes(self.episodes) if self._judged else None
 
     @property
     def infrastructure_errors(self) -> int:
@@ -71,7 +71,7 @@ class Evaluation:
     @property
     def success_rate(self) -> float | None:
         """Success rate, with infrastructure errors as failures; None if no episode defines success."""
-        return _won(self.episodes) / self._counted if self._judged else None
+        return _successes(self.episodes) / self._counted if self._judged else None
 
     @property
     def mean_score(self) -> float | None:
@@ -87,7 +87,7 @@ class Evaluation:
         return {
             "schema": SCHEMA,
             **asdict(self.played),
-            "episodes": [self._shown(episode) for episode in self.episodes],
+            "episodes": [self._episode_json(episode) for episode in self.episodes],
             "successes": self.successes,
             "success_rate": self.success_rate,
             "infrastructure_failures": self.infrastructure_errors,
@@ -102,17 +102,17 @@ class Evaluation:
         what = f"{played.environment}/{played.task}, {played.embodiment}, {played.action_type} control"
         where = f"{played.policy} on {what}"
         unreal = stand_ins.sentence(played.environment, [played.setting])
-        said = [] if unreal is None else [unreal]
+        remarks = [] if unreal is None else [unreal]
         if self.success_rate is None:
-            return "\n".join([f"{where}: {count} episodes ran to their end in {self.seconds:.1f} s", *said])
+            return "\n".join([f"{where}: {count} episodes ran to their end in {self.seconds:.1f} s", *remarks])
         score = f"mean score {self.mean_score:.2f}"
         tasks: dict[str, list[EpisodeRecord]] = {}
         for episode in self.episodes:
             tasks.setdefault(episode.task, []).append(episode)
         lines = [f"{where}: {self.successes} of {count} succeeded, {score}, {self.seconds:.1f} s"]
         if len(tasks) > 1:
-            lines += [f"  {task}: {_won(episodes)} of {len(episodes)}" for task, episodes in tasks.items()]
-        return "\n".join([*lines, *said])
+            lines += [f"  {task}: {_successes(episodes)} of {len(episodes)}" for task, episodes in tasks.items()]
+        return "\n".join([*lines, *remarks])
 
     def following(self, policy: str) -> list[str]:
         """Return the exact commands that come next.
@@ -135,11 +135,11 @@ class Evaluation:
     def _counted(self) -> int:
         return len(self._judged) + self.infrastructure_errors
 
-    def _shown(self, episode: EpisodeRecord) -> dict[str, Any]:
-        told = {name: getattr(episode, name) for name in _SHOWN}
+    def _episode_json(self, episode: EpisodeRecord) -> dict[str, Any]:
+        fields = {name: getattr(episode, name) for name in _REPORTED}
         return {
             sdk.Obs.ENV_IDX: episode.index % self.played.num_envs,
-            **{name: value for name, value in told.items() if value is not None or name in _NULL},
+            **{name: value for name, value in fields.items() if value is not None or name in _NULL},
             "attempts": self.attempts.get(episode.index, 1),
         }
 
@@ -147,9 +147,9 @@ class Evaluation:
 def progress_line(episodes: Sequence[EpisodeRecord], total: int) -> str:
     """Return how far an evaluation has come."""
     judged = sum(episode.success is not None for episode in episodes)
-    said = f", {_won(episodes)} of {judged} succeeded" if judged else ""
-    return f"episode {len(episodes)} of {total}{said}"
+    suffix = f", {_successes(episodes)} of {judged} succeeded" if judged else ""
+    return f"episode {len(episodes)} of {total}{suffix}"
 
 
-def _won(episodes: Iterable[EpisodeRecord]) -> int:
+def _successes(episodes: Iterable[EpisodeRecord]) -> int:
     return sum(bool(episode.success) for episode in episodes)

@@ -87,7 +87,7 @@ def make_plan(
     settings = _names("setting", wishes.settings, facts.settings)
     cells = [_cell(folder, facts, task, setting, wishes) for task in tasks for setting in settings]
     plan = RunPlan(
-        policy=_served_from(package, spec.VERSION, {**config, **robots.described(robot)}, manner or RunMode()),
+        policy=_planned_policy(package, spec.VERSION, {**config, **robots.described(robot)}, manner or RunMode()),
         environment=PlannedEnvironment(facts.name, spec.VERSION, package_digest(folder)),
         embodiment=robot,
         action_type=config[sdk.Deploy.ACTION_TYPE],
@@ -100,12 +100,12 @@ def make_plan(
 
 def refreshed_plan(recorded: RunPlan, package: Package, folder: Path, manner: RunMode) -> RunPlan:
     """Return the plan of a record as it would be made today: with the digests of what is there now."""
-    policy = _served_from(package, recorded.policy.spec, without_run_mode(recorded.policy.config), manner)
+    policy = _planned_policy(package, recorded.policy.spec, without_run_mode(recorded.policy.config), manner)
     environment = replace(recorded.environment, digest=package_digest(folder))
     return replace(recorded, policy=policy, environment=environment).named()
 
 
-def _served_from(package: Package, version: str, config: Config, manner: RunMode) -> PlannedPolicy:
+def _planned_policy(package: Package, version: str, config: Config, manner: RunMode) -> PlannedPolicy:
     """Return what a plan says of what answers for the policy: files, or what a foreign server announced."""
     if manner.announced is not None:
         digest = digest_of(dict(manner.announced))
@@ -114,12 +114,12 @@ def _served_from(package: Package, version: str, config: Config, manner: RunMode
     return PlannedPolicy(package.name, version, digest, manner.add_to(config), checkpoint)
 
 
-def tasks_of(facts: EnvManifest, wanted: str | None, robot: str) -> tuple[list[str], dict[str, str]]:
+def tasks_of(facts: EnvManifest, requested: str | None, robot: str) -> tuple[list[str], dict[str, str]]:
     """Return the tasks that are played, and those that `all` leaves out, with the reason.
 
     Args:
         facts: the environment's manifest.
-        wanted: names of tasks or splits with commas between them, or `all`; None is the first task.
+        requested: names of tasks or splits with commas between them, or `all`; None is the first task.
         robot: who plays.
 
     Raises:
@@ -128,40 +128,40 @@ def tasks_of(facts: EnvManifest, wanted: str | None, robot: str) -> tuple[list[s
     """
     entries = facts.tasks
     reasons = {task: rollout.unsupported(entry, robot) for task, entry in entries.items()}
-    if wanted == ALL:
+    if requested == ALL:
         left_out = {task: reason for task, reason in reasons.items() if reason is not None}
         playable = [task for task in entries if task not in left_out]
         if not playable:
             raise UserError(f"{facts.name} has no task for {robot}")
         return playable, left_out
-    chosen = _names("task", None if wanted is None else _expanded(facts, wanted), list(entries))
+    chosen = _names("task", None if requested is None else _expand_splits(facts, requested), list(entries))
     for task in chosen:
         if reasons[task] is not None:
             raise UserError(f"{facts.name} does not offer {task} with {robot}: {reasons[task]}")
     return chosen, {}
 
 
-def _expanded(facts: EnvManifest, wanted: str) -> str:
+def _expand_splits(facts: EnvManifest, requested: str) -> str:
     """Return a list with commas in which the tasks of a split stand in its name's place."""
-    names = [wanted] if wanted in facts.tasks else [name.strip() for name in wanted.split(",")]
-    _require_once("task", wanted, names)
+    names = [requested] if requested in facts.tasks else [name.strip() for name in requested.split(",")]
+    _require_once("task", requested, names)
     return ",".join(rollout.expand_splits(facts, names))
 
 
-def _names(what: str, wanted: str | None, offered: Sequence[str]) -> list[str]:
+def _names(what: str, requested: str | None, offered: Sequence[str]) -> list[str]:
     """Return the names in a list with commas; the first that is offered by default."""
-    if wanted is None:
+    if requested is None:
         return [offered[0]]
-    if wanted == ALL:
+    if requested == ALL:
         return list(offered)
-    names = [rollout.choose_name(what, name.strip(), offered) for name in wanted.split(",")]
-    _require_once(what, wanted, names)
+    names = [rollout.choose_name(what, name.strip(), offered) for name in requested.split(",")]
+    _require_once(what, requested, names)
     return names
 
 
-def _require_once(what: str, wanted: str, names: Sequence[str]) -> None:
+def _require_once(what: str, requested: str, names: Sequence[str]) -> None:
     if len(set(names)) < len(names):
-        raise UserError(f"--{what} {wanted} names one of them twice")
+        raise UserError(f"--{what} {requested} names one of them twice")
 
 
 def _cell(folder: Path, facts: EnvManifest, task: str, setting: str, wishes: PlanRequest) -> PlannedCell:
@@ -179,10 +179,10 @@ def _seeds(folder: Path, task: str, setting: str, wishes: PlanRequest) -> tuple[
         return list(itertools.islice((seed for seed in itertools.count(first) if seed not in tests), most)), False
     if not check.has_seeds(folder):
         return list(range(first, end)), False
-    known = check.seeds(folder, task, setting)
-    if end > len(known) and (count is not None or first >= len(known)):
+    frozen_seeds = check.seeds(folder, task, setting)
+    if end > len(frozen_seeds) and (count is not None or first >= len(frozen_seeds)):
         raise NotFoundError(
-            f"{task} has {len(known)} evaluation seeds in the setting {setting}, not all from {first} to {end - 1}",
-            hint="--seed is the place of the first one, and --episodes how many there are",
+            f"{task} ({setting}) has {len(frozen_seeds)} evaluation seeds, not all of index {first} to {end - 1}",
+            hint="--seed is the index of the first one, --episodes their number",
         )
-    return known[first:end], True
+    return frozen_seeds[first:end], True

@@ -44,9 +44,9 @@ def show_progress(run: Run, left: int) -> Iterator[ProgressView]:
     from rich.live import Live
 
     with Live(console=Console(stderr=True, highlight=False), refresh_per_second=4, redirect_stdout=False) as live:
-        shown = _Terminal(tally, live)
-        shown.show()
-        yield shown
+        terminal = _Terminal(tally, live)
+        terminal.show()
+        yield terminal
 
 
 class ProgressTally:
@@ -82,7 +82,7 @@ class ProgressTally:
             self._played += 1
             self._count(line)
         if line.error:
-            self.failure = f"{_place(line)}: {line.failure}: {line.error}"
+            self.failure = f"{_episode_name(line)}: {line.failure}: {line.error}"
 
     def cells(self) -> list[tuple[str, str, str, str]]:
         """Return task, setting, episodes and success of every cell."""
@@ -95,11 +95,11 @@ class ProgressTally:
     def text(self) -> str:
         """Return how far the run is: episodes, success, pace, time left."""
         final = sum(self._final.values())
-        told = [f"{final} of {final + self.left} episodes", _rate(self._won.total(), self._judged.total())]
+        parts = [f"{final} of {final + self.left} episodes", _rate(self._won.total(), self._judged.total())]
         if self._played and self._began is not None:
             pace = self._played / max(time.monotonic() - self._began, 1e-3)
-            told += [f"{pace * _HOUR_S:.0f} episodes/h", f"{_clock(self.left / pace)} left"]
-        return ", ".join(told)
+            parts += [f"{pace * _HOUR_S:.0f} episodes/h", f"{_clock(self.left / pace)} left"]
+        return ", ".join(parts)
 
     def _count(self, line: EpisodeRecord) -> None:
         key = line.place
@@ -120,7 +120,7 @@ class _Lines:
         self._tally.add(line, left)
         again = "" if line.final else ", is played again"
         error = f" ({line.error})" if line.error else ""
-        console.note(one_line(f"{_place(line)}: {line.end_reason}{error}{again}; {self._tally.text()}"))
+        console.note(one_line(f"{_episode_name(line)}: {line.end_reason}{error}{again}; {self._tally.text()}"))
 
 
 class _Terminal:
@@ -137,9 +137,9 @@ class _Terminal:
 
     def show(self) -> None:
         """Show the present state."""
-        self._live.update(self._drawn())
+        self._live.update(self._render())
 
-    def _drawn(self) -> RenderableType:
+    def _render(self) -> RenderableType:
         from rich.console import Group
         from rich.table import Table
         from rich.text import Text
@@ -160,7 +160,7 @@ class _Terminal:
         return Group(*parts)
 
 
-def _place(line: EpisodeRecord) -> str:
+def _episode_name(line: EpisodeRecord) -> str:
     return f"{line.task}, {line.setting}, seed {line.seed}"
 
 

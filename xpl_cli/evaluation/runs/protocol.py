@@ -64,11 +64,11 @@ def seed_error(folder: Path, cell: PlannedCell) -> str | None:
     """
     if not check.has_seeds(folder):
         return None
-    known, seeds = check.seeds(folder, cell.task, cell.setting), list(cell.seeds)
+    frozen_seeds, seeds = check.seeds(folder, cell.task, cell.setting), list(cell.seeds)
     name = f"{cell.task} ({cell.setting})"
-    if not cell.frozen or not set(seeds) <= set(known):
+    if not cell.frozen or not set(seeds) <= set(frozen_seeds):
         return f"the seeds of {name} are not those that {folder.name} has frozen"
-    first = known.index(seeds[0]) if seeds else 0
-    if known[first : first + len(seeds)] != seeds:
+    first = frozen_seeds.index(seeds[0]) if seeds else 0
+    if frozen_seeds[first : first + len(seeds)] != seeds:
         return f"the seeds of {name} were chosen: expected evaluation seeds of {folder.name} that follow each other"
     return None

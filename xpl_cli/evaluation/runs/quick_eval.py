@@ -116,7 +116,7 @@ def evaluate(request: QuickEvalRequest, progress: Progress) -> Evaluation:
     config = request.package.config(request.overrides)
     folder = environments.find(request.environment)
     facts = environments.manifest(folder)
-    tasks = _several(request.task, facts, str(config[sdk.Deploy.ENV_CFG_TYPE]))
+    tasks = _task_list(request.task, facts, str(config[sdk.Deploy.ENV_CFG_TYPE]))
     task = tasks[0] if tasks else request.task
     settings = environment_settings(request.package, request.environment, config, task=task, setting=request.setting)
     setting = request.setting or facts.settings[0]
@@ -169,16 +169,16 @@ class _View:
         self._progress.step(evaluation.progress_line(list(self._run.finals.values()), self._total))
 
 
-def _several(wanted: str | None, facts: EnvManifest, embodiment: str) -> list[str]:
+def _task_list(requested: str | None, facts: EnvManifest, embodiment: str) -> list[str]:
     """Return the tasks where more than one is meant, or a split; nothing where one or none is named."""
-    if wanted is None or wanted in facts.tasks:
+    if requested is None or requested in facts.tasks:
         return []
-    is_list = wanted == ALL or "," in wanted or wanted in facts.splits
-    return tasks_of(facts, wanted, get_embodiment(embodiment).name)[0] if is_list else []
+    is_list = requested == ALL or "," in requested or requested in facts.splits
+    return tasks_of(facts, requested, get_embodiment(embodiment).name)[0] if is_list else []
 
 
 def _plan(
-    request: QuickEvalRequest, folder: Path, config: Config, settings: EnvSettings, places: Sequence[CellKey]
+    request: QuickEvalRequest, folder: Path, config: Config, settings: EnvSettings, cells: Sequence[CellKey]
 ) -> RunPlan:
     """Return the plan of what nobody writes down; it has digests where trajectories say who played."""
     policy = environment = ""
@@ -186,19 +186,19 @@ def _plan(
         policy, environment = package_digest(request.package.path), package_digest(folder)
     first = int(config[sdk.Deploy.SEED])
     seeds = range(first, first + request.episodes)
-    told = RunMode(request.num_envs).add_to(config)
+    config_with_mode = RunMode(request.num_envs).add_to(config)
     return RunPlan(
-        policy=PlannedPolicy(request.package.name, spec.VERSION, policy, told),
+        policy=PlannedPolicy(request.package.name, spec.VERSION, policy, config_with_mode),
         environment=PlannedEnvironment(environments.manifest(folder).name, spec.VERSION, environment),
         embodiment=settings.embodiment,
         action_type=settings.action_type,
         control=Control(request.horizon, ATTEMPTS),
-        cells=[PlannedCell(task, setting, None, seeds, frozen=False) for task, setting in places],
+        cells=[PlannedCell(task, setting, None, seeds, frozen=False) for task, setting in cells],
     )
 
 
 def _backend(request: QuickEvalRequest, folder: Path, planned: RunPlan, progress: Progress) -> InProcessBackend:
-    orders, ours = suite.make_configs(
+    rollout_config, server_config = suite.make_configs(
         request.package,
         folder,
         planned,
@@ -207,9 +207,9 @@ def _backend(request: QuickEvalRequest, folder: Path, planned: RunPlan, progress
         env_workers=request.workers,
         demos=request.demos,
     )
-    server, access = suite.policy_server(request.remote, ours)
+    server, access = suite.policy_server(request.remote, server_config)
 
-    def on_loading(told: Mapping[str, Any]) -> None:
-        progress.step(f"the model is loading: {told.get('seconds', 0):.0f} s")
+    def on_loading(status: Mapping[str, Any]) -> None:
+        progress.step(f"the model is loading: {status.get('seconds', 0):.0f} s")
 
-    return InProcessBackend(orders, server, replace(access, is_patient=True, on_loading=on_loading))
+    return InProcessBackend(rollout_config, server, replace(access, is_patient=True, on_loading=on_loading))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from xpl.contract import Announcement, Config
     from xpl_cli.packages.package import Package
 
-WHOLE: Final = 1 << 16
+WHOLE_CHUNK: Final = 1 << 16
 """A horizon that no chunk reaches: where the adapter's own loop is not here, ours executes whole chunks."""
 _POLICY = "policy"
 
@@ -54,20 +54,20 @@ def fetch_announcement(remote: RemoteServer, config: Config) -> Announcement:
     context = None if remote.ca_file is None else client_tls_context(remote.ca_file)
     try:
         with Client(remote.url, config=config, token=remote.token, ssl_context=context) as client:
-            told = {_POLICY: validate_announcement(client.policy)}
-            return {**told, "generation": 1 if client.server_instance_id is None else 2}
+            announcement = {_POLICY: validate_announcement(client.policy)}
+            return {**announcement, "generation": 1 if client.server_instance_id is None else 2}
     except AnnouncementError as error:
         raise UserError(f"{remote.url}: what it announces of its policy cannot be understood: {error}") from None
     except (ClientError, ValueError, OSError) as error:
         raise UserError(f"{remote.url}: {error}", code=ExitCode.NOT_RUN) from None
 
 
-def resolve_package(name: str, told: Announcement | None, overrides: Config) -> Package:
+def resolve_package(name: str, announcement: Announcement | None, overrides: Config) -> Package:
     """Return an adapter, or what stands for it where it is served elsewhere and its package is not here.
 
     Args:
         name: the adapter, or a name for it.
-        told: what a server announced; None where none is asked.
+        announcement: what a server announced; None where none is asked.
         overrides: keys of deploy.yml.
 
     Raises:
@@ -77,9 +77,9 @@ def resolve_package(name: str, told: Announcement | None, overrides: Config) -> 
     try:
         return package.load(name, overrides)
     except NotFoundError:
-        if told is None:
+        if announcement is None:
             raise
-    policy = told[_POLICY]
+    policy = announcement[_POLICY]
     deploy = {
         sdk.Deploy.ENV_CFG_TYPE: policy.get("embodiment"),
         sdk.Deploy.ACTION_TYPE: policy.get(sdk.Deploy.ACTION_TYPE),

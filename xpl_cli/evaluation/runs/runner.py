@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.runs.schedule import Schedule
 
 TRACES, FILMS = "traces", "films"
-_PATIENCE = 4
+_OUTAGE_FACTOR = 4
 """A run stops after this many times the attempts of one episode, all infrastructure errors in a row."""
 
 
@@ -70,7 +70,7 @@ def run_schedule(writer: Sink, backend: Backend, schedule: Schedule, view: Progr
             run can be resumed.
     """
     attempts: int = writer.run.plan.control.attempts
-    outage = _Outage(_PATIENCE * attempts)
+    outage = _Outage(_OUTAGE_FACTOR * attempts)
     while not schedule.is_done:
         _submit(backend, schedule, outage)
         outcomes = backend.wait()
@@ -146,14 +146,14 @@ class _Outage:
 def _record(writer: Sink, outcome: RolloutResult, attempts: int) -> EpisodeRecord:
     """Write an attempt down, its files first, and return its line."""
     job, plan, folder = outcome.job, writer.run.plan, writer.run.folder
-    found = replace(
+    episode = replace(
         _episode(plan, outcome, final=not may_retry(outcome.ending) or job.attempt >= attempts),
         machine=writer.machine(outcome.facts),
-        trace=_beside(folder, f"{TRACES}/{job.index}.npz", outcome.trace),
-        film=_beside(folder, f"{FILMS}/{job.index}.webp", outcome.film),
+        trace=_write_file(folder, f"{TRACES}/{job.index}.npz", outcome.trace),
+        film=_write_file(folder, f"{FILMS}/{job.index}.webp", outcome.film),
     )
-    writer.add(found)
-    return found
+    writer.add(episode)
+    return episode
 
 
 def _episode(plan: RunPlan, outcome: RolloutResult, *, final: bool) -> EpisodeRecord:
@@ -174,7 +174,7 @@ def _episode(plan: RunPlan, outcome: RolloutResult, *, final: bool) -> EpisodeRe
     )
 
 
-def _beside(folder: Path, name: str, content: bytes | None) -> RecordedFile | None:
+def _write_file(folder: Path, name: str, content: bytes | None) -> RecordedFile | None:
     """Write a file of a run, where there is something to write, and return what its line says of it."""
     if content is None:
         return None

@@ -41,29 +41,29 @@ class Schedule:
     ) -> None:
         self._run = run
         self._traced = traced
-        self._judge = judge or (lambda line: counts_as_success(line, self._survived))
+        self._judge = judge or (lambda line: counts_as_success(line, self._retried_after_crash))
         self._is_enough = is_enough
         self._attempts = Counter(line.index for line in run.attempts)
-        self._survived = retried_after_crash(run.attempts)
+        self._retried_after_crash = retried_after_crash(run.attempts)
         self._cells: list[list[PlannedEpisode]] = [[] for _ in run.plan.cells]
         for slot in run.plan.slots():
             self._cells[slot.cell].append(slot)
         self._filmed = {slot.index for cell in self._cells for slot in cell[:films]}
         self._waiting = [deque(slot for slot in cell if slot.index not in run.finals) for cell in self._cells]
-        self._cell_of = {slot.index: slot for cell in self._cells for slot in cell}
-        self._playing: set[int] = set()
+        self._planned = {slot.index: slot for cell in self._cells for slot in cell}
+        self._running: set[int] = set()
         for number in range(len(self._cells)):
-            self._look(number)
+            self._end_cell_if_due(number)
 
     @property
     def is_done(self) -> bool:
         """Whether nothing is being played, and nothing waits."""
-        return not self._playing and not any(self._waiting)
+        return not self._running and not any(self._waiting)
 
     @property
     def left(self) -> int:
         """Number of episodes that are not final yet, as far as is known."""
-        return len(self._playing) + sum(map(len, self._waiting))
+        return len(self._running) + sum(map(len, self._waiting))
 
     def next(self) -> RolloutJob | None:
         """Return what is played next; None where nothing waits."""
@@ -71,26 +71,26 @@ class Schedule:
         if queue is None:
             return None
         slot = queue.popleft()
-        self._playing.add(slot.index)
+        self._running.add(slot.index)
         attempt = self._attempts[slot.index] + 1
         is_filmed = slot.index in self._filmed
         return RolloutJob(slot.index, attempt, slot.task, slot.setting, slot.seed, trace=self._traced, film=is_filmed)
 
     def is_expected(self, job: RolloutJob) -> bool:
         """Tell whether this attempt is being played, as far as this side knows."""
-        return job.index in self._playing and job.attempt == self._attempts[job.index] + 1
+        return job.index in self._running and job.attempt == self._attempts[job.index] + 1
 
     def add(self, line: EpisodeRecord) -> None:
         """Take note of an attempt that was recorded in the run."""
-        slot = self._cell_of[line.index]
-        self._playing.discard(slot.index)
+        slot = self._planned[line.index]
+        self._running.discard(slot.index)
         self._attempts[slot.index] += 1
-        self._survived |= retried_after_crash([line])
+        self._retried_after_crash |= retried_after_crash([line])
         if not line.final:
             self._waiting[slot.cell].append(slot)
-        self._look(slot.cell)
+        self._end_cell_if_due(slot.cell)
 
-    def _look(self, number: int) -> None:
+    def _end_cell_if_due(self, number: int) -> None:
         """Let a cell end where that is due."""
         outcomes = []
         for slot in self._cells[number]:

@@ -30,9 +30,9 @@ def environment_for() -> str:
     kind = os.environ.get(rule["variable"]) or rule["default"]
     name = rule["values"].get(kind)
     if name is None:
-        there = ", ".join(one for one, package in rule["values"].items() if package is not None)
+        offered = ", ".join(one for one, package in rule["values"].items() if package is not None)
         raise UserError(
-            f"{rule['variable']}={kind}: no environment of that kind is here; there are {there}",
+            f"{rule['variable']}={kind}: no environment of that kind is here; there are {offered}",
             hint="name an environment package with --env",
         )
     return str(name)
@@ -50,8 +50,8 @@ def benchmark_for(config: Config) -> str | None:
         return None
     for name in environments.names():
         facts = environments.manifest(environments.find(name))
-        told = facts.hand_over
-        if told is not None and told.bench_name.lower() == str(bench).lower() and task in facts.tasks:
+        hand_over = facts.hand_over
+        if hand_over is not None and hand_over.bench_name.lower() == str(bench).lower() and task in facts.tasks:
             return name
     return None
 
@@ -112,25 +112,25 @@ def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs f
     if setting is not None and setting not in offered:
         raise NotFoundError(f"{environment} has no setting {setting!r}; it has {', '.join(offered)}")
     inputs = package.manifest.inputs
-    wanted = None if inputs is None else inputs.read
+    inputs_read = None if inputs is None else inputs.read
     return EnvSettings(
         task=task,
         embodiment=robot,
         action_type=config[sdk.Deploy.ACTION_TYPE],
         num_envs=num_envs,
-        cameras=_cameras(package.manifest, wanted, manifest.cameras),
-        privileged=wanted is not None and sdk.Obs.PRIVILEGED in wanted,
+        cameras=_cameras(package.manifest, inputs_read, manifest.cameras),
+        privileged=inputs_read is not None and sdk.Obs.PRIVILEGED in inputs_read,
         setting=setting,
     )
 
 
-def _cameras(policy: Manifest, wanted: Sequence[str] | None, offered: Mapping[str, Any]) -> bool | tuple[int, int]:
+def _cameras(policy: Manifest, inputs_read: Sequence[str] | None, offered: Mapping[str, Any]) -> bool | tuple[int, int]:
     """Return what an environment is asked to render: nothing, images of its own size, or (height, width).
 
     Cameras cost most of a step: only who declares them gets them, and who has no manifest. Environments render all
     cameras alike, so that several exact sizes cannot be had: the handshake then says which one is missing.
     """
-    if wanted is not None and not any(name.startswith(sdk.Obs.VISION) for name in wanted):
+    if inputs_read is not None and not any(name.startswith(sdk.Obs.VISION) for name in inputs_read):
         return False
     needs = [entry for name, entry in policy.cameras.items() if name in offered]
     height = max((need.height or 0 for need in needs), default=0)

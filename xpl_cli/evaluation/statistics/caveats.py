@@ -30,17 +30,17 @@ def of_instruction(instruction: str | None) -> list[str]:
     return [f"The policy was {INSTRUCTIONS[instruction]}, so that this is no rate of the task."]
 
 
-def of_summary(summary: Summary, found: Sequence[Cell]) -> list[str]:
+def of_summary(summary: Summary, cells: Sequence[Cell]) -> list[str]:
     """Return what a reader of a summary should know before believing it."""
     overall = summary.overall
-    unreal = stand_ins.sentence(summary.environment, (cell.setting for cell in found))
+    unreal = stand_ins.sentence(summary.environment, (cell.setting for cell in cells))
     return [
         *([] if unreal is None else [unreal]),
-        *_of_what_is_missing(overall, found),
-        *_of_stopping(summary.until_width, found),
+        *_of_missing_episodes(overall, cells),
+        *_of_stopping(summary.until_width, cells),
         *_of_width(summary.cells),
         *_of_means(summary.cells),
-        *_of_seeds(found),
+        *_of_seeds(cells),
         scope(),
     ]
 
@@ -98,21 +98,21 @@ def of_stopping() -> str:
     )
 
 
-def _of_what_is_missing(overall: SummaryRow, found: Sequence[Cell]) -> Iterator[str]:
+def _of_missing_episodes(overall: SummaryRow, cells: Sequence[Cell]) -> Iterator[str]:
     if overall.remaining:
         yield (
             f"{amount(overall.remaining, 'episode')} of {overall.planned} still to be played: the rows tell of "
             "those that were."
         )
-    yield from _of_infrastructure_errors(overall, found)
-    undefined = [f"{cell.task} ({cell.setting})" for cell in found if cell.counted and not cell.outcomes]
+    yield from _of_infrastructure_errors(overall, cells)
+    undefined = [f"{cell.task} ({cell.setting})" for cell in cells if cell.counted and not cell.outcomes]
     if undefined:
         yield f"No episode defines success in {', '.join(undefined)}; rows over several tasks leave these out."
 
 
-def _of_infrastructure_errors(overall: SummaryRow, found: Sequence[Cell]) -> Iterator[str]:
+def _of_infrastructure_errors(overall: SummaryRow, cells: Sequence[Cell]) -> Iterator[str]:
     errors = overall.failures[INFRASTRUCTURE]
-    after_crash = sum(cell.counts_as_success(line) is False for cell in found for line in cell.counted if outcome(line))
+    after_crash = sum(cell.counts_as_success(line) is False for cell in cells for line in cell.counted if outcome(line))
     if errors and overall.judged:
         rate = percent(overall.successes / overall.judged)
         yield (
@@ -136,20 +136,20 @@ def _of_infrastructure_errors(overall: SummaryRow, found: Sequence[Cell]) -> Ite
         )
 
 
-def _of_stopping(width: float | None, found: Sequence[Cell]) -> Iterator[str]:
+def _of_stopping(width: float | None, cells: Sequence[Cell]) -> Iterator[str]:
     if width is None:
         return
     yield of_stopping()
-    short = [f"{cell.task} ({cell.setting})" for cell in found if not cell.ended and not cell.remaining]
+    short = [f"{cell.task} ({cell.setting})" for cell in cells if not cell.ended and not cell.remaining]
     if short:
         yield f"No seeds are left, and the interval is still wider than asked for: {', '.join(short)}."
 
 
 def _of_width(rows: Sequence[SummaryRow]) -> Iterator[str]:
-    known = [(row.success_interval, row) for row in rows if row.success_interval is not None]
-    if not known:
+    intervals = [(row.success_interval, row) for row in rows if row.success_interval is not None]
+    if not intervals:
         return
-    (low, high), widest = max(known, key=lambda one: one[0].width)
+    (low, high), widest = max(intervals, key=lambda one: one[0].width)
     if high - low > _NARROW:
         needed = episodes_needed(_NARROW, rate=min(max(0.5, low), high))
         yield (
@@ -159,21 +159,21 @@ def _of_width(rows: Sequence[SummaryRow]) -> Iterator[str]:
 
 
 def _of_means(rows: Sequence[SummaryRow]) -> Iterator[str]:
-    known = [row for row in rows if row.judged]
-    if len({row.judged for row in known}) > 1:
+    judged_rows = [row for row in rows if row.judged]
+    if len({row.judged for row in judged_rows}) > 1:
         yield (
             "Not all rows have equally many episodes. Rows over several tasks or settings are means of the rates, in "
             "which each weighs the same, and not the share of all successes."
         )
-    if len(known) >= _MANY:
+    if len(judged_rows) >= _MANY:
         yield (
-            f"Of {len(known)} intervals with 95 % confidence, {len(known) * 0.05:.1f} miss on average, and the best "
-            "and the worst row are partly so by luck."
+            f"Of {len(judged_rows)} intervals with 95 % confidence, {len(judged_rows) * 0.05:.1f} miss the rate on "
+            "average; the best and the worst row are extreme partly by chance."
         )
 
 
-def _of_seeds(found: Sequence[Cell]) -> Iterator[str]:
-    if not all(cell.frozen for cell in found):
+def _of_seeds(cells: Sequence[Cell]) -> Iterator[str]:
+    if not all(cell.frozen for cell in cells):
         yield (
             "Not all seeds are the environment's evaluation seeds: nothing says that the policy was not trained or "
             "tuned on them."

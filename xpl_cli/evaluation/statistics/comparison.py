@@ -86,7 +86,7 @@ def compare(first: Run, second: Run) -> Comparison:
     matches = _matches(first, second)
     if not matches:
         raise IncomparableError("no episode was played in both runs: they have no task, setting and seed in common")
-    _refuse_other_layouts(matches)
+    _require_equal_layouts(matches)
     rows = [_row(match.task, match.setting, [match]) for match in matches]
     raised = intervals.holm([row.p_value for row in rows])
     compared = sum(len(match.lines) for match in matches)
@@ -115,7 +115,7 @@ def compare(first: Run, second: Run) -> Comparison:
 def _matches(first: Run, second: Run) -> list[_Matches]:
     """Return the episodes that both have, in the order of the first plan; cells without any are left out."""
     others = {(cell.task, cell.setting): cell for cell in cells(second)}
-    found = []
+    matches = []
     for cell in cells(first):
         other = others.get((cell.task, cell.setting))
         if other is None:
@@ -126,15 +126,15 @@ def _matches(first: Run, second: Run) -> list[_Matches]:
             pairs = [(lines[0][seed], lines[1][seed]) for seed in common]
             successes = [(ends[0][seed], ends[1][seed]) for seed in common]
             scores = [(cell.score(one), other.score(two)) for one, two in pairs]
-            found.append(_Matches(cell.task, cell.setting, pairs, successes, scores))
-    return found
+            matches.append(_Matches(cell.task, cell.setting, pairs, successes, scores))
+    return matches
 
 
 def _by_seed(lines: Iterable[EpisodeRecord]) -> dict[int, EpisodeRecord]:
     return {line.seed: line for line in lines}
 
 
-def _refuse_other_layouts(matches: Sequence[_Matches]) -> None:
+def _require_equal_layouts(matches: Sequence[_Matches]) -> None:
     """Raise unless equal seeds drew equal scenes, as far as the records tell."""
     unlike = [
         (match, first.seed)
@@ -155,7 +155,7 @@ def _row(task: str | None, setting: str | None, matches: Sequence[_Matches]) -> 
     tables = [match.pairs for match in matches]
     pairs = PairedCounts(*map(sum, zip(*tables, strict=True)))
     success = intervals.mean_estimate([intervals.newcombe_paired(table) for table in tables])
-    scores = [found for match in matches if (found := match.score_difference()) is not None]
+    scores = [difference for match in matches if (difference := match.score_difference()) is not None]
     gain = intervals.mean_estimate(scores) if scores else None
     return ComparisonRow(
         task=task,
@@ -198,5 +198,5 @@ def _has_layouts(first: EpisodeRecord, second: EpisodeRecord) -> bool:
 
 
 def _mean(values: Iterable[float]) -> float:
-    told = list(values)
-    return sum(told) / len(told)
+    numbers = list(values)
+    return sum(numbers) / len(numbers)

@@ -40,22 +40,22 @@ def execution_stats(run: Run, beyond: int) -> ExecutionStats:
     )
 
 
-def bin_edge(place: float) -> float:
+def bin_edge(position: float) -> float:
     """Return the time in s at a place in a histogram of the schema: 0 is the beginning of its first bin."""
-    return float(0.001 * 2.0 ** (place / 2))
+    return float(0.001 * 2.0 ** (position / 2))
 
 
 def _inference(run: Run) -> Latency:
     """Return the round trips of all attempts together."""
-    told = [line.inference for line in run.attempts if line.inference]
-    histograms = [one.histogram for one in told if one.histogram]
+    inferences = [line.inference for line in run.attempts if line.inference]
+    histograms = [one.histogram for one in inferences if one.histogram]
     bins = [0] * max(map(len, histograms), default=0)
     for histogram in histograms:
-        for place, count in enumerate(histogram):
-            bins[place] += count
+        for index, count in enumerate(histogram):
+            bins[index] += count
     return Latency(
-        count=sum(one.count for one in told),
-        seconds=math.fsum(one.seconds for one in told),
+        count=sum(one.count for one in inferences),
+        seconds=math.fsum(one.seconds for one in inferences),
         histogram=bins,
         p50=_quantile(bins, 0.5),
         p95=_quantile(bins, 0.95),
@@ -65,9 +65,9 @@ def _inference(run: Run) -> Latency:
 
 def _quantile(bins: Sequence[int], share: float) -> float | None:
     """Return the time in s that a share of the round trips did not exceed, as exactly as bins can tell."""
-    wanted, below = share * sum(bins), 0
-    for place, count in enumerate(bins):
-        if count and below + count >= wanted:
-            return bin_edge(place + (wanted - below) / count)
+    target, below = share * sum(bins), 0
+    for index, count in enumerate(bins):
+        if count and below + count >= target:
+            return bin_edge(index + (target - below) / count)
         below += count
     return None

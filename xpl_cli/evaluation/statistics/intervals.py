@@ -113,8 +113,8 @@ def clopper_pearson(successes: int, count: int) -> Interval:
     """
     from scipy.stats import binomtest
 
-    found = binomtest(successes, count).proportion_ci(CONFIDENCE, method="exact")
-    return Interval(float(found.low), float(found.high))
+    interval = binomtest(successes, count).proportion_ci(CONFIDENCE, method="exact")
+    return Interval(float(interval.low), float(interval.high))
 
 
 def bootstrap(values: Iterable[float]) -> Interval:
@@ -135,7 +135,7 @@ def bootstrap(values: Iterable[float]) -> Interval:
         return wilson(float(drawn.mean()) if len(drawn) else 0.0, len(drawn))
     from scipy.stats import bootstrap as resample
 
-    found = resample(
+    interval = resample(
         (drawn,),
         np.mean,
         n_resamples=RESAMPLES,
@@ -144,7 +144,7 @@ def bootstrap(values: Iterable[float]) -> Interval:
         method="BCa" if len(drawn) <= MOST_CORRECTED else "percentile",
         rng=np.random.default_rng(0),
     ).confidence_interval
-    return Interval(float(found.low), float(found.high))
+    return Interval(float(interval.low), float(interval.high))
 
 
 def mean_estimate(estimates: Sequence[Estimate]) -> Estimate:

@@ -33,9 +33,13 @@ class RunDifference:
 
 def find_differences(first: Run, second: Run) -> list[RunDifference]:
     """Return in what two runs differ besides the policy, and what follows from it; results are not looked at."""
-    told = zip(_facts(first), _facts(second), strict=True)
+    facts = zip(_facts(first), _facts(second), strict=True)
     return [
-        *(RunDifference(what, _shown(one), _shown(other)) for (what, one), (_, other) in told if one != other),
+        *(
+            RunDifference(what, _abbreviate(one), _abbreviate(other))
+            for (what, one), (_, other) in facts
+            if one != other
+        ),
         *_cells(first.plan, second.plan),
         *_machines(first, second),
     ]
@@ -62,16 +66,16 @@ def _cells(first: RunPlan, second: RunPlan) -> Iterator[RunDifference]:
     one, other = ({cell.place: cell for cell in plan.cells} for plan in (first, second))
     if one.keys() != other.keys():
         yield RunDifference(
-            "tasks that the other lacks", _listed(one.keys() - other.keys()), _listed(other.keys() - one.keys())
+            "tasks that the other lacks", _list_cells(one.keys() - other.keys()), _list_cells(other.keys() - one.keys())
         )
-    pairs = [(cell, other[place]) for place, cell in one.items() if place in other]
-    for what, said, unlike in (
+    pairs = [(cell, other[key]) for key, cell in one.items() if key in other]
+    for what, describe, unlike in (
         ("seeds", _seeds, [pair for pair in pairs if pair[0].seeds != pair[1].seeds]),
         ("kind of seeds", _kind, [pair for pair in pairs if pair[0].frozen != pair[1].frozen]),
     ):
         if unlike:
-            where = _named(unlike[0][0].place) + (f" and {len(unlike) - 1} more" if len(unlike) > 1 else "")
-            yield RunDifference(f"{what} of {where}", *map(said, unlike[0]))
+            where = _cell_name(unlike[0][0].place) + (f" and {len(unlike) - 1} more" if len(unlike) > 1 else "")
+            yield RunDifference(f"{what} of {where}", *map(describe, unlike[0]))
 
 
 def _machines(first: Run, second: Run) -> Iterator[RunDifference]:
@@ -91,15 +95,15 @@ def _kind(cell: PlannedCell) -> str:
     return "the environment's own" if cell.frozen else "counted"
 
 
-def _named(place: tuple[str, str]) -> str:
-    return f"{place[0]} ({place[1]})"
+def _cell_name(cell: tuple[str, str]) -> str:
+    return f"{cell[0]} ({cell[1]})"
 
 
-def _listed(places: set[tuple[str, str]]) -> str:
-    return ", ".join(map(_named, sorted(places))) or "none"
+def _list_cells(keys: set[tuple[str, str]]) -> str:
+    return ", ".join(map(_cell_name, sorted(keys))) or "none"
 
 
-def _shown(value: object) -> str:
+def _abbreviate(value: object) -> str:
     """Return a value as people compare it; of a digest the beginning."""
     text = str(value)
     return text[:12] if len(text) == 64 else text

@@ -29,7 +29,7 @@ _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
-class _Measured:
+class _CellEstimates:
     """A cell, and its estimates, which take long enough to be made once."""
 
     cell: Cell
@@ -44,8 +44,8 @@ def summarise(run: Run, method: str = "wilson") -> Summary:
         run: its record.
         method: of the success rates' intervals: one of `cells.INTERVAL_METHODS`.
     """
-    found, plan = cells(run), run.plan
-    measured = [_Measured(cell, cell.success_rate(method), cell.mean_score()) for cell in found]
+    run_cells, plan = cells(run), run.plan
+    measured = [_CellEstimates(cell, cell.success_rate(method), cell.mean_score()) for cell in run_cells]
     summary = Summary(
         run=plan.run,
         policy=plan.policy.name,
@@ -60,23 +60,25 @@ def summarise(run: Run, method: str = "wilson") -> Summary:
         settings=_rows(measured, lambda cell: cell.setting),
         dimensions=_rows(measured, lambda cell: cell.dimension),
         overall=_row(measured),
-        contrasts=_contrasts(found),
-        execution=execution_stats(run, sum(cell.beyond for cell in found)),
+        contrasts=_contrasts(run_cells),
+        execution=execution_stats(run, sum(cell.beyond for cell in run_cells)),
     )
-    told = caveats.of_instruction(run_mode.run_mode_of(plan).instruction)
-    return replace(summary, notes=[*told, *caveats.of_skipped(run.skipped), *caveats.of_summary(summary, found)])
+    instruction_notes = caveats.of_instruction(run_mode.run_mode_of(plan).instruction)
+    return replace(
+        summary, notes=[*instruction_notes, *caveats.of_skipped(run.skipped), *caveats.of_summary(summary, run_cells)]
+    )
 
 
-def _rows(measured: Sequence[_Measured], name: Callable[[Cell], str | None]) -> list[SummaryRow]:
+def _rows(measured: Sequence[_CellEstimates], name: Callable[[Cell], str | None]) -> list[SummaryRow]:
     """Return a row for each group of cells of one name; cells without one are in none."""
-    groups: dict[str, list[_Measured]] = {}
+    groups: dict[str, list[_CellEstimates]] = {}
     for one in measured:
-        if (wanted := name(one.cell)) is not None:
-            groups.setdefault(wanted, []).append(one)
+        if (group_name := name(one.cell)) is not None:
+            groups.setdefault(group_name, []).append(one)
     return [_row(group) for group in groups.values()]
 
 
-def _row(measured: Sequence[_Measured]) -> SummaryRow:
+def _row(measured: Sequence[_CellEstimates]) -> SummaryRow:
     """Return the row of one cell or of several."""
     members = [one.cell for one in measured]
     success, score = _mean(one.success for one in measured), _mean(one.score for one in measured)
@@ -87,9 +89,9 @@ def _row(measured: Sequence[_Measured]) -> SummaryRow:
     for line in lines:
         corrections.update(line.corrections or {})
     return SummaryRow(
-        task=_common(cell.task for cell in members),
-        setting=_common(cell.setting for cell in members),
-        dimension=_common(cell.dimension for cell in members),
+        task=_common_value(cell.task for cell in members),
+        setting=_common_value(cell.setting for cell in members),
+        dimension=_common_value(cell.dimension for cell in members),
         planned=sum(cell.planned for cell in members),
         completed=sum(len(cell.counted) for cell in members),
         remaining=sum(cell.remaining for cell in members),
@@ -125,17 +127,17 @@ def _infrastructure_bounds(members: Sequence[Cell]) -> tuple[float, float] | Non
     return worst, best
 
 
-def _contrasts(found: Sequence[Cell]) -> list[Contrast]:
+def _contrasts(cells: Sequence[Cell]) -> list[Contrast]:
     """Return by how much each setting's success rate exceeds the first one's, by task and over all tasks."""
-    settings = list(dict.fromkeys(cell.setting for cell in found))
-    places = {(cell.task, cell.setting): cell for cell in found}
+    settings = list(dict.fromkeys(cell.setting for cell in cells))
+    by_key = {(cell.task, cell.setting): cell for cell in cells}
     rows: list[Contrast] = []
     for other in settings[1:]:
-        tasks = [task for task, setting in places if setting == settings[0] and (task, other) in places]
-        parts = [(task, *_contrast(places[task, settings[0]], places[task, other])) for task in tasks]
-        known = [(estimate, pairs) for _, estimate, pairs in parts if estimate is not None]
-        overall = (None, _mean(estimate for estimate, _ in known), sum(pairs for _, pairs in known))
-        for task, estimate, pairs in [*parts, *([overall] if known else [])]:
+        tasks = [task for task, setting in by_key if setting == settings[0] and (task, other) in by_key]
+        parts = [(task, *_contrast(by_key[task, settings[0]], by_key[task, other])) for task in tasks]
+        defined = [(estimate, pairs) for _, estimate, pairs in parts if estimate is not None]
+        overall = (None, _mean(estimate for estimate, _ in defined), sum(pairs for _, pairs in defined))
+        for task, estimate, pairs in [*parts, *([overall] if defined else [])]:
             difference, interval = (None, None) if estimate is None else estimate
             rows.append(Contrast(task, (settings[0], other), pairs, difference, interval))
     return rows
@@ -152,11 +154,11 @@ def _contrast(first: Cell, second: Cell) -> tuple[Estimate | None, int]:
 
 def _mean(estimates: Iterable[Estimate | None]) -> Estimate | None:
     """Return the mean of those that are known, None if none is."""
-    known = [estimate for estimate in estimates if estimate is not None]
-    return intervals.mean_estimate(known) if known else None
+    defined = [estimate for estimate in estimates if estimate is not None]
+    return intervals.mean_estimate(defined) if defined else None
 
 
-def _common(values: Iterable[_T]) -> _T | None:
+def _common_value(values: Iterable[_T]) -> _T | None:
     """Return what all values are, or None if they differ."""
     distinct = set(values)
     return distinct.pop() if len(distinct) == 1 else None

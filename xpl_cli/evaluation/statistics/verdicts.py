@@ -36,19 +36,20 @@ def verdict(result: Comparison) -> str:
     row = result.overall
     rates, (low, high) = [percent(row.first_rate), percent(row.second_rate)], row.interval
     if not row.only_first + row.only_second:
-        said = f"{first} and {second} succeeded in the same episodes: {row.both} of {row.pairs}."
-        return f"{said} A difference of {points(low, high)} points fits these data all the same."
-    told = f"{amount(row.pairs, 'pair')}, {_p(row.p_value)}"
+        sentence = f"{first} and {second} succeeded in the same episodes: {row.both} of {row.pairs}."
+        return f"{sentence} A difference of {points(low, high)} points fits these data all the same."
+    evidence = f"{amount(row.pairs, 'pair')}, {_p(row.p_value)}"
     if row.p_value >= _ALPHA:
         return (
-            f"Neither is shown to be better: {first} has {rates[0]}, {second} has {rates[1]} ({told}). "
+            f"Neither is shown to be better: {first} has {rates[0]}, {second} has {rates[1]} ({evidence}). "
             f"Anything from {points(low, high)} points for {second} fits these data."
         )
     if row.only_second > row.only_first:
-        return (
-            f"{second} is better than {first}: {rates[1]} against {rates[0]}, by {points(low, high)} points ({told})."
-        )
-    return f"{first} is better than {second}: {rates[0]} against {rates[1]}, by {points(-high, -low)} points ({told})."
+        gain = points(low, high)
+        return f"{second} is better than {first}: {rates[1]} against {rates[0]}, by {gain} points ({evidence})."
+    return (
+        f"{first} is better than {second}: {rates[0]} against {rates[1]}, by {points(-high, -low)} points ({evidence})."
+    )
 
 
 def notes(result: Comparison, *, stops: bool) -> list[str]:
@@ -116,9 +117,11 @@ def _of_tasks(result: Comparison) -> Iterator[str]:
     rows = result.cells
     if len(rows) < 2:
         return
-    shown = [f"{row.task} ({row.setting})" for row in rows if (row.adjusted_p_value or 0.0) < _ALPHA]
-    told = f"a difference is shown in {', '.join(shown)}" if shown else "none of them shows a difference by itself"
-    yield f"Corrected for looking at {len(rows)} tasks and settings (Holm), {told}."
+    different = [f"{row.task} ({row.setting})" for row in rows if (row.adjusted_p_value or 0.0) < _ALPHA]
+    result_text = (
+        f"a difference is shown in {', '.join(different)}" if different else "none of them shows a difference by itself"
+    )
+    yield f"Corrected for looking at {len(rows)} tasks and settings (Holm), {result_text}."
     if len({row.pairs for row in rows}) > 1:
         yield "Not all rows have equally many pairs: the test counts all pairs alike, the difference all rows."
 
@@ -127,8 +130,8 @@ def _of_pairs(result: Comparison) -> Iterator[str]:
     pairs = result.overall.pairs
     for name, count in zip(result.names, (result.left_out.first, result.left_out.second), strict=True):
         if count:
-            told = were(count, "episode", f"of {name}")
-            yield f"{told} left out: the other run has none that counts for the same seed."
+            subject = were(count, "episode", f"of {name}")
+            yield f"{subject} left out: the other run has none that counts for the same seed."
     same = result.same_trajectories
     if same == pairs:
         yield "In all pairs the two moved exactly alike: these are the same policy, as far as can be seen."

@@ -60,10 +60,10 @@ def rate(row: Rated) -> str:
 
 def table(summary: Summary) -> list[tuple[str, ...]]:
     """Return what a terminal shows under HEADER."""
-    return [_texts(row) for row in shown(summary)]
+    return [_texts(row) for row in table_rows(summary)]
 
 
-def shown(summary: Summary) -> list[SummaryRow]:
+def table_rows(summary: Summary) -> list[SummaryRow]:
     """Return the rows that a table has: cells, settings where there are several, and all together where it is more."""
     settings = summary.settings if len(summary.settings) > 1 else []
     return [*summary.cells, *settings, *([summary.overall] if len(summary.cells) > 1 else [])]
@@ -78,8 +78,8 @@ def text(summary: Summary) -> str:
     ]
     failures = summary.overall.failures
     if any(failures.values()):
-        told = ", ".join(f"{kind} {count}" for kind, count in failures.items() if count)
-        lines += ["", f"Failures: {told}"]
+        counts = ", ".join(f"{kind} {count}" for kind, count in failures.items() if count)
+        lines += ["", f"Failures: {counts}"]
     return as_lines([*lines, "", *(f"- {note}" for note in (*summary.notes, *summary.execution.notes))])
 
 
