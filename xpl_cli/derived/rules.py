@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.audit.demonstrations.catalogue import CHECKS
-from xpl_cli.audit.rules.registry import OUR_CODES, Rule, own
+from xpl_cli.audit.rules.registry import OUR_CODES, Rule, builtin_entries
 from xpl_cli.audit.rules.retired import retired
 from xpl_cli.derived.reference import NOTE, prose, table
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.demonstrations.check import Check
+    from xpl_cli.audit.demonstrations.check import DemonstrationCheck
 
 FOLDER = "docs/rules"
 """Where the pages are, in a checkout."""
@@ -42,7 +42,7 @@ _RETIRED: Final = "Their codes and names are not used again. A waiver that names
 def pages() -> dict[str, str]:
     """Return every page, file name to text: an index, and a page for each hundred of codes."""
     found: dict[str, list[Rule]] = {digit: [] for digit in _PAGES}
-    for rule in (entry.load() for entry in own()):
+    for rule in (entry.load() for entry in builtin_entries()):
         found[rule.code.removeprefix(OUR_CODES)[0]].append(rule)
     written = {"README": _index(found)}
     for digit, members in found.items():
@@ -90,7 +90,7 @@ def _entry(rule: Rule) -> Iterator[str]:
     yield from _described(rule, f"*{rule.gate.value} gate; {rule.severity}; {proves}:* {prose(requirement.text)}")
 
 
-def _described(rule: Rule | type[Check], what: str) -> Iterator[str]:
+def _described(rule: Rule | type[DemonstrationCheck], what: str) -> Iterator[str]:
     """Yield a title, the summary, what it is, and the sections of a docstring."""
     summary, *sections = rule.documentation.split("\n## ")
     yield from ("", f"## {rule.code} {rule.slug}", "", prose(summary), "", what)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl.catalogue import Case
+from xpl.catalogue import AdapterCase
 from xpl.convert import gaps
 from xpl.embodiment import embodiment_names, get_embodiment
 from xpl_cli.standard import spec
@@ -88,9 +88,9 @@ def _mistakes(one: Convention) -> list[str]:
             "history": {"length": 2},
         }
         shown = robot.cameras[:2]
-        case = Case(robot, action_type, block, cameras=shown, history=2, instructions=["Do it."])
-        found += [*one.in_block(case), *one.around(case), *one.in_inputs(case)]
-    told = [_PLACE.sub("", mistake.words) for mistake in sorted(found, key=lambda mistake: mistake.rank)]
+        case = AdapterCase(robot, action_type, block, cameras=shown, history=2, instructions=["Do it."])
+        found += [*one.config_mistakes(case), *one.io_mistakes(case), *one.input_mistakes(case)]
+    told = [_PLACE.sub("", mistake.description) for mistake in sorted(found, key=lambda mistake: mistake.rank)]
     return list(dict.fromkeys(told))[:_MOST]
 
 

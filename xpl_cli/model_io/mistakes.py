@@ -12,18 +12,18 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from xpl.catalogue import convention as catalogue
-from xpl.catalogue.edits import edited
+from xpl.catalogue.edits import apply_edits
 from xpl.convert import ConversionError, compile_interface
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from xpl.catalogue import Case, Mistake
+    from xpl.catalogue import AdapterCase, Mistake
     from xpl.convert import Interface
 
 
-def in_block(case: Case, chunk: int | None = None) -> Iterator[tuple[Mistake, dict[str, Any]]]:
+def in_block(case: AdapterCase, chunk: int | None = None) -> Iterator[tuple[Mistake, dict[str, Any]]]:
     """Yield every mistake of the block that fits the robot, each block once, the likeliest first.
 
     A mistake may be made at several places: all images, the state and the action. The widths of vectors stay.
@@ -35,11 +35,13 @@ def in_block(case: Case, chunk: int | None = None) -> Iterator[tuple[Mistake, di
     Raises:
         ConversionError: if the block itself does not fit.
     """
-    found = list(catalogue.in_block(case))
+    found = list(catalogue.config_mistakes(case))
     yield from ((found[place], made) for place, made in placed(case, found, chunk))
 
 
-def placed(case: Case, mistakes: Iterable[Mistake], chunk: int | None = None) -> Iterator[tuple[int, dict[str, Any]]]:
+def placed(
+    case: AdapterCase, mistakes: Iterable[Mistake], chunk: int | None = None
+) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield the places of those of some mistakes that fit, each block once, and none that is as the block is.
 
     Raises:
@@ -53,7 +55,7 @@ def placed(case: Case, mistakes: Iterable[Mistake], chunk: int | None = None) ->
     wanted, seen = widths(block), {_same(block)}
     for place, mistake in enumerate(mistakes):
         try:
-            made = edited(block, mistake.edits or {})
+            made = apply_edits(block, mistake.edits or {})
         except (KeyError, IndexError, TypeError):  # of two mistakes one takes out what the other changes
             continue
         text = _same(made)

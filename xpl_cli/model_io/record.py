@@ -199,14 +199,14 @@ def _asked(package: Package, session: Session, options: Options) -> tuple[list[S
         checkout=package.path,
         patience=options.patience,
         limit_s=names.RECORD_S,
-        heard=lambda count: options.progress.detail(f"{names.CODE}: {name}, {min(count - 1, whole)} of {whole}"),
+        on_answer=lambda count: options.progress.detail(f"{names.CODE}: {name}, {min(count - 1, whole)} of {whole}"),
     )
     done = subprocess_task.run("xpl.worker.reference", order, place)
     for number, answer in enumerate(done.answers):
         if answer.error is not None:
             raise UserError(_failure(answer, number, asking), hint="reference.py speaks the standard: docs/contract.md")
     if done.problem is not None or len(done.answers) < whole + 2:
-        raise UserError(f"{names.CODE} {done.ended}", code=ExitCode.NOT_RUN)
+        raise UserError(f"{names.CODE} {done.failure}", code=ExitCode.NOT_RUN)
     given = [_stacked(answer.result) for answer in done.answers[1 : whole + 1]]
     recordings = [tuple(given[start : start + len(asking)]) for start in range(0, whole, len(asking))]
     return [session.with_answers(answers) for answers in recordings], done.answers[-1].result

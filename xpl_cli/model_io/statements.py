@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl.catalogue.convention import of_key
+from xpl.catalogue.convention import convention_of_key
 from xpl.convert.gaps import gaps
 from xpl.nested import written
 
@@ -59,7 +59,7 @@ def statements(manifest: Manifest) -> dict[str, tuple[Statement, ...]]:
     found: dict[str, list[Statement]] = {}
     places: dict[tuple[str, Path], dict[str, Any]] = {}
     for path, value in _leaves(block, ()):
-        convention = of_key(path)
+        convention = convention_of_key(path)
         if convention is not None:
             places.setdefault((convention, path[:-1]), {})[str(path[-1])] = value
     if manifest.temporal.chunk is not None:

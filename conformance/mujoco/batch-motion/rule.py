@@ -11,7 +11,7 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.physics.loop import Query, Rollout
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.served.probe import blame
-from xpl_cli.audit.served.rounding import most
+from xpl_cli.audit.served.rounding import rounding_limit
 
 _SEEDS = (3, 4)
 TOLERANCE = 1e-5  # float32 commands
@@ -79,7 +79,7 @@ def _rounded(played: Rollout, alone: Sequence[Query]) -> np.ndarray:
     rows = np.concatenate([query.chunk for query in alone])
     widths = list(played.robot.dims(played.course.action_type).values())
     keys = np.split(rows, np.cumsum(widths)[:-1], axis=1)
-    return np.repeat([most(values) for values in keys], widths)
+    return np.repeat([rounding_limit(values) for values in keys], widths)
 
 
 def _apart(

@@ -30,7 +30,7 @@ def action_after_reset(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     obs = probe.observation()
     with probe.session() as policy:
         policy.act(obs)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from xpl.client import ClientError
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.offline.damage import damaged_operations
-from xpl_cli.audit.served.compare import answers, brief, difference, error_code, first_step
+from xpl_cli.audit.served.compare import brief, difference, error_code, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 
 
@@ -33,7 +33,7 @@ def after_an_error(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     with probe.run() as policy:
         probe.episode(policy, steps=2)
         expected = probe.episode(policy, env=1)
@@ -81,7 +81,7 @@ def after_an_error(probe: Probe) -> Iterator[Finding]:
                     "step": step,
                     "refused": refused,
                     "after_no_error_and_after_errors": [
-                        first_step(chunk) if answers(chunk) else brief(chunk) for chunk in pair
+                        first_step(chunk) if is_answer_list(chunk) else brief(chunk) for chunk in pair
                     ],
                 },
                 fix=advice,

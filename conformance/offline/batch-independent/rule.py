@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import answers, first_step
+from xpl_cli.audit.served.compare import first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 
 
@@ -33,7 +33,7 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     envs = [0, 1, 2]
     # All with one instruction: whether each follows its own, `instruction-per-environment` asks.
     instruction = probe.observation()[spec.Obs.INSTRUCTION]
@@ -41,7 +41,7 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
     for env in envs:
         by_itself = probe.batch_episode([env], instruction=instruction)
         for step, (alone, batch) in enumerate(zip(by_itself, together, strict=True)):
-            found = probe.apart(alone, batch[env : env + 1] if answers(batch) else batch)
+            found = probe.batch_difference(alone, batch[env : env + 1] if is_answer_list(batch) else batch)
             if found is not None:
                 yield blame(
                     f"environment {env} acts differently in a batch than alone, from step {step} on: state is "
@@ -51,7 +51,7 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
                     evidence={
                         "environment": env,
                         "step": step,
-                        "alone": first_step(alone[0]) if answers(alone) else None,
+                        "alone": first_step(alone[0]) if is_answer_list(alone) else None,
                     },
                     fix=Fix("advice", "keep history, caches, counters and generators per environment index"),
                 )

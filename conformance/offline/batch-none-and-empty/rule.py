@@ -29,7 +29,7 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     envs = [4, 2]
     batch = probe.observations(envs)
     listed, implied, empty = (probe.batch_answer(batch, wanted) for wanted in (envs, None, []))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.served.compare import answers, difference, first_step
+from xpl_cli.audit.served.compare import difference, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 
 
@@ -30,10 +30,10 @@ def batch_of_one(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     env = 5
     batch = probe.batch_episode([env])
-    if not any(answers(chunks, 1) for chunks in batch):
+    if not any(is_answer_list(chunks, 1) for chunks in batch):
         raise NotApplicable(f"get_action_batch([{env}]) always fails, which XPL203 reports")
     with probe.run() as policy:
         single = [[chunk] for chunk in probe.episode(policy, env)]
@@ -55,8 +55,8 @@ def batch_of_one(probe: Probe) -> Iterator[Finding]:
                     evidence={
                         "environment": env,
                         "step": step,
-                        "batch": first_step(expected[0]) if answers(expected) else None,
-                        "other": first_step(answer[0]) if answers(answer) else None,
+                        "batch": first_step(expected[0]) if is_answer_list(expected) else None,
+                        "other": first_step(answer[0]) if is_answer_list(answer) else None,
                     },
                     fix=Fix("advice", "implement the single call with the batched one, with a list of one environment"),
                 )

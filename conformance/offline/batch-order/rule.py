@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import answers, brief, error_code, first_step, mistaken
+from xpl_cli.audit.served.compare import brief, describe_wrong_batch, error_code, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 
 
@@ -31,11 +31,11 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     envs = [3, 7, 9]
     batch = probe.observations(envs)
     whole = probe.batch_answer(batch, envs)
-    if not answers(whole, len(envs)):
+    if not is_answer_list(whole, len(envs)):
         failed = error_code(whole) is not None
         yield blame(
             f"get_action_batch({envs}) fails: no environment of a batched evaluation gets a command"
@@ -52,16 +52,16 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
     alone = dict(zip(envs, whole, strict=True))
     for wanted in ([9], [9, 3], [7, 9, 3]):
         answer = probe.batch_answer(batch, wanted)
-        found = probe.apart([alone[env] for env in wanted], answer)
+        found = probe.batch_difference([alone[env] for env in wanted], answer)
         if found is not None:
             yield blame(
-                f"get_action_batch({wanted}) {mistaken(answer, alone, wanted)}",
+                f"get_action_batch({wanted}) {describe_wrong_batch(answer, alone, wanted)}",
                 expected=f"the chunks of environments {wanted}, in this order",
                 got=found,
                 evidence={
                     "observed": envs,
                     "asked": wanted,
-                    "first_action": first_step(answer[0]) if answers(answer) else None,
+                    "first_action": first_step(answer[0]) if is_answer_list(answer) else None,
                 },
                 fix=Fix("advice", "look observations up by environment index, never by position in the list"),
             )

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import answers, first_step
+from xpl_cli.audit.served.compare import first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 
 _STEPS: tuple[tuple[list[int], list[int] | None], ...] = (
@@ -46,7 +46,7 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     instruction = probe.observation()[spec.Obs.INSTRUCTION]
     with probe.run() as policy:
         policy.reset()
@@ -60,8 +60,8 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
             observed, asked = _STEPS[step]
             wanted = observed if asked is None else asked
             answered, place = together[step], wanted.index(env)
-            beside = answered[place : place + 1] if answers(answered, len(wanted)) else answered
-            found = probe.apart(alone, beside)
+            beside = answered[place : place + 1] if is_answer_list(answered, len(wanted)) else answered
+            found = probe.batch_difference(alone, beside)
             if found is not None:
                 yield blame(
                     f"environment {env} acts differently in a batch whose other environments end than alone, "
@@ -72,8 +72,8 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
                         "environment": env,
                         "step": step,
                         "observed": [list(entry) for entry, _ in _STEPS[: step + 1]],
-                        "alone": first_step(alone[0]) if answers(alone) else None,
-                        "beside": first_step(beside[0]) if answers(beside) else None,
+                        "alone": first_step(alone[0]) if is_answer_list(alone) else None,
+                        "beside": first_step(beside[0]) if is_answer_list(beside) else None,
                     },
                     fix=Fix("advice", "store all state between calls in a dict keyed by environment index"),
                 )

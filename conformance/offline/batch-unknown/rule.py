@@ -29,7 +29,7 @@ def batch_unknown(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     for wanted, what in (([3, 8], "environment 8, which was never observed"), ([3, 3], "environment 3 twice")):
         with probe.session() as policy:
             policy.reset()

@@ -33,7 +33,7 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     episodes = []
     for bare in (False, True):
         with probe.run() as policy:

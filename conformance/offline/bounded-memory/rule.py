@@ -30,7 +30,7 @@ def bounded_memory(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     played = long_episode(probe)
     if played is None:
         raise NotApplicable("this operating system does not report the memory of a process")

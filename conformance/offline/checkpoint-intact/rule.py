@@ -31,7 +31,7 @@ def checkpoint_intact(probe: Probe) -> Iterator[Finding]:
     """
     if probe.checkpoint is None:
         raise NotApplicable("deploy.yml names no checkpoint that exists")
-    probe.ready()
+    probe.require_answer()
     after = probe.checkpoint.state()
     changed = [path for path, state in probe.checkpoint_before.items() if after.get(path) != state]
     for path in changed:

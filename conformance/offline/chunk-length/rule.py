@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.motion import MotionEpisodes
-from xpl_cli.audit.served.compare import answers
+from xpl_cli.audit.served.compare import is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 
 
@@ -35,7 +35,7 @@ def chunk_length(probe: Probe, motions: MotionEpisodes) -> Iterator[Finding]:
     if declared is None:
         raise NotApplicable("no manifest declares the length of a chunk")
     for motion in motions.all:
-        wrong = [answer for answer in motion.answers if answers(answer.chunk) and len(answer.chunk) != declared]
+        wrong = [answer for answer in motion.answers if is_answer_list(answer.chunk) and len(answer.chunk) != declared]
         if wrong:
             yield blame(
                 f"{motion.action_type} chunks for {motion.embodiment.name} do not have the declared length: an "

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 from xpl.client import ClientError
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import answers, brief, difference, first_step
+from xpl_cli.audit.served.compare import brief, difference, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.relay import Relay
-from xpl_cli.audit.served.session import Answer
+from xpl_cli.audit.served.recorded_client import Answer
+from xpl_cli.audit.served.relay import CuttingRelay
 
 _CUTS = (None, "confirmation", "action", "observation", None)
 """What is lost in each step of the episode."""
@@ -38,13 +38,13 @@ def cut_connection(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     with probe.run() as policy:
         expected = probe.episode(policy, steps=len(_CUTS))
     answered: list[Answer] = []
     cuts: list[str] = []
     try:
-        with probe.own_server({}) as server, Relay(server.url) as relay, probe.connected(relay.url) as policy:
+        with probe.own_server({}) as server, CuttingRelay(server.url) as relay, probe.connected(relay.url) as policy:
             policy.reset()
             for step, cut in enumerate(_CUTS):
                 if cut == "confirmation":
@@ -68,8 +68,8 @@ def cut_connection(probe: Probe) -> Iterator[Finding]:
                 evidence={
                     "step": step,
                     "cuts": cuts,
-                    "uncut": first_step(uncut) if answers(uncut) else None,
-                    "cut": first_step(answer) if answers(answer) else brief(answer),
+                    "uncut": first_step(uncut) if is_answer_list(uncut) else None,
+                    "cut": first_step(answer) if is_answer_list(answer) else brief(answer),
                 },
                 fix=Fix("advice", "start an episode in reset only, and process each observation once"),
             )

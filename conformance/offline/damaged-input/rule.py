@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.offline.faulty_inputs import damaged, judge
 from xpl_cli.audit.offline.semantics import Semantics
-from xpl_cli.audit.served.inputs import present
+from xpl_cli.audit.served.changed_inputs import present
 from xpl_cli.audit.served.probe import Probe
 
 
@@ -36,7 +36,7 @@ def damaged_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     No automatic fix.
     """
     names = probe.named_inputs()
-    probe.ready()
+    probe.require_answer()
     obs = probe.observation()
     judged = (set(names) & set(present(obs))) - semantics.known_ignored_inputs()
     with probe.session() as policy:

@@ -8,10 +8,10 @@ from xpl import _spec as spec
 from xpl.contract import ObservationDict
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.rules.profiles import Profile
-from xpl_cli.audit.served.compare import answers, difference, first_step, same
-from xpl_cli.audit.served.inputs import with_gripper
+from xpl_cli.audit.served.changed_inputs import with_gripper
+from xpl_cli.audit.served.compare import difference, first_step, is_answer_list, same
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.session import Answer
+from xpl_cli.audit.served.recorded_client import Answer
 
 
 @rule(code="XPL221", requirement="XPL-CFG-9")
@@ -44,7 +44,7 @@ def declared_history(probe: Probe) -> Iterator[Finding]:
         raise NotApplicable("no manifest declares a history")
     if manifest.temporal.ensembling is not None:
         raise NotApplicable("the manifest declares that earlier observations count for the whole chunk")
-    probe.ready()
+    probe.require_answer()
     history = manifest.reach
     if manifest.temporal.kind == "memory":
         yield from _nothing_kept(probe, history)
@@ -66,7 +66,7 @@ def _too_much(probe: Probe, history: int) -> Iterator[Finding]:
             evidence={
                 "step": history,
                 "declared_history": history,
-                "first_actions": [first_step(answer) if answers(answer) else None for answer in last],
+                "first_actions": [first_step(answer) if is_answer_list(answer) else None for answer in last],
             },
             fix=Fix("advice", "forget older observations, or declare the history or memory in policy.yml"),
         )

@@ -8,10 +8,10 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.served.changed_inputs import with_gripper
 from xpl_cli.audit.served.compare import structure_problem
-from xpl_cli.audit.served.inputs import with_gripper
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.session import Answer
+from xpl_cli.audit.served.recorded_client import Answer
 
 _OPENINGS = np.linspace(spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN, 6)
 _ORDERS = ([0, 1, 2, 3, 4, 5], [3, 0, 4, 1, 5, 2])
@@ -47,7 +47,7 @@ def gripper_direction(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     keys = [
         arm.prefix + spec.State.EE_JOINT_STATE for arm in probe.embodiment.arms if arm.gripper == "parallel_gripper"
     ]

@@ -9,10 +9,10 @@ from xpl.embodiment import get_embodiment
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.rotations import HALF_TURNS, NEARLY, ORDINARY, first_turns, rotation_difference
 from xpl_cli.audit.offline.semantics import Semantics, answers_poses
-from xpl_cli.audit.served.compare import answers, same, structure_problem
-from xpl_cli.audit.served.inputs import turned
+from xpl_cli.audit.served.changed_inputs import turned
+from xpl_cli.audit.served.compare import is_answer_list, same, structure_problem
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.session import Answer
+from xpl_cli.audit.served.recorded_client import Answer
 
 _FOLLOWS, _LOST = 0.1, 0.5
 """An action that stays this near to the observed orientation in an ordinary pose, rad, and goes this far off in a half
@@ -42,7 +42,7 @@ def half_turn_preserved(probe: Probe, semantics: Semantics) -> Iterator[Finding]
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     probe.require_repeatable()
     if semantics.posed is None:
         raise NotApplicable("neither actions nor required inputs are poses")
@@ -62,7 +62,7 @@ def half_turn_preserved(probe: Probe, semantics: Semantics) -> Iterator[Finding]
         if problem is not None:
             yield blame(
                 f"a half turn {what} is lost: the end effector would be turned over",
-                expected="an orientation near the observed one" if answers(chunk) else "an action",
+                expected="an orientation near the observed one" if is_answer_list(chunk) else "an action",
                 got=problem,
                 fix=_FIX,
             )

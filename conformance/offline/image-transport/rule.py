@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.in_process_run import InProcessRun
-from xpl_cli.audit.served.compare import answers, difference, first_step
+from xpl_cli.audit.served.compare import difference, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.transports import FORMS, LEGACY, decoded, encoded, error_of, sees_pictures
 
@@ -37,7 +37,7 @@ def image_transport(probe: Probe, in_process_run: InProcessRun) -> Iterator[Find
     """
     if not sees_pictures(probe):
         raise NotApplicable("the manifest declares no camera as an input")
-    probe.ready()
+    probe.require_answer()
     raw = probe.observation()
     plain = probe.answer(raw)
     for name in FORMS:
@@ -62,9 +62,9 @@ def image_transport(probe: Probe, in_process_run: InProcessRun) -> Iterator[Find
                     evidence={
                         "form": name,
                         "codec_error": error,
-                        "raw": first_step(plain) if answers(plain) else None,
-                        "decoded": first_step(wanted) if answers(wanted) else None,
-                        "encoded": first_step(answer) if answers(answer) else None,
+                        "raw": first_step(plain) if is_answer_list(plain) else None,
+                        "decoded": first_step(wanted) if is_answer_list(wanted) else None,
+                        "encoded": first_step(answer) if is_answer_list(answer) else None,
                     },
                     fix=Fix("advice", "read images with xpl.observation.get_image, and decode nothing in the adapter"),
                 )

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.service import Service
+from xpl_cli.audit.served.service import ServiceRun
 
 _RATE = "control_frequency"
 
 
 @rule(code="XPL247", requirement="XPL-SRV-6", profile="full")
-def inference_rate(probe: Probe, service: Service) -> Iterator[Finding]:
+def inference_rate(probe: Probe, service: ServiceRun) -> Iterator[Finding]:
     """A chunk takes longer to compute than to execute.
 
     ## What it does

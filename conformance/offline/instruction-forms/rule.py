@@ -35,7 +35,7 @@ def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     obs = probe.observation()
     text = obs[spec.Obs.INSTRUCTION]
     rest = {key: value for key, value in obs.items() if key != spec.Obs.INSTRUCTION}

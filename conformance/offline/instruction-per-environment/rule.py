@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, rule
-from xpl_cli.audit.served.compare import answers, difference, first_step, same
+from xpl_cli.audit.served.compare import difference, first_step, is_answer_list, same
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.session import Answer
+from xpl_cli.audit.served.recorded_client import Answer
 
 
 @rule(code="XPL220", requirement="XPL-BAT-6", after=("batch-order", "batch-independent"))
@@ -33,14 +33,14 @@ def instruction_per_environment(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     scene = probe.observation(0)
     one, other = (probe.observation(env)[spec.Obs.INSTRUCTION] for env in (0, 1))
 
     def answered(*texts: str) -> list[Answer]:
         batch = [{**scene, spec.Obs.ENV_IDX: env, spec.Obs.INSTRUCTION: text} for env, text in enumerate(texts)]
         chunks = probe.batch_answer(batch, [0, 1])
-        if not answers(chunks, 2):
+        if not is_answer_list(chunks, 2):
             raise NotRun("a batch of two environments fails, which rule batch-order reports")
         return list(chunks)
 

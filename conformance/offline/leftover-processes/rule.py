@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.served.probe import blame
-from xpl_cli.audit.served.service import Service
+from xpl_cli.audit.served.service import ServiceRun
 
 
 @rule(code="XPL245", requirement="XPL-SRV-5")
-def leftover_processes(service: Service) -> Iterator[Finding]:
+def leftover_processes(service: ServiceRun) -> Iterator[Finding]:
     """Processes of the adapter outlive the policy server, or delay its end.
 
     ## What it does
@@ -47,7 +47,7 @@ def leftover_processes(service: Service) -> Iterator[Finding]:
                 got=f"process {member.pid}",
                 fix=Fix("advice", "start children in the process group of the adapter"),
             )
-    if service.code != 0 and service.trouble is None:
+    if service.code != 0 and service.failure is None:
         yield blame(
             f"the server did not end in order after the signal to stop (exit code {service.code}, after "
             f"{service.stop_seconds:.1f} s): launchers treat that as a failed run",

@@ -9,7 +9,7 @@ from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.faulty_inputs import judge, missing
 from xpl_cli.audit.offline.semantics import Semantics
-from xpl_cli.audit.served.inputs import present
+from xpl_cli.audit.served.changed_inputs import present
 from xpl_cli.audit.served.probe import Probe
 
 _MADE_UP = "{faults}, the policy continues with a made-up value of {name} instead of stopping"
@@ -41,7 +41,7 @@ def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     names = probe.required or _used(semantics)
     obs = probe.observation()
     there = present(obs)

@@ -10,7 +10,7 @@ from xpl import _spec as spec
 from xpl.contract import ObservationDict
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.offline.semantics import Semantics
-from xpl_cli.audit.served.inputs import only
+from xpl_cli.audit.served.changed_inputs import only
 from xpl_cli.audit.served.probe import Probe, blame
 
 
@@ -36,7 +36,7 @@ def observation_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     obs = probe.observation()
     forms = _forms(obs)
     if probe.required:

@@ -8,11 +8,11 @@ from xpl import _spec as spec
 from xpl.contract import ObservationDict
 from xpl.manifest import ModelIO
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.served import inputs
-from xpl_cli.audit.served.compare import answers, first_step, same
+from xpl_cli.audit.served import changed_inputs
+from xpl_cli.audit.served.compare import first_step, is_answer_list, same
 from xpl_cli.audit.served.effects import Scale, is_negligible, is_weak
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.session import Answer
+from xpl_cli.audit.served.recorded_client import Answer
 
 _GROUPS = {"images": spec.Obs.VISION, "state": spec.Obs.STATE}
 """Parts of an observation, as the model_io block calls them."""
@@ -45,7 +45,7 @@ def observations_between_inferences(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     span = probe.package.manifest.reach
     shown = [{**probe.observation(scene, scene), spec.Obs.ENV_IDX: 0} for scene in range(max(span, 2) + 1)]
     first, *between, newest = shown
@@ -78,7 +78,7 @@ def _with_a_history(
     manifest = probe.package.manifest
     model_io, span = manifest.model_io or ModelIO(), manifest.reach
     stride = 1 if model_io.longest is None else model_io.longest.stride
-    everything = inputs.present(newest)
+    everything = changed_inputs.present(newest)
     renewed = second(*between, _changed(newest, everything))
     before = list(between)
     before[-stride] = _changed(before[-stride], everything)
@@ -104,7 +104,7 @@ def _with_a_history(
 def _changed(obs: ObservationDict, names: Iterable[str]) -> ObservationDict:
     """Return an observation with some inputs changed, the instruction not: an episode has one."""
     for name in names:
-        obs = obs if name == spec.Obs.INSTRUCTION else inputs.varied(obs, name)
+        obs = obs if name == spec.Obs.INSTRUCTION else changed_inputs.varied(obs, name)
     return obs
 
 
@@ -115,7 +115,7 @@ def _finding(problem: str, second: Answer) -> Finding:
         got="the same actions as without it, or nearly",
         evidence={
             "shown": ["scene 0", "asked", "scene 1", "scene 2, ...", "asked"],
-            "second_answer": first_step(second) if answers(second) else None,
+            "second_answer": first_step(second) if is_answer_list(second) else None,
         },
         fix=Fix("advice", "process every update_obs, and compute get_action from the newest observation"),
     )

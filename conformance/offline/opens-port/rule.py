@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.served.probe import blame
-from xpl_cli.audit.served.service import Service
+from xpl_cli.audit.served.service import ServiceRun
 
 
 @rule(code="XPL244", requirement="XPL-SRV-9")
-def opens_port(service: Service) -> Iterator[Finding]:
+def opens_port(service: ServiceRun) -> Iterator[Finding]:
     """The adapter opens a network port of its own.
 
     ## What it does

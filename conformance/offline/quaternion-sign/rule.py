@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.rotations import LARGE, rotation_difference, sign_sensitive_rotations
 from xpl_cli.audit.offline.semantics import Episode, Semantics
-from xpl_cli.audit.served.inputs import antipodal, turned
+from xpl_cli.audit.served.changed_inputs import antipodal, turned
 from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.model_io import names
 from xpl_cli.packages.package import Package
@@ -40,7 +40,7 @@ def quaternion_sign(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     No automatic fix.
     """
     _require_a_sign(probe.package)
-    probe.ready()
+    probe.require_answer()
     probe.require_repeatable()
     if semantics.posed is None:
         raise NotApplicable("neither actions nor required inputs are poses")

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.served.probe import blame
-from xpl_cli.audit.served.service import Service
+from xpl_cli.audit.served.service import ServiceRun
 
 _TIMES, _LONGER_S = 10.0, 2.0
 
 
 @rule(code="XPL246", requirement="XPL-SRV-10", profile="full")
-def ready_before_loaded(service: Service) -> Iterator[Finding]:
+def ready_before_loaded(service: ServiceRun) -> Iterator[Finding]:
     """The server reports that it is ready before the model is.
 
     ## What it does

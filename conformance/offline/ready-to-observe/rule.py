@@ -29,7 +29,7 @@ def ready_to_observe(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     Safe if `reset` needs nothing that is set later.
     """
-    probe.ready()
+    probe.require_answer()
     with probe.fresh_session() as policy:
         answer = policy.act_at_once(probe.observation())
         if error_code(answer) is None:

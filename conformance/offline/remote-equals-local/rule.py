@@ -9,9 +9,9 @@ from xpl.client import PolicyServerError
 from xpl.contract import Config
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline import inprocess
-from xpl_cli.audit.served.exact import Mismatch, mismatch
+from xpl_cli.audit.served.exact_comparison import Mismatch, mismatch
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.session import Answer
+from xpl_cli.audit.served.recorded_client import Answer
 
 _STEPS = 3
 _ENVS = (5, 2)
@@ -49,7 +49,7 @@ def remote_equals_local(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     probe.require_deterministic()
     script = _script(probe)
     with probe.own_server({}) as server:

@@ -33,7 +33,7 @@ def repeated_inference(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     with probe.session() as policy:
         first = policy.act(probe.observation())
         second = policy.get_action()

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import answers, brief, difference, first_step
+from xpl_cli.audit.served.compare import brief, difference, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.session import Session
+from xpl_cli.audit.served.recorded_client import RecordedClient
 
 
 @rule(code="XPL208", requirement="XPL-EPI-1", compares=True)
@@ -33,7 +33,7 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     probe.require_deterministic()
     with probe.fresh_session() as policy:
         _another_scene(probe, policy)
@@ -55,7 +55,7 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
                             "episode_before": what,
                             "step": step,
                             "expected_and_got": [
-                                first_step(chunk) if answers(chunk) else brief(chunk) for chunk in pair
+                                first_step(chunk) if is_answer_list(chunk) else brief(chunk) for chunk in pair
                             ],
                         },
                         fix=Fix("advice", "clear every buffer, cache, counter and chunk queue in reset"),
@@ -63,29 +63,29 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
                     return
 
 
-def _another_scene(probe: Probe, policy: Session) -> None:
+def _another_scene(probe: Probe, policy: RecordedClient) -> None:
     probe.episode(policy, env=0, steps=1)
 
 
-def _same_environment(probe: Probe, policy: Session) -> None:
+def _same_environment(probe: Probe, policy: RecordedClient) -> None:
     _play(probe, policy, spec.Obs.VISION, spec.Obs.STATE)
 
 
-def _other_pictures(probe: Probe, policy: Session) -> None:
+def _other_pictures(probe: Probe, policy: RecordedClient) -> None:
     _play(probe, policy, spec.Obs.VISION)
 
 
-def _other_state(probe: Probe, policy: Session) -> None:
+def _other_state(probe: Probe, policy: RecordedClient) -> None:
     _play(probe, policy, spec.Obs.STATE)
 
 
-def _batch(probe: Probe, policy: Session) -> None:
+def _batch(probe: Probe, policy: RecordedClient) -> None:
     policy.reset()
     policy.update_obs_batch(probe.observations([2, 1, 0]))
     policy.get_action_batch([0, 1])
 
 
-def _play(probe: Probe, policy: Session, *other: str) -> None:
+def _play(probe: Probe, policy: RecordedClient, *other: str) -> None:
     """Play an episode like the one that is compared, but longer and with some parts of another scene."""
     policy.reset()
     for step in range(4):

@@ -29,7 +29,7 @@ def reset_twice(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     probe.require_deterministic()
     obs = probe.observation()
     with probe.fresh_session() as policy:

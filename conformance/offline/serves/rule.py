@@ -43,7 +43,7 @@ def serves(probe: Probe) -> Iterator[Finding]:
         if problem.lacks is not None:
             raise
         yield blame(
-            f"the policy cannot be served: {probe.told(problem.reason, problem.log)}",
+            f"the policy cannot be served: {probe.describe_end(problem.reason, problem.log)}",
             expected="Model(config) returns and the server announces that it is ready",
             got=problem.log[-1] if problem.log else "no output",
             evidence={"log": list(problem.log[-12:])},

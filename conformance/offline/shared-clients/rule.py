@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from xpl import _spec as spec
 from xpl.client import PolicyServerError
 from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, rule
-from xpl_cli.audit.served.compare import answers, brief, difference, first_step, same
+from xpl_cli.audit.served.compare import brief, difference, first_step, is_answer_list, same
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.session import Answer, Session
+from xpl_cli.audit.served.recorded_client import Answer, RecordedClient
 
 _ENVS = ([0, 1], [1, 0])  # of each client: the same numbers, which only the server tells apart
 _SCENES = ([0, 1], [2, 3])  # what each of these environments shows
@@ -83,7 +83,7 @@ def shared_clients(probe: Probe) -> Iterator[Finding]:
         last[client] = beside
 
 
-def _play(probe: Probe, policy: Session, client: int) -> Iterator[_Turn]:
+def _play(probe: Probe, policy: RecordedClient, client: int) -> Iterator[_Turn]:
     """Play a client's episodes, one operation whenever the next turn is asked for."""
     for episode in range(_EPISODES):
         yield _Turn(spec.Method.RESET, episode, 0, policy.reset())
@@ -104,7 +104,7 @@ def _in_turns(first: Iterator[_Turn], second: Iterator[_Turn]) -> Iterator[tuple
 
 def _finding(client: int, alone: _Turn, beside: _Turn, found: str, other: _Turn | None) -> Finding:
     place = 0
-    if answers(alone.answer) and answers(beside.answer, len(alone.answer)):
+    if is_answer_list(alone.answer) and is_answer_list(beside.answer, len(alone.answer)):
         place = next(at for at, pair in enumerate(zip(alone.answer, beside.answer, strict=True)) if not same(*pair))
     return blame(
         f"{beside.method} returns other actions to a client together with another one than alone, from step "
@@ -128,6 +128,6 @@ def _finding(client: int, alone: _Turn, beside: _Turn, found: str, other: _Turn 
 
 
 def _shown(answer: Answer, place: int) -> Answer:
-    if answers(answer):
+    if is_answer_list(answer):
         return first_step(answer[place])
     return str(answer) if isinstance(answer, PolicyServerError) else brief(answer)

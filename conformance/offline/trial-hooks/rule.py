@@ -9,12 +9,12 @@ from xpl import _spec as sdk
 from xpl.client import ClientError
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.offline.trials import RESULT, trial_case
-from xpl_cli.audit.served.compare import answers, brief, difference, error_code, first_step
+from xpl_cli.audit.served.compare import brief, difference, error_code, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 
 if TYPE_CHECKING:
     from xpl.contract import Config
-    from xpl_cli.audit.served.session import Answer, Session
+    from xpl_cli.audit.served.recorded_client import Answer, RecordedClient
 
 _HOOK: Final = {sdk.Message.PREPARE_CASE: sdk.Method.PREPARE_CASE, sdk.Message.TRIAL_END: sdk.Method.ON_TRIAL_END}
 
@@ -42,7 +42,7 @@ def trial_hooks(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
+    probe.require_answer()
     case = trial_case(probe)
     played: list[list[Answer]] = []
     try:
@@ -72,7 +72,7 @@ def trial_hooks(probe: Probe) -> Iterator[Finding]:
     yield from _compared(probe, *played)
 
 
-def _trial(probe: Probe, policy: Session, case: Config) -> tuple[tuple[str, Answer] | None, list[Answer]]:
+def _trial(probe: Probe, policy: RecordedClient, case: Config) -> tuple[tuple[str, Answer] | None, list[Answer]]:
     """Play a trial; return the hook that raised with its answer, if one did, and the chunks of the episode."""
     told = policy.prepare_case(case)
     if error_code(told) is not None:
@@ -109,7 +109,7 @@ def _compared(probe: Probe, first: list[Answer], second: list[Answer]) -> Iterat
             got=found,
             evidence={
                 "step": step,
-                "first_and_second": [first_step(chunk) if answers(chunk) else brief(chunk) for chunk in pair],
+                "first_and_second": [first_step(chunk) if is_answer_list(chunk) else brief(chunk) for chunk in pair],
             },
             fix=Fix("advice", "change nothing in a hook that actions are computed from, or clear it in reset"),
         )

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.service import Service
+from xpl_cli.audit.served.service import ServiceRun
 
 
 @rule(code="XPL243", requirement="XPL-SRV-5")
-def worker_crash(probe: Probe, service: Service) -> Iterator[Finding]:
+def worker_crash(probe: Probe, service: ServiceRun) -> Iterator[Finding]:
     """The adapter's process ends, or breaks its connection to the server, during a request.
 
     ## What it does
@@ -33,20 +33,20 @@ def worker_crash(probe: Probe, service: Service) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    if probe.ended is not None:
+    if probe.end_reason is not None:
         yield blame(
-            f"the adapter's process ended at a request that it may refuse: {probe.ended}; every environment "
+            f"the adapter's process ended at a request that it may refuse: {probe.end_reason}; every environment "
             "that it serves loses its episode",
             expected="an exception, which the server sends to the client",
-            got=probe.ended,
+            got=probe.end_reason,
             fix=Fix("advice", "raise an exception for a wrong request, and never end the process"),
         )
-    if service.trouble is not None:
+    if service.failure is not None:
         yield blame(
-            f"the adapter's process cannot continue after {len(service.seconds)} actions: {service.trouble}; "
+            f"the adapter's process cannot continue after {len(service.seconds)} actions: {service.failure}; "
             "every episode that it serves is lost",
             expected="a result, or an exception, for every request",
-            got=service.trouble,
+            got=service.failure,
             evidence={"log": service.log[-12:]},
             fix=Fix(
                 "advice", "close and write to no file descriptor that the adapter has not opened, and raise errors"

@@ -10,7 +10,7 @@ import numpy as np
 
 from xpl.trajectory import Writer
 from xpl_cli.audit.demonstrations import validation
-from xpl_cli.audit.demonstrations.validation import Options, validate
+from xpl_cli.audit.demonstrations.validation import ValidationOptions, validate
 from xpl_cli.basics import parallel
 from xpl_cli.data.reading import open_set
 
@@ -24,7 +24,7 @@ def test_the_report_of_many_processes_is_that_of_one(tmp_path: Path, monkeypatch
         with Writer(tmp_path / f"episode_{number:07d}.hdf5", frequency=10.0) as episode:
             row = np.full(2, np.nan if number in {3, 20} else number, np.float32)
             episode.add({"state": {"arm_joint_state": row}, "instruction": "go"}, {"arm_joint_state": row})
-    options = Options(names=("XPL701", "XPL706", "XPL711"))
+    options = ValidationOptions(names=("XPL701", "XPL706", "XPL711"))
     many = validate(open_set(tmp_path), "demos", options).gates[0]
     monkeypatch.setattr(parallel, "in_processes", None)
     monkeypatch.setattr(validation, "_MANY", 1000)

@@ -12,8 +12,8 @@ import pytest
 from tests.support.recordings.demonstrations import Convention, MemorySet, write
 from tests.support.recordings.motion import motion
 from xpl_cli.audit.demonstrations import catalogue
-from xpl_cli.audit.demonstrations.validation import Options, validate
-from xpl_cli.audit.formats import Context, render
+from xpl_cli.audit.demonstrations.validation import ValidationOptions, validate
+from xpl_cli.audit.formats import ReportContext, render
 from xpl_cli.audit.rules.model import Outcome, exit_code
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.formats import REPORTS
@@ -51,7 +51,7 @@ def _scene(number: int, step: int) -> np.ndarray:
 
 def _of(demonstrations: MemorySet, **options: object) -> dict[str, Outcome]:
     """Return how each check ends."""
-    report = validate(demonstrations, "demos", Options(**options))
+    report = validate(demonstrations, "demos", ValidationOptions(**options))
     return {result.code: result.outcome for result in report.results}
 
 
@@ -146,7 +146,7 @@ def test_what_is_broken_is_found_and_nothing_else(name: str, whole: MemorySet) -
     """One fault, one check; the finding names the episode where only one has it."""
     spoil, code, outcome = BROKEN[name]
     spoil(whole)
-    report = validate(whole, "demos", Options(names=(code,)))
+    report = validate(whole, "demos", ValidationOptions(names=(code,)))
     (result,) = report.results
     assert result.outcome is outcome, result.reason
     if name not in {"copy", "constant"}:
@@ -162,7 +162,7 @@ def test_the_wrist_camera_of_an_arm_that_stands_still_is_not_frozen(whole: Memor
         del episode.numbers["observation.state"]
         for side in ("left", "right"):
             episode.images[f"{side}_wrist"] = np.repeat(episode.images["head"][:1], episode.length, axis=0)
-    (result,) = validate(whole, "demos", Options(names=("XPL703",))).results
+    (result,) = validate(whole, "demos", ValidationOptions(names=("XPL703",))).results
     assert [finding.message.partition(" ")[0] for finding in result.findings] == ["right_wrist"]
 
 
@@ -188,7 +188,7 @@ def test_a_set_is_read_episode_by_episode(kept: MemorySet) -> None:
             alive.append(index)
             return kept.episodes[index % 4]
 
-    report = validate(Lazy(), "lazy", Options(episodes=3, images=False, names=("XPL706",)))
+    report = validate(Lazy(), "lazy", ValidationOptions(episodes=3, images=False, names=("XPL706",)))
     assert alive[-3:] == [0, 24, 49]
     assert report.circumstances.narrowed.startswith("3 of 50 episodes")
 
@@ -196,20 +196,20 @@ def test_a_set_is_read_episode_by_episode(kept: MemorySet) -> None:
 def test_what_is_waived_counts_no_more(whole: MemorySet) -> None:
     """And the report says why; a name that is no check is a mistake of the user."""
     _nan(whole)
-    options = Options(names=("XPL706",), waived={"not-finite": "cut when converting"}, images=False)
+    options = ValidationOptions(names=("XPL706",), waived={"not-finite": "cut when converting"}, images=False)
     report = validate(whole, "demos", options)
     assert exit_code([report]) is ExitCode.CLEAN
     assert report.results[0].waived[0].reason == "cut when converting"
     with pytest.raises(UserError, match="XPL799"):
-        validate(whole, "demos", Options(names=("XPL799",)))
+        validate(whole, "demos", ValidationOptions(names=("XPL799",)))
 
 
 @pytest.mark.parametrize("name", [name for name in REPORTS if name != "json"])
 def test_every_format_tells_it(name: str, whole: MemorySet) -> None:
     """Code and episode stand in each; SARIF explains the check."""
     _nan(whole)
-    report = validate(whole, "demos", Options(names=("XPL706",), images=False))
-    context = Context(rule=catalogue.find, command=("xpl", "data", "validate"))
+    report = validate(whole, "demos", ValidationOptions(names=("XPL706",), images=False))
+    context = ReportContext(rule=catalogue.find, command=("xpl", "data", "validate"))
     text = render(name, [report], context)
     assert "XPL706" in text
     assert "episode_000001" in text.replace("\\", "")

@@ -16,7 +16,7 @@ from xpl_cli.audit.engine import engine
 from xpl_cli.audit.offline import faulty_inputs, limits, rotations
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.served import transports
 from xpl_cli.packages import environments
 from xpl_cli.scaffold import adapter
@@ -156,5 +156,5 @@ def test_policies_that_draw_random_numbers_are_not_blamed(
     manifest.write_text(manifest.read_text().replace("deterministic: true", told))
     with (folder / "model.py").open("a") as stream:
         stream.write(DRAWS.format(draw=draw))
-    (gate,) = engine.audit(folder, "policy", Options(gates=(Gate.OFFLINE,), names=RULES)).gates
+    (gate,) = engine.audit(folder, "policy", AuditOptions(gates=(Gate.OFFLINE,), names=RULES)).gates
     assert {result.outcome for result in gate.results} <= outcomes, gate.results

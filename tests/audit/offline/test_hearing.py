@@ -8,7 +8,7 @@ import pytest
 
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,7 +50,7 @@ def test_equal_answers_prove_something_only_of_who_listens(tmp_path: Path, share
     (package / "model.py").write_text(MODEL.format(share=share))
     (package / "deploy.yml").write_text("policy_name: Plain\nenv_cfg_type: arx_x5\naction_type: joint\nprotocol: ws\n")
     report = engine.audit(
-        package, "policy", Options(gates=(Gate.OFFLINE,), names=("XPL203", "XPL204"), keep_going=True)
+        package, "policy", AuditOptions(gates=(Gate.OFFLINE,), names=("XPL203", "XPL204"), keep_going=True)
     )
     (gate,) = report.gates
     found = {result.slug: result.outcome.value for result in gate.results}

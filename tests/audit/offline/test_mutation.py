@@ -11,7 +11,7 @@ from tests.audit.offline.mutation.trial import SUBJECT, tried
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -67,7 +67,7 @@ def test_few_planted_defects_escape() -> None:
 def test_a_correct_adapter_is_left_alone_however_it_is_written(variant: Mutant, tmp_path: Path) -> None:
     """The whole offline gate is green: nothing found, nothing that could not run."""
     path = variant.plant(tmp_path / SUBJECT)
-    (report,) = engine.audit(path, "policy", Options(gates=(Gate.OFFLINE,))).gates
+    (report,) = engine.audit(path, "policy", AuditOptions(gates=(Gate.OFFLINE,))).gates
     told = [(result.slug, result.reason, result.findings) for result in report.results]
     assert {result.outcome for result in report.results} <= {Outcome.PASS, Outcome.NOT_APPLICABLE}, told
     assert report.outcome is Outcome.PASS

@@ -25,8 +25,8 @@ from xpl_cli.audit.offline.parity.fact import Parity, SessionComparison
 from xpl_cli.audit.offline.parity.judgement import Judgement
 from xpl_cli.audit.offline.search.session_replay import SessionReplay
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, Result
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, RuleResult
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.model_io import names, pairs, record, script
 from xpl_cli.model_io.pairs import Session
 from xpl_cli.packages import package
@@ -158,9 +158,9 @@ def test_answers_of_another_model_are_not(change: Callable[[np.ndarray], np.ndar
 # -- served ------------------------------------------------------------------------------------------------------------
 
 
-def audited(folder: Path, **options: Any) -> Result:
+def audited(folder: Path, **options: Any) -> RuleResult:
     """Return the result of XPL260."""
-    report = engine.audit(folder, "policy", Options(gates=(Gate.OFFLINE,), names=("XPL260",), **options))
+    report = engine.audit(folder, "policy", AuditOptions(gates=(Gate.OFFLINE,), names=("XPL260",), **options))
     return report.gates[0].results[0]
 
 
@@ -170,7 +170,7 @@ def recorded(folder: Path) -> Path:
     return folder
 
 
-def only(result: Result) -> Finding:
+def only(result: RuleResult) -> Finding:
     """Return the only finding of a result that failed."""
     assert result.outcome is Outcome.FAIL, result.reason
     (finding,) = result.findings

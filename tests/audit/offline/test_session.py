@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from xpl_cli.audit.offline.inprocess import answers
-from xpl_cli.audit.rules.options import Options
-from xpl_cli.audit.served.exact import mismatch
+from xpl_cli.audit.rules.options import AuditOptions
+from xpl_cli.audit.served.exact_comparison import mismatch
 from xpl_cli.audit.served.probe import Probe
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ MODEL = """
 
 def test_a_model_can_be_played_without_a_server(write_adapter: Callable[..., Path], old_python: str) -> None:
     """In the adapter's own interpreter, of the oldest version; what raises is an error among the answers."""
-    options = Options(python=old_python)
+    options = AuditOptions(python=old_python)
     with Probe.start(write_adapter(MODEL), options) as probe:
         obs = probe.observation(4)
         script = [("get_action", ()), ("reset", ()), ("update_obs", (obs,)), ("get_action", ()), ("nothing", ())]

@@ -16,7 +16,7 @@ from xpl_cli.model_io.script import played, whole
 CALLS = whole(1)
 ANSWERS: Any = tuple(tuple({} for _ in call.ask) for call in CALLS if call.ask)
 SESSION = Session("piper_single", "joint", 0, {"cam_head": (24, 32)}, 1, CALLS, ANSWERS)
-UNCHANGED = Mistake(0, "", "camera", shown=lambda seen: [{**obs, "told": len(seen)} for obs in seen])
+UNCHANGED = Mistake(0, "", "camera", change_observations=lambda seen: [{**obs, "told": len(seen)} for obs in seen])
 
 
 def test_episodes_that_are_passed_are_begun() -> None:

@@ -16,9 +16,9 @@ from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import as_json, render
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, exit_code
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.rules.profiles import Profile
-from xpl_cli.audit.rules.verdict import Word, judged
+from xpl_cli.audit.rules.verdict import VerdictStatus, verdict_of
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
@@ -88,7 +88,7 @@ def package(tmp_path: Path) -> Path:
 def _offline(package: Path, model: str | None = None, **options: Any) -> TargetReport:
     if model is not None:
         (package / "model.py").write_text(model, encoding="utf-8")
-    return engine.audit(package, "policy", Options(gates=(Gate.OFFLINE,), names=RULES, **options))
+    return engine.audit(package, "policy", AuditOptions(gates=(Gate.OFFLINE,), names=RULES, **options))
 
 
 def _gate(report: TargetReport) -> GateReport:
@@ -138,7 +138,7 @@ def test_a_missing_part_makes_a_shadow_that_is_told_and_can_be_clean(package: Pa
     report = _offline(package, model)
     gate = _gate(report)
     assert set(_outcomes(gate).values()) == {"pass"}, gate.results
-    assert (judged(report).word, exit_code([report])) == (Word.SHADOW, ExitCode.CLEAN)
+    assert (verdict_of(report).status, exit_code([report])) == (VerdictStatus.SHADOW, ExitCode.CLEAN)
     assert gate.profile is Profile.SHADOW
     assert lacks in str(gate.stood_in)
     assert str(gate.finish).endswith("profile=shadow")

@@ -20,8 +20,8 @@ from xpl_cli.audit.engine import providers
 from xpl_cli.audit.engine.checks import Checks
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Outcome, Result
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.model import Outcome, RuleResult
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.rules.registry import select
 from xpl_cli.model_io import names, record
 from xpl_cli.packages.package import load
@@ -74,13 +74,13 @@ class Recorded:
         shutil.copyfile(kept, package / names.PAIRS)
 
 
-def judged(package: Path, slug: str = PARITY) -> Result:
+def judged(package: Path, slug: str = PARITY) -> RuleResult:
     """Return what one rule of the offline gate says of a package."""
     (entry,) = (one for one in select((), (), (Gate.OFFLINE,)) if one.slug == slug)
-    given = {"path": package, "kind": "policy", "gate": Gate.OFFLINE, "options": Options(gates=(Gate.OFFLINE,))}
+    given = {"path": package, "kind": "policy", "gate": Gate.OFFLINE, "options": AuditOptions(gates=(Gate.OFFLINE,))}
     with Facts(given, providers.all_providers()) as facts:
         checks = Checks(facts)
-        facts.give("checks", checks)
+        facts.add("checks", checks)
         return checks.result(entry)
 
 

@@ -8,32 +8,39 @@ from xpl_cli.audit.demonstrations import motion, numbers, pictures
 from xpl_cli.basics.errors import no_such
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.demonstrations.check import Check
+    from xpl_cli.audit.demonstrations.check import DemonstrationCheck
 
-CHECKS: Final[tuple[type[Check], ...]] = tuple(
+CHECKS: Final[tuple[type[DemonstrationCheck], ...]] = tuple(
     sorted(
         (
-            *(numbers.Schema, numbers.Time, numbers.Finite, numbers.Copy, numbers.Language, numbers.Constant),
-            *(motion.Limits, motion.GripperRange, motion.QuaternionNorm, motion.QuaternionSign),
-            *(pictures.Frames, pictures.Frozen, pictures.Mirrored, pictures.Exchanged),
+            *(
+                numbers.EpisodeSchema,
+                numbers.TimeGaps,
+                numbers.FiniteNumbers,
+                numbers.ActionIsState,
+                numbers.Instructions,
+                numbers.ConstantNumbers,
+            ),
+            *(motion.JointLimits, motion.GripperRange, motion.QuaternionNorm, motion.QuaternionSign),
+            *(pictures.FrameCount, pictures.FrozenFrames, pictures.MirroredCamera, pictures.SwappedColours),
         ),
         key=lambda check: check.code,
     )
 )
 
 
-def named(name: str) -> type[Check] | None:
+def lookup(name: str) -> type[DemonstrationCheck] | None:
     """Return a check by its code or slug, None if there is none."""
     return next((check for check in CHECKS if name.upper() == check.code or name.lower() == check.slug), None)
 
 
-def find(name: str) -> type[Check]:
+def find(name: str) -> type[DemonstrationCheck]:
     """Return a check by its code or slug.
 
     Raises:
         UserError: with the nearest names.
     """
-    found = named(name)
+    found = lookup(name)
     if found is None:
         names = [key for check in CHECKS for key in (check.code, check.slug)]
         raise no_such(f"there is no check {name!r}", name, names, listing="xpl explain")

@@ -23,7 +23,7 @@ MOST_NAMED: Final = 5
 
 
 @dataclass(frozen=True)
-class Shown:
+class CameraFrames:
     """What was seen of a camera in one episode.
 
     Attributes:
@@ -35,12 +35,12 @@ class Shown:
 
     count: int | None
     first: np.ndarray | None
-    same: np.ndarray | None
+    repeats: np.ndarray | None
     error: str = ""
 
 
 @dataclass(frozen=True)
-class Seen:
+class EpisodeData:
     """One episode.
 
     Attributes:
@@ -58,12 +58,12 @@ class Seen:
     instructions: tuple[str, ...]
     columns: Mapping[str, np.ndarray]
     shapes: Mapping[str, tuple[int, ...]]
-    cameras: Mapping[str, Shown]
+    cameras: Mapping[str, CameraFrames]
     errors: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class About:
+class DatasetInfo:
     """What is known of the whole set.
 
     Attributes:
@@ -77,7 +77,7 @@ class About:
     found: ProbeResult
 
 
-class Check(ABC):
+class DemonstrationCheck(ABC):
     """One check of a set: it sees episode after episode, and keeps of each only what it needs.
 
     The docstring of a check is what `xpl explain` prints. `severity` is `must` or `should`.
@@ -89,9 +89,9 @@ class Check(ABC):
     gate: ClassVar[DataGate] = DataGate.DATA
     target: ClassVar[str] = "demonstrations"
     requirement: ClassVar[str] = ""
-    looks: ClassVar[bool] = False
+    needs_images: ClassVar[bool] = False
     """Whether it needs images."""
-    measures: ClassVar[bool] = False
+    needs_probe: ClassVar[bool] = False
     """Whether it needs to know which numbers are what."""
     documentation: ClassVar[str] = ""
     """The docstring: a summary line, then sections with fixed headings."""
@@ -102,21 +102,21 @@ class Check(ABC):
         cls.documentation = inspect.getdoc(cls) or ""
         cls.summary = cls.documentation.partition("\n")[0]
 
-    def __init__(self, about: About) -> None:
-        self.about = about
-        self.tally = Tally()
+    def __init__(self, dataset: DatasetInfo) -> None:
+        self.about = dataset
+        self.tally = EpisodeTally()
 
-    def take(self, episode: Seen) -> None:
+    def take(self, episode: EpisodeData) -> None:
         """Count an episode and look at it.
 
         Raises:
             NotApplicable: there is nothing to prove on this set.
         """
-        self.tally.seen += 1
-        self.see(episode)
+        self.tally.episodes += 1
+        self.inspect(episode)
 
     @abstractmethod
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Look at an episode, and note in `tally` what is wrong."""
 
     def findings(self) -> Iterator[Finding]:
@@ -125,22 +125,22 @@ class Check(ABC):
         Raises:
             NotApplicable: there was nothing to prove on this set.
         """
-        yield from self.tally.told()
+        yield from self.tally.findings()
 
 
 @dataclass
-class Tally:
+class EpisodeTally:
     """Episodes in which something is wrong, by what: one finding for each, not one for each episode."""
 
     counts: dict[str, list[str]] = field(default_factory=dict)
-    seen: int = 0
+    episodes: int = 0
 
     def add(self, what: str, where: str) -> None:
         """Note something in an episode, at such as `episode_3 (step 12)`."""
         self.counts.setdefault(what, []).append(where)
 
-    def told(self, *, must: bool | None = None, expected: str | None = None) -> Iterator[Finding]:
+    def findings(self, *, must: bool | None = None, expected: str | None = None) -> Iterator[Finding]:
         """Yield a finding for each thing that is wrong."""
         for what, where in self.counts.items():
-            message = f"{what}, in {len(where)} of {self.seen} episodes: {listed(where, MOST_NAMED)}"
-            yield Finding(message, expected=expected, evidence={"episodes": len(where), "of": self.seen}, must=must)
+            message = f"{what}, in {len(where)} of {self.episodes} episodes: {listed(where, MOST_NAMED)}"
+            yield Finding(message, expected=expected, evidence={"episodes": len(where), "of": self.episodes}, must=must)

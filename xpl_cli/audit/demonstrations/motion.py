@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from xpl import get_embodiment
-from xpl_cli.audit.demonstrations.check import About, Check, Seen
+from xpl_cli.audit.demonstrations.check import DatasetInfo, DemonstrationCheck, EpisodeData
 from xpl_cli.audit.rules.model import Finding, NotApplicable
 from xpl_cli.data.probe.parts import GRIPPER
 
@@ -25,7 +25,7 @@ _BEYOND: Final = 0.15
 _STANDARD: Final = "xpl"
 
 
-class Limits(Check):
+class JointLimits(DemonstrationCheck):
     """Joints are within the robot's limits.
 
     ## What it does
@@ -47,9 +47,9 @@ class Limits(Check):
     """
 
     code, slug, severity = "XPL704", "joint-limits", "must"
-    measures = True
+    needs_probe = True
 
-    def __init__(self, about: About) -> None:
+    def __init__(self, about: DatasetInfo) -> None:
         super().__init__(about)
         self._places: list[tuple[str, int, int, float]] = []
         robot = about.robot
@@ -64,7 +64,7 @@ class Limits(Check):
                 self._places.append((part.series.name, part.start, part.stop, np.pi / 180 if unit == "deg" else 1.0))
         self._order = {one.subject: one.value for one in found.answers if one.topic == "joint order" and one.is_known}
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Compare its joints."""
         if self._robot is None:
             raise NotApplicable("the set names no robot that is known, and nothing measures it: --robot NAME says it")
@@ -86,7 +86,7 @@ class Limits(Check):
                 self.tally.add(what, f"{episode.key} (step {row}, by {off[row, number]:.2g} rad)")
 
 
-class GripperRange(Check):
+class GripperRange(DemonstrationCheck):
     """Grippers stay in their range.
 
     ## What it does
@@ -108,15 +108,15 @@ class GripperRange(Check):
     """
 
     code, slug, severity = "XPL705", "gripper-range", "must"
-    measures = True
+    needs_probe = True
 
-    def __init__(self, about: About) -> None:
+    def __init__(self, about: DatasetInfo) -> None:
         super().__init__(about)
         parts = (*about.found.state, *about.found.command)
         self._places = [(part.series.name, part.start, part.stop) for part in parts if part.kind == GRIPPER]
         self._ranges: dict[tuple[str, int], list[tuple[str, float, float]]] = {}
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Note its ranges."""
         if not self._places:
             raise NotApplicable("no column is known to be a gripper")
@@ -140,7 +140,7 @@ class GripperRange(Check):
                 if least < low - room or most > high + room:
                     what = f"the gripper in {column} leaves {low:.4g} to {high:.4g}"
                     self.tally.add(what, f"{key} ({least:.4g} to {most:.4g})")
-        yield from self.tally.told()
+        yield from self.tally.findings()
 
     @staticmethod
     def _usual(lows: np.ndarray, highs: np.ndarray) -> tuple[float, float]:
@@ -148,34 +148,34 @@ class GripperRange(Check):
         return float(np.quantile(lows, 0.25)), float(np.quantile(highs, 0.75))
 
 
-class _Quaternions(Check):
+class _QuaternionCheck(DemonstrationCheck):
     """Looks at all that is a quaternion."""
 
-    def __init__(self, about: About) -> None:
+    def __init__(self, about: DatasetInfo) -> None:
         super().__init__(about)
-        self._any = False
+        self._has_quaternions = False
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Look at its quaternions."""
-        for name, start in _quaternions(episode):
-            self._any = True
-            problem = self._problem(episode.columns[name][:, start : start + 4])
+        for name, start in _find_quaternions(episode):
+            self._has_quaternions = True
+            problem = self._find_problem(episode.columns[name][:, start : start + 4])
             if problem is not None:
                 what, where = problem
                 self.tally.add(f"{name}[{start}:{start + 4}] {what}", f"{episode.key} ({where})")
 
     @abstractmethod
-    def _problem(self, rows: np.ndarray) -> tuple[str, str] | None:
+    def _find_problem(self, rows: np.ndarray) -> tuple[str, str] | None:
         """Return what is wrong with quaternions (T, 4), and where; None if nothing is."""
 
     def findings(self) -> Iterator[Finding]:
         """Yield quaternions with which something is wrong."""
-        if not self._any:
+        if not self._has_quaternions:
             raise NotApplicable("no column holds quaternions")
-        yield from self.tally.told()
+        yield from self.tally.findings()
 
 
-class QuaternionNorm(_Quaternions):
+class QuaternionNorm(_QuaternionCheck):
     """Quaternions have the length 1.
 
     ## What it does
@@ -197,7 +197,7 @@ class QuaternionNorm(_Quaternions):
 
     code, slug, severity = "XPL707", "quaternion-norm", "must"
 
-    def _problem(self, rows: np.ndarray) -> tuple[str, str] | None:
+    def _find_problem(self, rows: np.ndarray) -> tuple[str, str] | None:
         off = np.abs(np.linalg.norm(rows, axis=1) - 1)
         wrong = np.flatnonzero(off > _UNIT)
         if not len(wrong):
@@ -205,7 +205,7 @@ class QuaternionNorm(_Quaternions):
         return "is a quaternion of another length than 1", f"step {wrong[0]}, off by {off.max():.2g}"
 
 
-class QuaternionSign(_Quaternions):
+class QuaternionSign(_QuaternionCheck):
     """Quaternions do not change their sign from one step to the next.
 
     ## What it does
@@ -227,14 +227,14 @@ class QuaternionSign(_Quaternions):
 
     code, slug, severity = "XPL708", "quaternion-sign", "should"
 
-    def _problem(self, rows: np.ndarray) -> tuple[str, str] | None:
+    def _find_problem(self, rows: np.ndarray) -> tuple[str, str] | None:
         flips = np.flatnonzero((rows[1:] * rows[:-1]).sum(1) < -0.9)
         if not len(flips):
             return None
         return "changes the sign of its quaternion", f"{len(flips)} times, first at step {flips[0] + 1}"
 
 
-def _quaternions(episode: Seen) -> Iterator[tuple[str, int]]:
+def _find_quaternions(episode: EpisodeData) -> Iterator[tuple[str, int]]:
     """Yield column and place of what is a quaternion in most rows."""
     for name, rows in episode.columns.items():
         at = 0

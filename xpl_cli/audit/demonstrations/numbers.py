@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from xpl_cli.audit.demonstrations.check import About, Check, Seen, Tally
+from xpl_cli.audit.demonstrations.check import DatasetInfo, DemonstrationCheck, EpisodeData, EpisodeTally
 from xpl_cli.audit.rules.model import Finding, NotApplicable
 from xpl_cli.data.probe.sample import COMMAND, STATE, is_clock, role_of
 
@@ -17,7 +17,7 @@ _GAP: Final = 1.8
 """How many times the usual step a step in time may be."""
 
 
-class Schema(Check):
+class EpisodeSchema(DemonstrationCheck):
     """Every episode has the columns and cameras of the others, in the same shapes.
 
     ## What it does
@@ -40,13 +40,13 @@ class Schema(Check):
 
     code, slug, severity = "XPL701", "demonstrations-schema", "must"
 
-    def __init__(self, about: About) -> None:
+    def __init__(self, about: DatasetInfo) -> None:
         super().__init__(about)
         self._shapes: dict[tuple[str, tuple[int, ...]], list[str]] = {}
         self._cameras: dict[str, list[str]] = {}
         self._keys: list[str] = []
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Note its columns."""
         self._keys.append(episode.key)
         if not episode.length:
@@ -74,7 +74,7 @@ class Schema(Check):
             self._missing("column", name, {key for keys in shapes.values() for key in keys})
         for name, keys in self._cameras.items():
             self._missing("camera", name, set(keys))
-        yield from self.tally.told()
+        yield from self.tally.findings()
 
     def _missing(self, what: str, name: str, having: set[str]) -> None:
         lacking = [key for key in self._keys if key not in having]
@@ -86,7 +86,7 @@ class Schema(Check):
                 self.tally.add(f"the {what} {name} is there, which others lack", key)
 
 
-class Time(Check):
+class TimeGaps(DemonstrationCheck):
     """Times go on evenly: no step back, no gap.
 
     ## What it does
@@ -108,12 +108,12 @@ class Time(Check):
 
     code, slug, severity = "XPL702", "time-gaps", "must"
 
-    def __init__(self, about: About) -> None:
+    def __init__(self, about: DatasetInfo) -> None:
         super().__init__(about)
-        self._gaps = Tally()
+        self._gaps = EpisodeTally()
         self._clocks = 0
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Look at its times."""
         for name, rows in episode.columns.items():
             if not is_clock(name) or rows.shape[1] != 1 or len(rows) < 3:
@@ -133,12 +133,12 @@ class Time(Check):
         """Yield steps back, which fail, and gaps, which warn."""
         if not self._clocks:
             raise NotApplicable("no column holds times")
-        yield from self.tally.told()
-        self._gaps.seen = self.tally.seen
-        yield from self._gaps.told(must=False)
+        yield from self.tally.findings()
+        self._gaps.episodes = self.tally.episodes
+        yield from self._gaps.findings(must=False)
 
 
-class Finite(Check):
+class FiniteNumbers(DemonstrationCheck):
     """Every number is one: no NaN, no infinity.
 
     ## What it does
@@ -159,7 +159,7 @@ class Finite(Check):
 
     code, slug, severity = "XPL706", "not-finite", "must"
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Look at its numbers."""
         for name, rows in episode.columns.items():
             wrong = np.flatnonzero(~np.isfinite(rows).all(1))
@@ -167,7 +167,7 @@ class Finite(Check):
                 self.tally.add(f"{name} holds numbers that are not finite", f"{episode.key} (step {wrong[0]})")
 
 
-class Copy(Check):
+class ActionIsState(DemonstrationCheck):
     """Actions are not a copy of the state of their own step.
 
     ## What it does
@@ -189,7 +189,7 @@ class Copy(Check):
 
     code, slug, severity = "XPL710", "action-is-state", "must"
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Compare its commands."""
         states = {name: rows for name, rows in episode.columns.items() if role_of(name) == STATE}
         for name, rows in episode.columns.items():
@@ -204,7 +204,7 @@ class Copy(Check):
                     self.tally.add(f"{name} is a copy of {other} in the same step", episode.key)
 
 
-class Language(Check):
+class Instructions(DemonstrationCheck):
     """Every episode says what the robot was told.
 
     ## What it does
@@ -225,13 +225,13 @@ class Language(Check):
 
     code, slug, severity = "XPL711", "no-instruction", "should"
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Look at its sentences."""
         if not any(sentence.strip() for sentence in episode.instructions):
             self.tally.add("the robot was told nothing", episode.key)
 
 
-class Constant(Check):
+class ConstantNumbers(DemonstrationCheck):
     """Numbers change: no state or command stands still in all episodes, beside others that move.
 
     ## What it does
@@ -253,12 +253,12 @@ class Constant(Check):
 
     code, slug, severity = "XPL714", "constant-numbers", "should"
 
-    def __init__(self, about: About) -> None:
+    def __init__(self, about: DatasetInfo) -> None:
         super().__init__(about)
         self._low: dict[str, np.ndarray] = {}
         self._high: dict[str, np.ndarray] = {}
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Note its ranges."""
         for name, rows in episode.columns.items():
             if role_of(name) not in {STATE, COMMAND} or not len(rows) or not np.isfinite(rows).all():

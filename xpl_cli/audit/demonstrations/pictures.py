@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from xpl_cli.audit.demonstrations.check import About, Check, Seen
+from xpl_cli.audit.demonstrations.check import DatasetInfo, DemonstrationCheck, EpisodeData
 from xpl_cli.audit.rules.model import Finding, NotApplicable
 from xpl_cli.data.probe.sample import STATE, role_of, spread, words
 
@@ -22,7 +22,7 @@ _MOST_COMPARED: Final = 256
 """Episodes, evenly spread, whose first images make the usual one."""
 
 
-class Frames(Check):
+class FrameCount(DemonstrationCheck):
     """Every step has its image.
 
     ## What it does
@@ -41,9 +41,9 @@ class Frames(Check):
     No automatic fix.
     """
 
-    code, slug, severity, looks = "XPL709", "video-length", "must", True
+    code, slug, severity, needs_images = "XPL709", "video-length", "must", True
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Compare its counts."""
         for name, shown in episode.cameras.items():
             if shown.error:
@@ -53,7 +53,7 @@ class Frames(Check):
                 self.tally.add(f"{name} has another number of images than there are steps", where)
 
 
-class Frozen(Check):
+class FrozenFrames(DemonstrationCheck):
     """Images change while the robot moves.
 
     ## What it does
@@ -73,20 +73,20 @@ class Frozen(Check):
     No automatic fix.
     """
 
-    code, slug, severity, looks = "XPL703", "frozen-frames", "should", True
+    code, slug, severity, needs_images = "XPL703", "frozen-frames", "should", True
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Look at images that are equal."""
         for name, shown in episode.cameras.items():
             side = _side(name)
-            moves = _moves(episode, side)
-            if shown.same is None or not len(shown.same) or moves is None:
+            moves = _moving_steps(episode, side)
+            if shown.repeats is None or not len(shown.repeats) or moves is None:
                 continue
-            if side and shown.same.all() and not any(_side(column) == side for column in episode.columns):
+            if side and shown.repeats.all() and not any(_side(column) == side for column in episode.columns):
                 continue  # the wrist camera of an arm that may well stand still
-            count = min(len(moves), len(shown.same))
-            held = shown.same[:count] & moves[:count]
-            longest = _longest(held)
+            count = min(len(moves), len(shown.repeats))
+            held = shown.repeats[:count] & moves[:count]
+            longest = _longest_run(held)
             share = held.sum() / max(int(moves[:count].sum()), 1)
             if longest > _FROZEN or share > _SHARE:
                 where = f"{episode.key} ({longest} in a row, {100 * share:.0f} % of the steps that move)"
@@ -98,7 +98,7 @@ def _side(name: str) -> str:
     return "".join({"left", "right"} & set(words(name)))
 
 
-def _moves(episode: Seen, side: str) -> np.ndarray | None:
+def _moving_steps(episode: EpisodeData, side: str) -> np.ndarray | None:
     """Return in which steps (T - 1,) the robot moves well, None where no state says it.
 
     Of a camera of one side only the columns of that side count, where columns have sides.
@@ -116,28 +116,28 @@ def _moves(episode: Seen, side: str) -> np.ndarray | None:
     return np.any(fast, axis=0) if fast else None
 
 
-def _longest(held: np.ndarray) -> int:
+def _longest_run(held: np.ndarray) -> int:
     """Return the length of the longest run of truths."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(int), [0]])))
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
-class _First(Check):
+class _FirstFrameCheck(DemonstrationCheck):
     """Compares the first images of a camera among the episodes."""
 
-    looks = True
+    needs_images = True
 
-    def __init__(self, about: About) -> None:
+    def __init__(self, about: DatasetInfo) -> None:
         super().__init__(about)
         self._first: dict[str, list[tuple[str, np.ndarray]]] = {}
 
-    def see(self, episode: Seen) -> None:
+    def inspect(self, episode: EpisodeData) -> None:
         """Keep its first images."""
         for name, shown in episode.cameras.items():
             if shown.first is not None and shown.first.ndim == 3:
                 self._first.setdefault(name, []).append((episode.key, shown.first))
 
-    def _compared(self) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
+    def _frames_and_median(self) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
         """Yield camera, episode, its first image, and the median of all of that camera."""
         enough = {name: shown for name, shown in self._first.items() if len(shown) >= _FEWEST}
         if not enough:
@@ -151,14 +151,14 @@ class _First(Check):
                 yield name, key, image.astype(np.float32), usual
 
 
-def _alike(one: np.ndarray, other: np.ndarray) -> float:
+def _correlation(one: np.ndarray, other: np.ndarray) -> float:
     """Return how alike two pictures are: their correlation, 0 where one has no content."""
     a, b = one.ravel() - one.mean(), other.ravel() - other.mean()
     length = float(np.sqrt((a * a).sum() * (b * b).sum()))
     return float((a * b).sum()) / length if length > 1e-6 * one.size else 0.0
 
 
-class Mirrored(_First):
+class MirroredCamera(_FirstFrameCheck):
     """No episode has a camera mirrored, or upside down, against the others.
 
     ## What it does
@@ -182,22 +182,22 @@ class Mirrored(_First):
 
     def findings(self) -> Iterator[Finding]:
         """Yield cameras that are mirrored in some episodes."""
-        for name, key, image, usual in self._compared():
-            plain = _alike(image, usual)
+        for name, key, image, usual in self._frames_and_median():
+            plain = _correlation(image, usual)
             ways = {
                 "mirrored": image[:, ::-1],
                 "upside down": image[::-1],
                 "turned by half": image[::-1, ::-1],
             }
-            found = {way: _alike(turned, usual) for way, turned in ways.items()}
+            found = {way: _correlation(turned, usual) for way, turned in ways.items()}
             way = max(found, key=lambda one: found[one])
             if found[way] > 0.6 and found[way] - plain > 0.25:
                 where = f"{key} (alike by {found[way]:.2f} so, by {plain:.2f} as it is)"
                 self.tally.add(f"{name} is {way} against the other episodes", where)
-        yield from self.tally.told()
+        yield from self.tally.findings()
 
 
-class Exchanged(_First):
+class SwappedColours(_FirstFrameCheck):
     """No episode has blue and red exchanged against the others.
 
     ## What it does
@@ -223,11 +223,11 @@ class Exchanged(_First):
 
     def findings(self) -> Iterator[Finding]:
         """Yield cameras whose colours are exchanged in some episodes."""
-        for name, key, image, usual in self._compared():
+        for name, key, image, usual in self._frames_and_median():
             warmth, normal = image[..., 0] - image[..., 2], usual[..., 0] - usual[..., 2]
             if normal.std() < 3 or warmth.std() < 3:
                 continue  # too grey to tell
             own = float((warmth * normal).sum() / np.sqrt((warmth**2).sum() * (normal**2).sum()))
             if own < -0.5:
                 self.tally.add(f"{name} has blue and red exchanged against the other episodes", f"{key} ({own:.2f})")
-        yield from self.tally.told()
+        yield from self.tally.findings()

@@ -17,7 +17,7 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl_cli.audit.demonstrations.catalogue import CHECKS, find
-from xpl_cli.audit.demonstrations.check import About, Seen, Shown
+from xpl_cli.audit.demonstrations.check import CameraFrames, DatasetInfo, EpisodeData
 from xpl_cli.audit.rules.gates import DEMONSTRATIONS, DataGate
 from xpl_cli.audit.rules.model import (
     Circumstances,
@@ -25,7 +25,7 @@ from xpl_cli.audit.rules.model import (
     GateReport,
     NotApplicable,
     Outcome,
-    Result,
+    RuleResult,
     TargetReport,
     Waived,
     outcome_of,
@@ -39,7 +39,7 @@ from xpl_cli.data.sets.errors import DataError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from xpl_cli.audit.demonstrations.check import Check
+    from xpl_cli.audit.demonstrations.check import DemonstrationCheck
     from xpl_cli.data.sets.interface import Demonstrations, RecordedEpisode
 
 _SMALL: Final = 40
@@ -56,7 +56,7 @@ _MOST_NUMBERS: Final = 1 << 24
 
 
 @dataclass(frozen=True)
-class Options:
+class ValidationOptions:
     """What is checked.
 
     Attributes:
@@ -75,10 +75,10 @@ class Options:
     names: tuple[str, ...] = ()
     ignore: tuple[str, ...] = ()
     waived: Mapping[str, str] = field(default_factory=dict)
-    told: Callable[[str], None] = lambda _: None
+    progress: Callable[[str], None] = lambda _: None
 
 
-def selected(options: Options) -> list[type[Check]]:
+def select_checks(options: ValidationOptions) -> list[type[DemonstrationCheck]]:
     """Return the checks that run.
 
     Raises:
@@ -92,11 +92,11 @@ def selected(options: Options) -> list[type[Check]]:
         for check in CHECKS
         if (not options.names or any(_matches(check, name) for name in options.names))
         and not any(_matches(check, name) for name in options.ignore)
-        and (options.images or not check.looks)
+        and (options.images or not check.needs_images)
     ]
 
 
-def validate(demonstrations: Demonstrations, shown: str, options: Options) -> TargetReport:
+def validate(demonstrations: Demonstrations, shown: str, options: ValidationOptions) -> TargetReport:
     """Check a set.
 
     Args:
@@ -105,57 +105,57 @@ def validate(demonstrations: Demonstrations, shown: str, options: Options) -> Ta
         options: what is checked.
     """
     started = time.perf_counter()
-    chosen = selected(options)
+    chosen = select_checks(options)
     places = spread(len(demonstrations), options.episodes or len(demonstrations))
-    checks = _made(chosen, demonstrations, options)
-    results: dict[str, Result] = {}
+    checks = _make_checks(chosen, demonstrations, options)
+    results: dict[str, RuleResult] = {}
     digest = hashlib.sha256()
-    looked = _looked(demonstrations, places, images=any(check.looks for check in checks))
-    for episode in _watched(looked, options, len(places)):
+    looked = _read_episodes(demonstrations, places, images=any(check.needs_images for check in checks))
+    for episode in _report_progress(looked, options, len(places)):
         digest.update(repr((episode.key, episode.length, sorted(episode.shapes.items()))).encode())
         for check in checks:
             if check.code not in results:
-                _ask(results, check, partial(check.take, episode))
+                _run_step(results, check, partial(check.take, episode))
     for check in checks:
         if check.code not in results:
-            _ask(results, check, partial(_close, results, check, options.waived))
+            _run_step(results, check, partial(_store_findings, results, check, options.waived))
     report = GateReport(DataGate.DATA, [results[check.code] for check in checks])
     report.digest = digest.hexdigest()[:16]
     report.fingerprint = "data"
     report.seconds = time.perf_counter() - started
     target = TargetReport(path=shown, name=shown.rstrip("/").rpartition("/")[2], kind=DEMONSTRATIONS, gates=[report])
-    target.circumstances = Circumstances(narrowed=_narrowed(len(places), len(demonstrations), chosen))
+    target.circumstances = Circumstances(narrowed=_describe_selection(len(places), len(demonstrations), chosen))
     return target
 
 
-def _looked(demonstrations: Demonstrations, places: Sequence[int], *, images: bool) -> Iterator[Seen]:
+def _read_episodes(demonstrations: Demonstrations, places: Sequence[int], *, images: bool) -> Iterator[EpisodeData]:
     """Yield what is seen of episodes, in their order; of many with all cores, each process one episode at a time.
 
     Raises:
         DataError: a process died over one.
     """
     if len(places) < _MANY or not demonstrations.is_forkable:
-        yield from (_seen(demonstrations[place], images=images) for place in places)
+        yield from (_read_episode(demonstrations[place], images=images) for place in places)
         return
-    look = partial(_seen_in, os.getpid(), Path(demonstrations.path), images)
+    look = partial(_read_in_process, os.getpid(), Path(demonstrations.path), images)
     for place, seen in zip(places, parallel.in_processes(look, places), strict=True):
         if seen is None:
             raise DataError(f"the process that read the episode {place} died", hint="is there memory enough for it?")
         yield seen
 
 
-def _seen_in(parent: int, path: Path, images: bool, place: int) -> Seen:  # noqa: FBT001 - of a partial
+def _read_in_process(parent: int, path: Path, images: bool, place: int) -> EpisodeData:  # noqa: FBT001 - of a partial
     """Read an episode, in a process of the pool."""
     parallel.die_with(parent)
-    return _seen(_opened(path)[place], images=images)
+    return _read_episode(_open_cached(path)[place], images=images)
 
 
 @functools.lru_cache(maxsize=1)
-def _opened(path: Path) -> Demonstrations:
+def _open_cached(path: Path) -> Demonstrations:
     return open_set(path)
 
 
-def _watched(episodes: Iterator[Seen], options: Options, total: int) -> Iterator[Seen]:
+def _report_progress(episodes: Iterator[EpisodeData], options: ValidationOptions, total: int) -> Iterator[EpisodeData]:
     """Yield episodes, and tell now and then how far it is."""
     begins = told = time.monotonic()
     for count, episode in enumerate(episodes, 1):
@@ -163,57 +163,59 @@ def _watched(episodes: Iterator[Seen], options: Options, total: int) -> Iterator
         now = time.monotonic()
         if now - told > _TOLD_AGAIN_S:
             left = (now - begins) / count * (total - count)
-            options.told(f"episode {count} of {total}, {count / (now - begins):.1f} a second, {left:.0f} s to go")
+            options.progress(f"episode {count} of {total}, {count / (now - begins):.1f} a second, {left:.0f} s to go")
             told = now
 
 
-def _matches(check: type[Check], name: str) -> bool:
+def _matches(check: type[DemonstrationCheck], name: str) -> bool:
     return check.slug == name or (name.upper().startswith("XPL") and check.code.startswith(name.upper()))
 
 
-def _made(chosen: Sequence[type[Check]], demonstrations: Demonstrations, options: Options) -> list[Check]:
+def _make_checks(
+    chosen: Sequence[type[DemonstrationCheck]], demonstrations: Demonstrations, options: ValidationOptions
+) -> list[DemonstrationCheck]:
     """Return the checks of a set, which know what a probe finds in it."""
     from xpl.embodiment import embodiment_names
 
     robot = options.robot or (demonstrations.robot if demonstrations.robot in embodiment_names() else None)
     found = ProbeResult([], [], [])
-    if not any(check.measures for check in chosen):
-        return [check(About(demonstrations.format, robot, found)) for check in chosen]
-    options.told("which numbers are what")
+    if not any(check.needs_probe for check in chosen):
+        return [check(DatasetInfo(demonstrations.format, robot, found)) for check in chosen]
+    options.progress("which numbers are what")
     with contextlib.suppress(DataError, ValueError):  # of a set that is damaged the checks say where
         found = probe(demonstrations, episodes=_PROBED, robot=robot, images=False)
-    return [check(About(demonstrations.format, robot, found)) for check in chosen]
+    return [check(DatasetInfo(demonstrations.format, robot, found)) for check in chosen]
 
 
-def _close(results: dict[str, Result], check: Check, waived: Mapping[str, str]) -> None:
+def _store_findings(results: dict[str, RuleResult], check: DemonstrationCheck, waived: Mapping[str, str]) -> None:
     """Note what a check found."""
-    results[check.code] = _result(check, list(check.findings()), waived)
+    results[check.code] = _make_result(check, list(check.findings()), waived)
 
 
-def _ask(results: dict[str, Result], check: Check, step: Callable[[], None]) -> None:
+def _run_step(results: dict[str, RuleResult], check: DemonstrationCheck, step: Callable[[], None]) -> None:
     """Let a check take a step; note how it ends where it does not go on."""
     try:
         step()
     except NotApplicable as why:
-        results[check.code] = _ended(check, Outcome.NOT_APPLICABLE, str(why))
+        results[check.code] = _make_ended_result(check, Outcome.NOT_APPLICABLE, str(why))
     except Exception as error:  # noqa: BLE001 - a check's crash must not hide what the others find
-        results[check.code] = _ended(check, Outcome.ERROR, f"{type(error).__name__}: {error}")
+        results[check.code] = _make_ended_result(check, Outcome.ERROR, f"{type(error).__name__}: {error}")
 
 
-def _ended(check: Check, outcome: Outcome, reason: str) -> Result:
-    return Result(check.code, check.slug, check.requirement, check.severity, outcome, reason=reason)
+def _make_ended_result(check: DemonstrationCheck, outcome: Outcome, reason: str) -> RuleResult:
+    return RuleResult(check.code, check.slug, check.requirement, check.severity, outcome, reason=reason)
 
 
-def _result(check: Check, found: Sequence[Finding], waived: Mapping[str, str]) -> Result:
+def _make_result(check: DemonstrationCheck, found: Sequence[Finding], waived: Mapping[str, str]) -> RuleResult:
     """Return the result of a check that saw all episodes."""
     reason = next((why for name, why in waived.items() if _matches(type(check), name)), None)
     kept = () if reason is not None else tuple(found)
     accepted = tuple(Waived(finding, reason) for finding in found) if reason is not None else ()
     outcome = outcome_of(kept, check.severity)
-    return Result(check.code, check.slug, check.requirement, check.severity, outcome, kept, waived=accepted)
+    return RuleResult(check.code, check.slug, check.requirement, check.severity, outcome, kept, waived=accepted)
 
 
-def _narrowed(looked: int, count: int, chosen: Sequence[type[Check]]) -> str:
+def _describe_selection(looked: int, count: int, chosen: Sequence[type[DemonstrationCheck]]) -> str:
     """Return what was left out, in a few words."""
     parts = [f"{looked} of {count} episodes"] if looked < count else []
     if len(chosen) < len(CHECKS):
@@ -221,7 +223,7 @@ def _narrowed(looked: int, count: int, chosen: Sequence[type[Check]]) -> str:
     return ", ".join(parts)
 
 
-def _seen(episode: RecordedEpisode, *, images: bool) -> Seen:
+def _read_episode(episode: RecordedEpisode, *, images: bool) -> EpisodeData:
     """Read an episode: its numbers whole, its images one by one."""
     columns, shapes, errors = {}, {}, {}
     left = _MOST_NUMBERS
@@ -243,13 +245,15 @@ def _seen(episode: RecordedEpisode, *, images: bool) -> Seen:
             continue
         columns[name] = rows.astype(np.float64).reshape(len(rows), math.prod(column.shape))
     cameras = {
-        name: _shown(episode, name) if images and camera.kind == sdk.Camera.COLOR else Shown(None, None, None)
+        name: _read_frames(episode, name)
+        if images and camera.kind == sdk.Camera.COLOR
+        else CameraFrames(None, None, None)
         for name, camera in episode.cameras.items()
     }
-    return Seen(episode.key, episode.length, tuple(episode.instructions), columns, shapes, cameras, errors)
+    return EpisodeData(episode.key, episode.length, tuple(episode.instructions), columns, shapes, cameras, errors)
 
 
-def _shown(episode: RecordedEpisode, camera: str) -> Shown:
+def _read_frames(episode: RecordedEpisode, camera: str) -> CameraFrames:
     """Look at the images of a camera, one by one."""
     count, first, last = 0, None, b""
     same: list[bool] = []
@@ -263,5 +267,5 @@ def _shown(episode: RecordedEpisode, camera: str) -> Shown:
                 same.append(digest == last)
             count, last = count + 1, digest
     except (DataError, OSError, ValueError) as error:
-        return Shown(count, first, np.array(same, bool), str(error))
-    return Shown(count, first, np.array(same, bool))
+        return CameraFrames(count, first, np.array(same, bool), str(error))
+    return CameraFrames(count, first, np.array(same, bool))

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
     from xpl_cli.audit.environments.stage import Stage
     from xpl_cli.audit.rules.facts import Provider
-    from xpl_cli.audit.rules.options import Options
-    from xpl_cli.audit.rules.profiles import Choice
+    from xpl_cli.audit.rules.options import AuditOptions
+    from xpl_cli.audit.rules.profiles import ServedProfile
     from xpl_cli.audit.served.probe import Probe
 
 
@@ -34,7 +34,7 @@ def all_providers() -> Mapping[str, Provider]:
         "profile": profile,
         "ruff": f"{audit}.static.advice:ruff",
         "semantics": f"{audit}.offline.semantics:Semantics",
-        "service": f"{audit}.served.service:Service.of",
+        "service": f"{audit}.served.service:ServiceRun.of",
         "simulation": f"{audit}.physics.simulation:Simulation",
         "source": source,
         "stage": stage,
@@ -42,12 +42,12 @@ def all_providers() -> Mapping[str, Provider]:
     }
 
 
-def source(path: Path, options: Options) -> Source:
+def source(path: Path, options: AuditOptions) -> Source:
     """The files of the adapter, parsed once, never executed."""
     return Source(path, options.variant)
 
 
-def probe(path: Path, options: Options) -> Iterator[Probe]:
+def probe(path: Path, options: AuditOptions) -> Iterator[Probe]:
     """A real server and a real client."""
     from xpl_cli.audit.served.probe import Probe
 
@@ -55,12 +55,12 @@ def probe(path: Path, options: Options) -> Iterator[Probe]:
         yield started
 
 
-def profile(probe: Probe) -> Choice:
+def profile(probe: Probe) -> ServedProfile:
     """What the gate runs on: the real model, or a shadow of it."""
     return probe.profile
 
 
-def stage(path: Path, options: Options) -> Iterator[Stage]:
+def stage(path: Path, options: AuditOptions) -> Iterator[Stage]:
     """An environment, played in a process of its own."""
     from xpl_cli.audit.environments.stage import Stage
 

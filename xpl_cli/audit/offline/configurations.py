@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.audit.served.service import Service
-    from xpl_cli.audit.served.session import Answer
+    from xpl_cli.audit.served.recorded_client import Answer
+    from xpl_cli.audit.served.service import ServiceRun
 
 _STEPS = 3
 _STANDARD = frozenset(value for name, value in vars(sdk.Deploy).items() if name.isupper())
@@ -53,8 +53,8 @@ class EpisodeResult:
 class Configurations:
     """One adapter under several configurations."""
 
-    def __init__(self, probe: Probe, service: Service) -> None:
-        probe.ready()
+    def __init__(self, probe: Probe, service: ServiceRun) -> None:
+        probe.require_answer()
         self.probe = probe
         self._played: dict[str, EpisodeResult] = {}
         if len(service.chunks) >= _STEPS:

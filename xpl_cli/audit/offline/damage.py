@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
     from xpl.contract import ObservationDict
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.audit.served.session import Answer, Session
+    from xpl_cli.audit.served.recorded_client import Answer, RecordedClient
 
 _UNKNOWN = 99
 
 
-def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[Session], Answer]]]:
+def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[RecordedClient], Answer]]]:
     """Yield operations with something wrong in them, each with a name for people; they return the policy's answer."""
     whole = probe.observation()
     for name, obs in {
@@ -32,10 +32,10 @@ def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[Session], 
     yield "an unknown environment", lambda policy: policy.get_action_batch([_UNKNOWN])
 
 
-def _update_and_act(policy: Session, obs: ObservationDict) -> Answer:
+def _update_and_act(policy: RecordedClient, obs: ObservationDict) -> Answer:
     """Show an observation and ask; the first error counts, because an adapter may read it late."""
     return policy.update_obs(obs) or policy.get_action()
 
 
-def _update_and_act_batch(policy: Session, observations: list[ObservationDict]) -> Answer:
+def _update_and_act_batch(policy: RecordedClient, observations: list[ObservationDict]) -> Answer:
     return policy.update_obs_batch(observations) or policy.get_action_batch([0, 1])

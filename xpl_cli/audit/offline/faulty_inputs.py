@@ -10,14 +10,14 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
+from xpl_cli.audit.served.changed_inputs import state_keys
 from xpl_cli.audit.served.compare import brief
-from xpl_cli.audit.served.inputs import state_keys
 from xpl_cli.audit.served.probe import blame
 
 if TYPE_CHECKING:
     from xpl.contract import Entry, ObservationDict
     from xpl_cli.audit.rules.model import Finding, Fix
-    from xpl_cli.audit.served.session import Answer, Session
+    from xpl_cli.audit.served.recorded_client import Answer, RecordedClient
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,9 @@ def damaged(obs: ObservationDict, name: str) -> Iterator[FaultyInput]:
             yield FaultyInput(name, fault, {**obs, group: {**obs[group], key: values}}, (leaf,))
 
 
-def judge(policy: Session, cases: Iterable[FaultyInput], *, goes_on: str, unclear: str, fix: Fix) -> Iterator[Finding]:
+def judge(
+    policy: RecordedClient, cases: Iterable[FaultyInput], *, goes_on: str, unclear: str, fix: Fix
+) -> Iterator[Finding]:
     """Show an adapter faulty observations, and yield what it does instead of refusing them with a clear error.
 
     Args:

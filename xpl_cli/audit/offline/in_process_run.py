@@ -67,7 +67,7 @@ def run_in_process(probe: Probe) -> InProcessRun:
     Raises:
         NotRun: if it cannot be loaded there, does not answer, or does not come through a reset that fails.
     """
-    probe.ready()
+    probe.require_answer()
     asking = (sdk.Method.GET_ACTION, ())
     script: list[inprocess.Call] = []
     for obs in _pictures(probe):

@@ -78,7 +78,7 @@ def process_options(probe: Probe, limit_s: float = LIMIT_S) -> subprocess_task.T
         checkout=probe.package.path,
         bounds=options.bounds,
         patience=options.patience,
-        limit_s=min(limit_s, options.clock.left),
+        limit_s=min(limit_s, options.time_limit.remaining),
     )
 
 

@@ -12,7 +12,7 @@ from xpl import Client
 from xpl import _spec as sdk
 from xpl.client import ClientError
 from xpl_cli.audit.rules.model import NotRun
-from xpl_cli.audit.served.hanging import bounds
+from xpl_cli.audit.served.hanging import bounded_timeouts
 from xpl_cli.audit.served.servers import PATIENCE
 from xpl_cli.isolation import processes
 
@@ -61,7 +61,9 @@ def long_episode(probe: Probe) -> LongEpisode | None:
     try:
         # Through shared memory what an adapter keeps would lie in the client's memory for a while. Off the record: how
         # many steps are played depends on the machine.
-        with Client(server.url, config=probe.config | bounds(probe.config) | PATIENCE, shared_memory=False) as policy:
+        with Client(
+            server.url, config=probe.config | bounded_timeouts(probe.config) | PATIENCE, shared_memory=False
+        ) as policy:
             return _measure_stretches(probe, policy, server.pid)
     except ClientError as error:
         raise NotRun(f"a long episode does not come to its end: {error}") from None

@@ -19,7 +19,7 @@ from xpl_cli.packages import environments
 if TYPE_CHECKING:
     from xpl.contract import ObservationDict
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.audit.served.session import Session
+    from xpl_cli.audit.served.recorded_client import RecordedClient
 
 _STEPS = 3
 _BATCH = (0, 1)
@@ -123,7 +123,7 @@ class MotionEpisodes:
             raise NotApplicable("no action has the form that the embodiment asks for")
         return found
 
-    def _run_episode(self, policy: Session, embodiment: Embodiment, action_type: str) -> Iterator[MotionAnswer]:
+    def _run_episode(self, policy: RecordedClient, embodiment: Embodiment, action_type: str) -> Iterator[MotionAnswer]:
         obs = self._probe.observation(embodiment=embodiment)
         chunk = policy.act(obs)
         yield MotionAnswer(obs, 0, chunk, batched=False)
@@ -142,7 +142,9 @@ class MotionEpisodes:
             for obs, chunk in zip(observations, chunks, strict=False):
                 yield MotionAnswer(obs, 0, chunk, batched=True)
 
-    def _run_near_limits(self, policy: Session, embodiment: Embodiment, action_type: str) -> Iterator[MotionAnswer]:
+    def _run_near_limits(
+        self, policy: RecordedClient, embodiment: Embodiment, action_type: str
+    ) -> Iterator[MotionAnswer]:
         if sdk.ACTION_KEYS[action_type][0] != sdk.State.ARM_JOINT_STATE:
             return
         for first_is_high in (False, True) if any(arm.lower is not None for arm in embodiment.arms) else ():

@@ -13,14 +13,14 @@ from xpl.client import PolicyServerError
 from xpl.contract import ObservationDict
 from xpl.embodiment import get_embodiment
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
-from xpl_cli.audit.served import inputs
+from xpl_cli.audit.served import changed_inputs
 from xpl_cli.audit.served.compare import difference, same
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.audit.served.session import Answer, Session
+    from xpl_cli.audit.served.recorded_client import Answer, RecordedClient
 
 Kind = Literal["input", "colours", "cameras", "sides", "value"]
 Episode = tuple[ObservationDict, ...]
@@ -28,7 +28,7 @@ Episode = tuple[ObservationDict, ...]
 
 
 @dataclass(frozen=True)
-class InputChange:
+class ChangedObservation:
     """An observation changed in one respect.
 
     Attributes:
@@ -56,7 +56,7 @@ class Semantics:
         self._probe = probe
         self._steady = bool(probe.package.manifest.deterministic)
 
-    def ignored(self, *kinds: Kind) -> list[InputChange]:
+    def ignored(self, *kinds: Kind) -> list[ChangedObservation]:
         """Return the changes of some kinds that change no action.
 
         Raises:
@@ -77,10 +77,10 @@ class Semantics:
             return set()
 
     @cached_property
-    def effects(self) -> list[tuple[InputChange, str | None]]:
+    def effects(self) -> list[tuple[ChangedObservation, str | None]]:
         """Every change of the plain observation, with how the action then differs, or None if it does not."""
         probe = self._probe
-        probe.ready()
+        probe.require_answer()
         probe.require_deterministic()
         obs = probe.observation()
         changes = list(_changes(obs, probe.required))
@@ -121,7 +121,7 @@ class Semantics:
         return difference(*(answer if isinstance(answer, PolicyServerError) else None for answer in (first, second)))
 
     @contextlib.contextmanager
-    def _session_pair(self, embodiment: str, action_type: str) -> Iterator[tuple[Session, Session]]:
+    def _session_pair(self, embodiment: str, action_type: str) -> Iterator[tuple[RecordedClient, RecordedClient]]:
         probe = self._probe
         if not self._steady or probe.repeats_in_place:
             with probe.served_as(embodiment, action_type) as session:
@@ -153,36 +153,38 @@ def answers_poses(action_type: str) -> bool:
     return sdk.ACTION_KEYS[action_type][0] == sdk.State.EE_POSE
 
 
-def _changes(obs: ObservationDict, required: Sequence[str]) -> Iterator[InputChange]:
-    present = inputs.present(obs)
+def _changes(obs: ObservationDict, required: Sequence[str]) -> Iterator[ChangedObservation]:
+    present = changed_inputs.present(obs)
     for name in present:
-        yield InputChange("input", name, f"another {name}", inputs.varied(obs, name))
+        yield ChangedObservation("input", name, f"another {name}", changed_inputs.varied(obs, name))
     needed = [name for name in present if name in required]
     cameras = [name for name in needed if name.startswith(sdk.Obs.VISION)]
     for name in cameras:
-        yield InputChange(
-            "colours", name, f"red and blue of {name} exchanged", inputs.red_and_blue_exchanged(obs, name)
+        yield ChangedObservation(
+            "colours", name, f"red and blue of {name} exchanged", changed_inputs.red_and_blue_exchanged(obs, name)
         )
     for first, second in itertools.combinations(cameras, 2):
-        exchanged = inputs.cameras_exchanged(obs, first, second)
-        yield InputChange("cameras", first, f"the pictures of {first} and {second} exchanged", exchanged)
+        exchanged = changed_inputs.cameras_exchanged(obs, first, second)
+        yield ChangedObservation("cameras", first, f"the pictures of {first} and {second} exchanged", exchanged)
     for name in needed:
         if name.startswith(sdk.Obs.STATE):
             yield from _state_changes(obs, name)
 
 
-def _state_changes(obs: ObservationDict, name: str) -> Iterator[InputChange]:
-    keys = inputs.state_keys(obs, name.partition(".")[2])
+def _state_changes(obs: ObservationDict, name: str) -> Iterator[ChangedObservation]:
+    keys = changed_inputs.state_keys(obs, name.partition(".")[2])
     if len(keys) > 1:
-        yield InputChange("sides", name, f"{' and '.join(keys)} exchanged", inputs.sides_exchanged(obs, name))
+        yield ChangedObservation(
+            "sides", name, f"{' and '.join(keys)} exchanged", changed_inputs.sides_exchanged(obs, name)
+        )
         for key in keys:
-            yield InputChange("sides", name, f"another {key}", inputs.one_side_varied(obs, key))
+            yield ChangedObservation("sides", name, f"another {key}", changed_inputs.one_side_varied(obs, key))
     for key in keys:
-        for index, changed in inputs.values_nudged(obs, key):
-            yield InputChange("value", name, f"another {key}[{index}]", changed)
+        for index, changed in changed_inputs.values_nudged(obs, key):
+            yield ChangedObservation("value", name, f"another {key}[{index}]", changed)
 
 
-def _run_episode(policy: Session, episode: Episode) -> Answer:
+def _run_episode(policy: RecordedClient, episode: Episode) -> Answer:
     """Play an episode and return the last answer, or the first error."""
     answer = policy.act(episode[0])
     for obs in episode[1:]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
-from xpl_cli.audit.served import inputs
+from xpl_cli.audit.served import changed_inputs
 from xpl_cli.audit.served.compare import same
 from xpl_cli.audit.served.effects import Scale, is_weak
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from xpl.contract import ObservationDict
     from xpl_cli.audit.physics.loop import Show
     from xpl_cli.audit.physics.simulation import Simulation
-    from xpl_cli.audit.served.session import Answer
+    from xpl_cli.audit.served.recorded_client import Answer
 
 _CONSTANT = (sdk.Obs.INSTRUCTION, sdk.Obs.PRIVILEGED)
 """Inputs that stay what they are in an episode, or whose form no standard tells."""
@@ -90,7 +90,7 @@ def reactions(simulation: Simulation) -> list[Reaction]:
 
 
 def _changeable(simulation: Simulation, obs: ObservationDict) -> list[str]:
-    held = inputs.present(obs)
+    held = changed_inputs.present(obs)
     names = [name for name in simulation.probe.required or held if name in held and name not in _CONSTANT]
     if not names:
         raise NotApplicable("the manifest requires no input that changes in an episode and can be changed by an audit")
@@ -100,7 +100,7 @@ def _changeable(simulation: Simulation, obs: ObservationDict) -> list[str]:
 def _with_change(show: Show, step: int, names: Sequence[str]) -> tuple[ObservationDict, ...]:
     obs = show.observations[step]
     for name in names:
-        obs = inputs.varied(obs, name)
+        obs = changed_inputs.varied(obs, name)
     return (*show.observations[:step], obs, *show.observations[step + 1 :])
 
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from xpl import contract
     from xpl.contract import Action, ObservationDict
     from xpl.embodiment import Embodiment
-    from xpl_cli.audit.rules.figures import Course
-    from xpl_cli.audit.served.session import Answer, Session
+    from xpl_cli.audit.rules.measurements import RolloutSetup
+    from xpl_cli.audit.served.recorded_client import Answer, RecordedClient
 
 _SOUND_ENDS = ("success", "max_steps")
 
@@ -116,7 +116,7 @@ class Rollout:
         problem: why the loop ended early, or None.
     """
 
-    course: Course
+    course: RolloutSetup
     robot: Embodiment
     seeds: tuple[int, ...]
     results: list[Result] = field(default_factory=list)
@@ -160,7 +160,7 @@ class Driver:
         copied: show what the one environment shows in place of all others, too, as long as they ran in `follows`.
     """
 
-    session: Session
+    session: RecordedClient
     env: Playing
     played: Rollout
     only: int | None = None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl_cli.audit.served import inputs
+from xpl_cli.audit.served import changed_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -117,11 +117,11 @@ class Mirror:
         world = self._world
         if world.kind == COLOURS:
             for camera in obs[sdk.Obs.VISION]:
-                obs = inputs.red_and_blue_exchanged(obs, f"{sdk.Obs.VISION}.{camera}")
+                obs = changed_inputs.red_and_blue_exchanged(obs, f"{sdk.Obs.VISION}.{camera}")
         elif world.kind == CAMERAS:
             shapes = {np.shape(obs[sdk.Obs.VISION][name][sdk.Camera.COLOR]) for name in world.names}
             if len(shapes) == 1:  # a model may well refuse another size
-                obs = inputs.cameras_exchanged(obs, *(f"{sdk.Obs.VISION}.{name}" for name in world.names))
+                obs = changed_inputs.cameras_exchanged(obs, *(f"{sdk.Obs.VISION}.{name}" for name in world.names))
         elif OBSERVATIONS in world.names:
             obs = {**obs, sdk.Obs.STATE: self._turned(obs[sdk.Obs.STATE])}
         return obs

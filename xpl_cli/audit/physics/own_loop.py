@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from xpl.contract import Action, ObservationDict, Report
     from xpl.environment import TaskEnv
-    from xpl_cli.audit.rules.options import Options
-    from xpl_cli.audit.served.session import Answer, Session
+    from xpl_cli.audit.rules.options import AuditOptions
+    from xpl_cli.audit.served.recorded_client import Answer, RecordedClient
 
 _LACKING = (ImportError.__name__, ModuleNotFoundError.__name__)
 
@@ -85,7 +85,7 @@ class Stage:
 class LoopClient:
     """What an evaluation loop calls the policy by."""
 
-    session: Session
+    session: RecordedClient
 
     def call(self, func_name: str, obs: object = None) -> Answer:
         """Run an operation of the policy.
@@ -100,7 +100,7 @@ class LoopClient:
 
 
 @contextlib.contextmanager
-def loop_of(folder: Path, options: Options) -> Iterator[AdapterLoop]:
+def loop_of(folder: Path, options: AuditOptions) -> Iterator[AdapterLoop]:
     """Give the evaluation loops of an adapter's deploy.py, in a process that ends with the `with` block.
 
     Args:
@@ -111,7 +111,7 @@ def loop_of(folder: Path, options: Options) -> Iterator[AdapterLoop]:
         NotApplicable: if there is none.
     """
     with contextlib.ExitStack() as stack:
-        isolation = stack.enter_context(options.bounds.around(folder))
+        isolation = stack.enter_context(options.bounds.isolate_adapter(folder))
         try:
             loop = AdapterLoop(folder, isolation=isolation, is_silent=True)
         except NotFoundError as error:
@@ -120,7 +120,7 @@ def loop_of(folder: Path, options: Options) -> Iterator[AdapterLoop]:
         yield loop
 
 
-def problem_of(loop: AdapterLoop, stage: Stage, session: Session, *, batch: bool) -> str | None:
+def problem_of(loop: AdapterLoop, stage: Stage, session: RecordedClient, *, batch: bool) -> str | None:
     """Run a loop and return what is wrong with how it plays, or None.
 
     Raises:
@@ -139,9 +139,9 @@ def problem_of(loop: AdapterLoop, stage: Stage, session: Session, *, batch: bool
     return _broken_off(loop, stage, session, batch=batch) or _misplayed(stage)
 
 
-def _broken_off(loop: AdapterLoop, stage: Stage, session: Session, *, batch: bool) -> str | None:
+def _broken_off(loop: AdapterLoop, stage: Stage, session: RecordedClient, *, batch: bool) -> str | None:
     try:
-        loop.play(stage, LoopClient(session), batch=batch)
+        loop.run_trial(stage, LoopClient(session), batch=batch)
     except EndlessLoopError:
         return "does not notice that the episode has ended, and goes on for ever"
     except ClientError as error:

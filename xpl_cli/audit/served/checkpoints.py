@@ -22,7 +22,7 @@ _DEPTH = 2
 
 
 @dataclass(frozen=True)
-class Checkpoint:
+class ServedCheckpoint:
     """What a configuration asks for.
 
     Attributes:
@@ -40,7 +40,7 @@ class Checkpoint:
     policy_dir: Path
 
     @classmethod
-    def of(cls, package: Package, config: Mapping[str, object]) -> Checkpoint | None:
+    def of(cls, package: Package, config: Mapping[str, object]) -> ServedCheckpoint | None:
         """Return the checkpoint of a configuration, None if it names none that is there."""
         keys = (*sdk.CHECKPOINT_KEYS, sdk.Deploy.CKPT_NAME)
         key = next((key for key in keys if config.get(key) not in (None, "")), None)

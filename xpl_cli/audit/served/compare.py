@@ -66,12 +66,12 @@ def _array_difference(first: object, second: object, allowed: float) -> str | No
     return None if np.array_equal(a, b) else f"{brief(first)} against {brief(second)}"
 
 
-def answers(value: object, count: int | None = None) -> TypeGuard[Sequence[Any]]:
+def is_answer_list(value: object, count: int | None = None) -> TypeGuard[Sequence[Any]]:
     """Tell whether an answer is a non-empty list (of `count` entries) and not an error."""
     return isinstance(value, (list, tuple)) and len(value) > 0 and (count is None or len(value) == count)
 
 
-def mistaken(answer: object, alone: dict[int, object], wanted: Sequence[int]) -> str:
+def describe_wrong_batch(answer: object, alone: dict[int, object], wanted: Sequence[int]) -> str:
     """Say for which environments a wrong batch answers, and what follows, given what each of them answers."""
     if not isinstance(answer, (list, tuple)):
         return f"gives {brief(answer)}: robots get no command"
@@ -97,7 +97,7 @@ def structure_problem(chunk: object, embodiment: Embodiment, action_type: str) -
 
 def shapes(chunk: object) -> str:
     """Return keys and shapes of a chunk's first step, in words."""
-    if not answers(chunk) or not isinstance(chunk[0], dict):
+    if not is_answer_list(chunk) or not isinstance(chunk[0], dict):
         return brief(chunk)
     return ", ".join(f"{key} {np.shape(value)}" for key, value in chunk[0].items())
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from xpl_cli.audit.served.compare import answers, same
+from xpl_cli.audit.served.compare import is_answer_list, same
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -68,7 +68,7 @@ def is_negligible(effect: float, other: float) -> bool:
 
 def _columns(answer: object) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the values of a chunk, or of the first chunk of a batch, by key: (H, D)."""
-    if not answers(answer):
+    if not is_answer_list(answer):
         return
     chunk = answer[0] if isinstance(answer[0], (list, tuple)) else answer
     if all(isinstance(step, dict) and step.keys() == chunk[0].keys() for step in chunk):

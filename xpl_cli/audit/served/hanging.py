@@ -22,7 +22,7 @@ _MOST_S = {
 """Longest deadlines that an audit grants, s, whatever deploy.yml says."""
 
 
-class Hangs:
+class HangCounter:
     """Counts how often an adapter hung, each time for as long as one may wait."""
 
     def __init__(self) -> None:
@@ -43,12 +43,12 @@ class Hangs:
             raise NotRun(f"the adapter hung {len(self._reasons)} times and is served no more: {self._reasons[-1]}")
 
 
-def bounds(config: Mapping[str, object]) -> dict[str, float]:
+def bounded_timeouts(config: Mapping[str, object]) -> dict[str, float]:
     """Return deadlines in place of those of a configuration that have no end, or one that is too far."""
-    return {key: most for key, most in _MOST_S.items() if key in config and not _bounded(config[key], most)}
+    return {key: most for key, most in _MOST_S.items() if key in config and not _is_bounded(config[key], most)}
 
 
-def _bounded(value: object, most: float) -> bool:
+def _is_bounded(value: object, most: float) -> bool:
     if value is None:
         return False
     return not isinstance(value, (int, float)) or 0 < value <= most  # what is no number is refused by the server

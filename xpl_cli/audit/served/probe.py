@@ -19,18 +19,18 @@ from xpl import _spec as sdk
 from xpl.client import Client, ClientError, PolicyServerError
 from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment, undeclared
 from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun
-from xpl_cli.audit.served.checkpoints import Checkpoint
+from xpl_cli.audit.served.checkpoints import ServedCheckpoint
 from xpl_cli.audit.served.compare import difference, same
-from xpl_cli.audit.served.hanging import bounds
-from xpl_cli.audit.served.rounding import measured
+from xpl_cli.audit.served.hanging import bounded_timeouts
+from xpl_cli.audit.served.rounding import measure_rounding
 from xpl_cli.audit.served.servers import PATIENCE, Servers
 from xpl_cli.packages import environments, package
 
 if TYPE_CHECKING:
     from xpl.contract import ObservationDict
     from xpl.manifest import Manifest
-    from xpl_cli.audit.rules.options import Options
-    from xpl_cli.audit.served.session import Answer, Session
+    from xpl_cli.audit.rules.options import AuditOptions
+    from xpl_cli.audit.served.recorded_client import Answer, RecordedClient
 
 _NO_ROBOT = f"{sdk.Deploy.ENV_CFG_TYPE} is open: neither deploy.yml nor a documented call of eval.sh names a robot"
 _UNSTEADY = "the policy acts differently each time, and nothing can be compared: seed-repeats says how"
@@ -62,7 +62,7 @@ class Probe(Servers):
         checkpoint_before: state of its files before anything was served.
     """
 
-    def __init__(self, target: package.Package, options: Options) -> None:
+    def __init__(self, target: package.Package, options: AuditOptions) -> None:
         super().__init__(target, options)
         try:
             self.embodiment: Embodiment = get_embodiment(str(self.config[sdk.Deploy.ENV_CFG_TYPE]))
@@ -74,9 +74,9 @@ class Probe(Servers):
         refused = undeclared(target.manifest, self.embodiment.name, self.action_type)
         if refused is not None and {sdk.Deploy.ENV_CFG_TYPE, sdk.Deploy.ACTION_TYPE} & options.overrides.keys():
             raise NotRun(f"{refused}: --set asks for what the policy was not made for")
-        self.checkpoint = Checkpoint.of(target, self.config)
+        self.checkpoint = ServedCheckpoint.of(target, self.config)
         self.checkpoint_before = {} if self.checkpoint is None else self.checkpoint.state()
-        self._answered: Answer = None
+        self._first_answer: Answer = None
         self._scenario = environments.module("offline", "scenario")
 
     @property
@@ -149,7 +149,7 @@ class Probe(Servers):
             raise NotRun(_UNSTEADY)
 
     @contextlib.contextmanager
-    def run(self) -> Iterator[Session]:
+    def run(self) -> Iterator[RecordedClient]:
         """Connect for an experiment whose answers are compared with those of another.
 
         Where the policy draws other random numbers in every episode, each experiment gets a model that was just built:
@@ -165,10 +165,10 @@ class Probe(Servers):
             yield session
 
     @cached_property
-    def hears(self) -> bool:
+    def depends_on_observations(self) -> bool:
         """Whether answers depend on anything that the adapter is shown; also where it does not answer."""
         shown = (self.observation(), self.observation(1, 2))
-        with Client(self.server().url, config=self.config | bounds(self.config) | PATIENCE) as client:
+        with Client(self.server().url, config=self.config | bounded_timeouts(self.config) | PATIENCE) as client:
             try:
                 answered = [(client.call(sdk.Method.RESET), client.infer(obs))[1] for obs in shown]
             except ClientError:
@@ -225,7 +225,7 @@ class Probe(Servers):
                 answered.append(policy.get_action_batch(envs))
         return answered
 
-    def apart(self, first: object, second: object) -> str | None:
+    def batch_difference(self, first: object, second: object) -> str | None:
         """Return where answers to equal observations, in batches of other sizes, differ by more than kernels round.
 
         Returns:
@@ -237,7 +237,7 @@ class Probe(Servers):
     def rounding(self) -> dict[str, float]:
         """What batches of other sizes may differ by, for each key of an action; asked only where they do differ."""
         instruction = self.observation()[sdk.Obs.INSTRUCTION]
-        return measured(self.batch_answer, self.observations(range(4), instruction=instruction))
+        return measure_rounding(self.batch_answer, self.observations(range(4), instruction=instruction))
 
     def combinations(self) -> list[tuple[str, str]]:
         """Return every embodiment and action type that the manifest declares, the configured pair first."""
@@ -247,7 +247,7 @@ class Probe(Servers):
         return list(dict.fromkeys((configured, *declared)))
 
     @contextlib.contextmanager
-    def served_as(self, embodiment: str, action_type: str) -> Iterator[Session]:
+    def served_as(self, embodiment: str, action_type: str) -> Iterator[RecordedClient]:
         """Connect to a server of one embodiment and action type: the running one, or one of its own."""
         if (embodiment, action_type) == (self.embodiment.name, self.action_type):
             opened = self.session()
@@ -256,7 +256,7 @@ class Probe(Servers):
         with opened as session:
             yield session
 
-    def episode(self, policy: Session, env: int = 0, steps: int = 3) -> list[Answer]:
+    def episode(self, policy: RecordedClient, env: int = 0, steps: int = 3) -> list[Answer]:
         """Play a scripted episode of one environment and return the chunk of every step."""
         policy.reset()
         chunks = []
@@ -265,17 +265,17 @@ class Probe(Servers):
             chunks.append(policy.get_action())
         return chunks
 
-    def ready(self) -> None:
+    def require_answer(self) -> None:
         """Check once that the adapter answers at all; rules about how it answers make no sense otherwise.
 
         Raises:
             NotRun: if it does not.
         """
-        if self._answered is None:
+        if self._first_answer is None:
             with self.session() as policy:
-                self._answered = policy.act(self.observation())
-        if isinstance(self._answered, PolicyServerError):
-            raise NotRun(f"the adapter does not answer a plain observation: {self._answered}")
+                self._first_answer = policy.act(self.observation())
+        if isinstance(self._first_answer, PolicyServerError):
+            raise NotRun(f"the adapter does not answer a plain observation: {self._first_answer}")
 
 
 def blame(message: str, **details: Any) -> Finding:

@@ -14,7 +14,7 @@ PAUSE_S: Final = 0.3
 _REQUEST, _ANSWER = "request", "answer"
 
 
-class Relay:
+class CuttingRelay:
     """Passes bytes on between clients and a server, until a cut; use it as a context.
 
     Args:
@@ -27,9 +27,9 @@ class Relay:
     def __init__(self, url: str) -> None:
         there = urllib.parse.urlsplit(url)
         self._address = (there.hostname or "localhost", there.port or 0)
-        self._due: str | None = None
-        self._ended = threading.Event()
-        self._held: list[socket.socket] = []
+        self._cut_direction: str | None = None
+        self._stopped = threading.Event()
+        self._sockets: list[socket.socket] = []
         self._lock = threading.Lock()
         self._listening = socket.create_server(("127.0.0.1", 0))
         self._accepting = threading.Thread(target=self._accept, daemon=True)
@@ -37,12 +37,12 @@ class Relay:
 
     def cut_answer(self) -> str:
         """Lose what the server sends next, and the connection; return that in words."""
-        self._due = _ANSWER
+        self._cut_direction = _ANSWER
         return "the answer was lost"
 
     def cut_request(self) -> str:
         """Lose the connection in the middle of what the client sends next; return that in words."""
-        self._due = _REQUEST
+        self._cut_direction = _REQUEST
         return "the request broke off in the middle"
 
     def __enter__(self) -> Self:
@@ -50,7 +50,7 @@ class Relay:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ended.set()
+        self._stopped.set()
         self._close()
         with contextlib.suppress(OSError):  # wakes who waits for a client
             self._listening.shutdown(socket.SHUT_RDWR)
@@ -58,14 +58,14 @@ class Relay:
         self._listening.close()
 
     def _accept(self) -> None:
-        while not self._ended.is_set():
+        while not self._stopped.is_set():
             try:
                 client, _ = self._listening.accept()
                 server = socket.create_connection(self._address)
             except OSError:
                 return
             with self._lock:
-                self._held += [client, server]
+                self._sockets += [client, server]
             pumps = [
                 threading.Thread(target=self._pump, args=(*ends, what), daemon=True)
                 for ends, what in (((client, server), _REQUEST), ((server, client), _ANSWER))
@@ -74,14 +74,14 @@ class Relay:
                 pump.start()
             for pump in pumps:
                 pump.join()
-            self._ended.wait(PAUSE_S)  # one client at a time: who comes back after a cut waits
+            self._stopped.wait(PAUSE_S)  # one client at a time: who comes back after a cut waits
 
     def _pump(self, source: socket.socket, target: socket.socket, what: str) -> None:
         """Pass bytes on in one direction."""
         with contextlib.suppress(OSError):
             while data := source.recv(_CHUNK):
-                if self._due == what:
-                    self._due = None
+                if self._cut_direction == what:
+                    self._cut_direction = None
                     if what == _REQUEST:
                         source.shutdown(socket.SHUT_RDWR)  # first: no answer to the half may reach the client
                         target.sendall(data[: len(data) // 2])
@@ -91,7 +91,7 @@ class Relay:
 
     def _close(self) -> None:
         with self._lock:
-            held, self._held = self._held, []
+            held, self._sockets = self._sockets, []
         for end in held:
             with contextlib.suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl_cli.audit.served.compare import answers
+from xpl_cli.audit.served.compare import is_answer_list
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from xpl.contract import ObservationDict
-    from xpl_cli.audit.served.session import Answer
+    from xpl_cli.audit.served.recorded_client import Answer
 
     Ask = Callable[[Sequence[ObservationDict], list[int]], Answer]
     """Shows a batch of observations in a new episode, and asks for the chunks of some environments."""
@@ -31,7 +31,7 @@ OF_SPAN, _OF_SIZE = 0.02, 0.005
 them. Half precision rounds by the size of numbers; who divides by the batch is not excused."""
 
 
-def measured(answered: Ask, scenes: Sequence[ObservationDict]) -> dict[str, float]:
+def measure_rounding(answered: Ask, scenes: Sequence[ObservationDict]) -> dict[str, float]:
     """Return by how much answers may differ between batches of other sizes, for each key of an action.
 
     One observation is shown to every environment of batches of several sizes. An environment has one answer in all of
@@ -52,18 +52,18 @@ def measured(answered: Ask, scenes: Sequence[ObservationDict]) -> dict[str, floa
     size = {key: float(np.abs(values).max(initial=0.0)) for key, values in together.items()}
     share = 0.0
     for scene in scenes:
-        batches = [_alike(answered, scene, count) for count in _COUNTS]
-        if not all(map(answers, batches)):
+        batches = [_answer_copies(answered, scene, count) for count in _COUNTS]
+        if not all(map(is_answer_list, batches)):
             return {}
         for env in range(len(batches)):
             alike = _by_key([batch[env : env + 1] for batch in batches[env:]])
             if alike.keys() != together.keys():
                 return {}
             share = max([share, *(_span(values) / size[key] for key, values in alike.items() if size[key] > 0)])
-    return {key: min(_TIMES * share * size[key], most(values)) for key, values in together.items()}
+    return {key: min(_TIMES * share * size[key], rounding_limit(values)) for key, values in together.items()}
 
 
-def most(values: np.ndarray) -> float:
+def rounding_limit(values: np.ndarray) -> float:
     """Return the most that answers to equal observations may differ by in batches of other sizes.
 
     Args:
@@ -72,7 +72,7 @@ def most(values: np.ndarray) -> float:
     return max(OF_SPAN * _span(values), _OF_SIZE * float(np.abs(values).max(initial=0.0)))
 
 
-def _alike(answered: Ask, scene: ObservationDict, count: int) -> Answer:
+def _answer_copies(answered: Ask, scene: ObservationDict, count: int) -> Answer:
     envs = list(range(count))
     return answered([{**scene, sdk.Obs.ENV_IDX: env} for env in envs], envs)
 
@@ -83,7 +83,7 @@ def _span(values: np.ndarray) -> float:
 
 def _by_key(batches: Sequence[Answer]) -> dict[str, np.ndarray]:
     """Return the chunks of some batches by key, (chunks, steps, dimension); nothing if their forms differ."""
-    if not all(map(answers, batches)):
+    if not all(map(is_answer_list, batches)):
         return {}
     chunks = [chunk for batch in batches for chunk in batch]
     try:

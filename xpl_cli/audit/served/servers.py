@@ -11,10 +11,10 @@ from xpl import Client
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
-from xpl_cli.audit.rules.presence import Presence
-from xpl_cli.audit.served import choosing
-from xpl_cli.audit.served.hanging import Hangs, bounds
-from xpl_cli.audit.served.session import Recorder, Session
+from xpl_cli.audit.rules.package_files import PackageFiles
+from xpl_cli.audit.served import serving_choice
+from xpl_cli.audit.served.hanging import HangCounter, bounded_timeouts
+from xpl_cli.audit.served.recorded_client import AnswerRecorder, RecordedClient
 from xpl_cli.isolation.hang_detector import HUNG
 from xpl_cli.isolation.stacks import innermost_frame
 from xpl_cli.packages import package
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from xpl_cli.audit.rules.options import Options
-    from xpl_cli.audit.rules.profiles import Choice
+    from xpl_cli.audit.rules.options import AuditOptions
+    from xpl_cli.audit.rules.profiles import ServedProfile
 
 PATIENCE = {sdk.Deploy.MAX_CONNECT_ATTEMPTS: 3, sdk.Deploy.CONNECT_RETRY_DELAY_S: 1}
 """How long an audit waits for a server that has said that it is ready."""
@@ -45,21 +45,21 @@ class Servers(ABC):
         choice: what is served, the model or what stands in for it; settled when the server runs.
     """
 
-    def __init__(self, target: package.Package, options: Options) -> None:
+    def __init__(self, target: package.Package, options: AuditOptions) -> None:
         self.package = target
         self.options = options
         self.config = target.config(options.overrides)
-        self.recorder = Recorder(options.clock)
-        self.choice = choosing.first(options)
+        self.recorder = AnswerRecorder(options.time_limit)
+        self.choice = serving_choice.first_choice(options)
         self._open = contextlib.ExitStack()
         self._server: RunningServer | None = None
         self._problem: ServerStartError | None = None
-        self._hangs = Hangs()
-        self.presence = Presence.of(target.path)
+        self._hangs = HangCounter()
+        self.presence = PackageFiles.of(target.path)
 
     @classmethod
     @contextlib.contextmanager
-    def start(cls, path: Path, options: Options) -> Iterator[Self]:
+    def start(cls, path: Path, options: AuditOptions) -> Iterator[Self]:
         """Prepare to probe an adapter; its server is started when it is first asked for."""
         started = cls(package.load(path, options.overrides), options)
         with started._open:
@@ -79,9 +79,11 @@ class Servers(ABC):
             try:
                 self._server = self.start_server()
             except ServerStartError as error:
-                raise NotRun(choosing.told(self.choice, error, self.config, self.package.path)) from None
-        if self.ended is not None:
-            raise NotRun(f"the server has ended: {self.ended}")
+                raise NotRun(
+                    serving_choice.explain_failure(self.choice, error, self.config, self.package.path)
+                ) from None
+        if self.end_reason is not None:
+            raise NotRun(f"the server has ended: {self.end_reason}")
         return self._server
 
     def start_server(self) -> RunningServer:
@@ -94,40 +96,40 @@ class Servers(ABC):
             raise self._problem
         while True:
             try:
-                return self._open.enter_context(self._tried())
+                return self._open.enter_context(self._serve_tried())
             except ServerStartError as error:
-                other = choosing.after(self.choice, error, self.options)
+                other = serving_choice.next_choice(self.choice, error, self.options)
                 if other is None:
                     self._problem = error
                     raise
                 self.choice = other
 
     @contextlib.contextmanager
-    def connected(self, url: str, **wishes: Any) -> Iterator[Session]:
+    def connected(self, url: str, **client_options: Any) -> Iterator[RecordedClient]:
         """Connect to one of the audit's servers for the length of a `with` block.
 
         Args:
             url: its address.
-            wishes: options of the client.
+            client_options: options of the client.
 
         Raises:
             NotRun: if it refuses.
         """
         try:
-            client = Client(url, config=self.config | bounds(self.config) | PATIENCE, **wishes)
+            client = Client(url, config=self.config | bounded_timeouts(self.config) | PATIENCE, **client_options)
         except ClientError as error:
             raise NotRun(str(error)) from None
         with client:
-            yield Session(client, self.recorder)
+            yield RecordedClient(client, self.recorder)
 
     @contextlib.contextmanager
-    def session(self, **wishes: Any) -> Iterator[Session]:
-        """Connect to the server for the length of a `with` block; `wishes` are options of the client."""
-        with self.connected(self.server().url, **wishes) as session:
+    def session(self, **client_options: Any) -> Iterator[RecordedClient]:
+        """Connect to the server for the length of a `with` block; `client_options` are passed to the client."""
+        with self.connected(self.server().url, **client_options) as session:
             yield session
 
     @contextlib.contextmanager
-    def fresh_session(self, **overrides: object) -> Iterator[Session]:
+    def fresh_session(self, **overrides: object) -> Iterator[RecordedClient]:
         """Connect to a server of its own, in a new process, with other values of deploy.yml.
 
         Raises:
@@ -137,7 +139,7 @@ class Servers(ABC):
             yield session
 
     @contextlib.contextmanager
-    def fresh_sessions(self, count: int) -> Iterator[list[Session]]:
+    def fresh_sessions(self, count: int) -> Iterator[list[RecordedClient]]:
         """Connect several clients to one server of their own, in a new process, where the adapter may be shared.
 
         Raises:
@@ -147,7 +149,7 @@ class Servers(ABC):
             yield [clients.enter_context(self.connected(server.url)) for _ in range(count)]
 
     @property
-    def profile(self) -> Choice:
+    def profile(self) -> ServedProfile:
         """What is served.
 
         Raises:
@@ -157,18 +159,18 @@ class Servers(ABC):
         return self.choice
 
     @property
-    def served(self) -> Choice | None:
+    def served(self) -> ServedProfile | None:
         """What is served, None as long as nothing is."""
         return None if self._server is None else self.choice
 
     @property
-    def ended(self) -> str | None:
+    def end_reason(self) -> str | None:
         """Why the server ended after it had started; None as long as it runs."""
         if self._server is None or self._server.exit_code is None:
             return None
-        return self.told(self._server.last_error or "it printed no reason", self._server.log)
+        return self.describe_end(self._server.last_error or "it printed no reason", self._server.log)
 
-    def told(self, reason: str, log: Sequence[str]) -> str:
+    def describe_end(self, reason: str, log: Sequence[str]) -> str:
         """Return why a server ended, with the place where the adapter stood if it hung."""
         place = innermost_frame(log, self.package.path.resolve()) if any(words in reason for words in HUNG) else None
         return reason if place is None else f"{reason}; it stood at {place}"
@@ -185,7 +187,7 @@ class Servers(ABC):
         Raises:
             ServerStartError: if it does not start.
         """
-        with self._serving({**self.options.overrides, **overrides}, flags) as server:
+        with self._serve({**self.options.overrides, **overrides}, flags) as server:
             yield server
 
     @contextlib.contextmanager
@@ -212,19 +214,19 @@ class Servers(ABC):
         """Return what an adapter is shown to see whether it can answer at all."""
 
     @contextlib.contextmanager
-    def _serving(self, overrides: Mapping[str, object], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
-        self.options.clock.check()
+    def _serve(self, overrides: Mapping[str, object], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
+        self.options.time_limit.check()
         self._hangs.check()
         if self.presence.loss is not None:
             raise NotRun(self.presence.loss)
         served = (*(["--shadow"] if self.choice.is_shadow else []), *flags)
         started = running_server(
             self.package.path,
-            {**overrides, **bounds({**self.config, **overrides})},
+            {**overrides, **bounded_timeouts({**self.config, **overrides})},
             python=self.options.python,
             env=self.options.env or self.choice.env,
             options=(*served, *self.options.confinement),
-            load_timeout=min(LOAD_S, self.options.clock.left),
+            load_timeout=min(LOAD_S, self.options.time_limit.remaining),
         )
         try:
             with started as server:
@@ -237,16 +239,16 @@ class Servers(ABC):
             raise
 
     @contextlib.contextmanager
-    def _tried(self) -> Iterator[RunningServer]:
+    def _serve_tried(self) -> Iterator[RunningServer]:
         """Serve, and see by one observation whether the machine has what an answer takes.
 
         Raises:
             ServerStartError: if not: the adapter may have put off what loading is for.
         """
-        with self._serving(self.options.overrides) as server:
+        with self._serve(self.options.overrides) as server:
             with (
                 contextlib.suppress(ClientError, NotApplicable),
-                Client(server.url, config=self.config | bounds(self.config) | PATIENCE) as client,
+                Client(server.url, config=self.config | bounded_timeouts(self.config) | PATIENCE) as client,
             ):
                 try:
                     client.infer(self.observation())

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl_cli.audit.rules.model import NotRun
-from xpl_cli.audit.served.compare import answers
+from xpl_cli.audit.served.compare import is_answer_list
 from xpl_cli.isolation import processes
 from xpl_cli.serving.launch import ServerStartError
 
 if TYPE_CHECKING:
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.audit.served.session import Answer
+    from xpl_cli.audit.served.recorded_client import Answer
     from xpl_cli.isolation.processes import ProcessInfo
 
 USUAL_SEED = sdk.DEPLOY_DEFAULTS[sdk.Deploy.SEED]
@@ -28,7 +28,7 @@ _LISTENS = "0A"  # proc_pid_net(5): TCP_LISTEN
 
 
 @dataclass
-class Service:
+class ServiceRun:
     """What one server did.
 
     Attributes:
@@ -46,7 +46,7 @@ class Service:
 
     chunks: list[Answer] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
-    trouble: str | None = None
+    failure: str | None = None
     processes: list[ProcessInfo] = field(default_factory=list)
     left_group: list[tuple[ProcessInfo, str]] = field(default_factory=list)
     listening: list[tuple[str, ProcessInfo]] = field(default_factory=list)
@@ -56,7 +56,7 @@ class Service:
     log: list[str] = field(default_factory=list)
 
     @classmethod
-    def of(cls, probe: Probe) -> Service:
+    def of(cls, probe: Probe) -> ServiceRun:
         """Serve an adapter with the usual seed, play an episode, and end its server.
 
         Raises:
@@ -69,17 +69,17 @@ class Service:
         seen = cls()
         try:
             with probe.fresh_server({sdk.Deploy.SEED: USUAL_SEED}) as server:
-                goes_on = seen._ask(probe, server.url)
+                goes_on = seen._run_episode(probe, server.url)
                 seen.processes = processes.descendants(server.pid)
                 if goes_on:  # of one that ends, processes are between two parents
-                    seen._look_around(server.pid, kept_apart=bool(probe.options.bounds.flags))
+                    seen._inspect_processes(server.pid, kept_apart=bool(probe.options.bounds.flags))
         except ServerStartError as error:
             raise NotRun(f"the server did not start: {error}") from None
         seen.code, seen.stop_seconds = server.exit_code, server.stop_seconds or 0.0
         seen.survivors = [member for member in seen.processes if member.is_alive]
         seen.log = list(server.log)
-        if seen.trouble is not None:
-            seen.trouble = probe.told(server.last_error or seen.trouble, server.log)
+        if seen.failure is not None:
+            seen.failure = probe.describe_end(server.last_error or seen.failure, server.log)
         return seen
 
     @property
@@ -103,14 +103,14 @@ class Service:
     @property
     def steps(self) -> int:
         """Action steps of a chunk."""
-        return len(self.chunks[-1]) if self.chunks and answers(self.chunks[-1]) else 0
+        return len(self.chunks[-1]) if self.chunks and is_answer_list(self.chunks[-1]) else 0
 
     def _answered(self) -> list[float]:
         if len(self.seconds) < _ASKED:
-            raise NotRun(f"the adapter does not answer a plain observation: {self.trouble or 'it gave an error'}")
+            raise NotRun(f"the adapter does not answer a plain observation: {self.failure or 'it gave an error'}")
         return self.seconds
 
-    def _ask(self, probe: Probe, url: str) -> bool:
+    def _run_episode(self, probe: Probe, url: str) -> bool:
         """Play an episode, and tell whether the server goes on."""
         observations = [probe.observation(0, step) for step in range(_ASKED)]
         try:
@@ -121,16 +121,16 @@ class Service:
                     shown, answer = policy.update_obs(obs), policy.get_action()
                     for failed in (shown, answer):
                         if isinstance(failed, PolicyServerError):
-                            self.trouble = str(failed) if failed.is_infrastructure_error else None
+                            self.failure = str(failed) if failed.is_infrastructure_error else None
                             return True
                     self.seconds.append(time.perf_counter() - started)
                     self.chunks.append(answer)
         except ClientError as error:
-            self.trouble = str(error)
+            self.failure = str(error)
             return False
         return True
 
-    def _look_around(self, front_end: int, *, kept_apart: bool) -> None:
+    def _inspect_processes(self, front_end: int, *, kept_apart: bool) -> None:
         started = [member.pid for member in self.processes if member.parent == front_end and member.group == member.pid]
         own = {pid for one in started for pid in (processes.launcher_chain(one) if kept_apart else [one])}
         groups = {member.group for member in self.processes if member.pid in own}

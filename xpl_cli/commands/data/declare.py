@@ -1,4 +1,4 @@
-"""`xpl data declare`: the demonstrations that audits hold a policy against."""
+"""`xpl data declare`: the demonstrations that audits compare a policy with."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from xpl_cli.commands.options import JSON
 @ends(clean="written", not_found="no such policy, or no demonstrations there")
 def declare(
     policy: Path = typer.Argument(..., metavar="POLICY", help="Folder of the policy."),
-    demonstrations: Path = typer.Argument(..., metavar="PATH", help="Folder of episodes in the standard's form."),
+    demonstrations: Path = typer.Argument(..., metavar="PATH", help="Folder of episodes in the standard's format."),
     as_json: bool = JSON,
 ) -> None:
-    """Write demonstrations.yml: which recorded episodes audits hold a policy against, with their digests."""
-    from xpl_cli.audit.offline.demonstrations import declared
+    """Write demonstrations.yml: the episodes that audits compare a policy with, and their digests."""
+    from xpl_cli.audit.offline.demonstrations import declaration
     from xpl_cli.basics import console
 
-    path, digests = declared.declare(policy, demonstrations)
+    path, digests = declaration.declare(policy, demonstrations)
     if as_json:
-        told = {"file": str(path), "episodes": len(digests)}
-        console.answer("xpl.data-declare/1", told, [f"xpl audit {policy}"])
+        answer = {"file": str(path), "episodes": len(digests)}
+        console.answer("xpl.data-declare/1", answer, [f"xpl audit {policy}"])
     else:
         console.data(f"{path}: {len(digests)} episodes\nnext\n  xpl audit {policy}")

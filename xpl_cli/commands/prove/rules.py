@@ -9,7 +9,7 @@ import typer
 from xpl_cli.commands.options import JSON
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.demonstrations.check import Check
+    from xpl_cli.audit.demonstrations.check import DemonstrationCheck
     from xpl_cli.audit.rules.registry import Rule
     from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.standard.spec import Requirement
@@ -75,16 +75,16 @@ def _explained_convention(names: list[str], *, as_json: bool) -> bool:
     return True
 
 
-def _ruled(name: str) -> Rule | type[Check] | Retired:
+def _ruled(name: str) -> Rule | type[DemonstrationCheck] | Retired:
     """Return a rule of packages, a check of demonstrations or a retired rule, by its code or slug."""
-    from xpl_cli.audit.demonstrations.catalogue import named
+    from xpl_cli.audit.demonstrations.catalogue import lookup
     from xpl_cli.audit.rules import retired
     from xpl_cli.audit.rules.registry import find
 
-    return named(name) or retired.lookup(name) or find(name)
+    return lookup(name) or retired.lookup(name) or find(name)
 
 
-def _requirement(rule: Rule | type[Check] | Retired) -> Requirement | None:
+def _requirement(rule: Rule | type[DemonstrationCheck] | Retired) -> Requirement | None:
     """Return what a rule proves; None for a check of demonstrations, and for a retired rule."""
     from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.standard import spec
@@ -92,7 +92,7 @@ def _requirement(rule: Rule | type[Check] | Retired) -> Requirement | None:
     return None if isinstance(rule, Retired) or not rule.requirement else spec.requirements()[rule.requirement]
 
 
-def _explained(rule: Rule | type[Check] | Retired, requirement: Requirement | None) -> dict[str, Any]:
+def _explained(rule: Rule | type[DemonstrationCheck] | Retired, requirement: Requirement | None) -> dict[str, Any]:
     from xpl_cli.audit.rules.retired import Retired
 
     return {
@@ -115,7 +115,7 @@ def rules(as_json: bool = JSON) -> None:
     from xpl_cli.audit.rules.registry import rules as all_rules
     from xpl_cli.basics import console
 
-    found: list[Rule | type[Check]] = [*all_rules(), *CHECKS]
+    found: list[Rule | type[DemonstrationCheck]] = [*all_rules(), *CHECKS]
     if as_json:
         entries = [
             {

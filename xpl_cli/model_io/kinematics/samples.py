@@ -10,7 +10,7 @@ import numpy as np
 
 from xpl import tables
 from xpl.conventions import rotation as rotations
-from xpl.conventions.joint_order import Joints
+from xpl.conventions.joint_order import JointsPart
 from xpl.convert import ConversionError
 from xpl.convert.parts import part
 
@@ -96,7 +96,7 @@ def _columns(
     start = 0
     for (kind, how, unknown), one in zip(parts, made, strict=True):
         told = how.get("reference") or vector.get("reference") or _ABSOLUTE
-        is_whole = not isinstance(one, Joints) or one.is_whole  # a part of an arm leads nowhere
+        is_whole = not isinstance(one, JointsPart) or one.is_whole  # a part of an arm leads nowhere
         if kind in _JUDGED and told == _ABSOLUTE and is_whole:
             yield Columns(f"{where}, {one.label}", kind, how, rows[:, start : start + one.width], leads, unknown)
         start += one.width

@@ -75,7 +75,7 @@ def ask(package: Package, config: Config, observations: Sequence[Observation], p
         if answer.error is not None:
             raise UserError(f"{package.path}: {answer.error}", code=ExitCode.NOT_RUN)
     if done.problem is not None or len(done.answers) < len(("load", "question")):
-        raise UserError(f"{package.path}: its process {done.ended}", code=ExitCode.NOT_RUN)
+        raise UserError(f"{package.path}: its process {done.failure}", code=ExitCode.NOT_RUN)
     result = done.answers[1].result
     if "inputs" not in result:
         raise UserError(f"{package.path} answers without calling predict", code=ExitCode.NOT_RUN)

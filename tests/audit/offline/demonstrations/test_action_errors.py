@@ -33,7 +33,7 @@ from xpl_cli.audit.offline.demonstrations.episodes import (
 from xpl_cli.audit.offline.demonstrations.error_plot import plot_errors
 from xpl_cli.audit.offline.demonstrations.fact import DemonstrationComparison
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics.errors import UserError
 
@@ -173,7 +173,11 @@ def test_the_first_tries_are_of_all_episodes(ruler: ErrorMetric) -> None:
 def test_rates_stretch_and_shorten_a_chunk() -> None:
     """Steps of a slower model are interpolated; what a chunk does not reach is unknown."""
     chunk = [{"arm_joint_state": np.array([float(step)])} for step in range(1, 5)]
-    told = {one.words: one.commanded([[*chunk]], [{}], [0])[0] for one in rates() if one.commanded is not None}
+    told = {
+        one.description: one.change_actions([[*chunk]], [{}], [0])[0]
+        for one in rates()
+        if one.change_actions is not None
+    }
     values = {
         words: [None if step is None else float(step["arm_joint_state"][0]) for step in steps]
         for words, steps in told.items()
@@ -200,7 +204,7 @@ def test_a_picture_shows_the_number_that_is_mended(ruler: ErrorMetric) -> None:
 def _probe(package: Path, demos: Path | None = None, robot: str = ROBOT) -> Any:
     return SimpleNamespace(
         package=SimpleNamespace(path=package, manifest=Manifest(), name="Foo"),
-        options=Options(demos=demos),
+        options=AuditOptions(demos=demos),
         embodiment=get_embodiment(robot),
         action_type="joint",
         profile=SimpleNamespace(name=Profile.SHADOW),

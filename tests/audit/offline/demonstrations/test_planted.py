@@ -18,7 +18,7 @@ from tests.audit.offline.oracle.planting import Subject, trained
 from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl import get_embodiment
-from xpl.catalogue import Case
+from xpl.catalogue import AdapterCase
 from xpl_cli.audit.engine import fixtures
 from xpl_cli.audit.rules.registry import find
 from xpl_cli.model_io.mistakes import in_block
@@ -79,16 +79,18 @@ def test_other_vectors_of_a_file_of_lerobots_are_known(statistics: Path) -> None
     (policy,) = trained(["ACT push_block"])
     block = json.loads(json.dumps(policy.manifest.model_io.data))
     block["action"]["normalize"]["key"] = "observation.state"
-    found = in_block(Case(get_embodiment("arx_x5_single"), "ee", block, [statistics]), 16)
-    assert "normalize: key: action (action)" in {one.words for one, _ in found}
+    found = in_block(AdapterCase(get_embodiment("arx_x5_single"), "ee", block, [statistics]), 16)
+    assert "normalize: key: action (action)" in {one.description for one, _ in found}
 
 
 def test_variances_that_are_taken_for_deviations_are_known() -> None:
     (policy,) = trained(["Tiny_VLA pick_by_language"])
     (subject,) = [one for one in policy.subjects if one.name == "divided by the variance"]
     found = {
-        one.words: changed
-        for one, changed in in_block(Case(get_embodiment("arx_x5_single"), "joint", subject.block, [policy.package]), 8)
+        one.description: changed
+        for one, changed in in_block(
+            AdapterCase(get_embodiment("arx_x5_single"), "joint", subject.block, [policy.package]), 8
+        )
     }
     mended = found["normalize: std: the root of what is said"]
     right = policy.manifest.model_io.data["action"]["normalize"]["values"]["std"]

@@ -23,7 +23,7 @@ from xpl_cli.audit.engine.checks import Checks
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.rules.registry import select
 
 NOTES = Path(__file__).parent / "caught_by.json"
@@ -52,11 +52,11 @@ def tried(mutant: Mutant, folder: Path) -> Trial:
     likely = json.loads(NOTES.read_text()).get(mutant.name)
     rules = [entry for entry in select((), (), (Gate.OFFLINE,)) if entry.target == "policy" and not entry.closes]
     rules.sort(key=lambda entry: entry.slug != likely)
-    given = {"path": path, "kind": "policy", "gate": Gate.OFFLINE, "options": Options(gates=(Gate.OFFLINE,))}
+    given = {"path": path, "kind": "policy", "gate": Gate.OFFLINE, "options": AuditOptions(gates=(Gate.OFFLINE,))}
     crashed = []
     with Facts(given, providers.all_providers()) as facts:
         checks = Checks(facts)
-        facts.give("checks", checks)
+        facts.add("checks", checks)
         for entry in rules:
             result = checks.result(entry)
             if result.outcome in _FOUND:

@@ -24,20 +24,20 @@ from xpl_cli.audit.offline.demonstrations.fact import DemonstrationComparison
 from xpl_cli.audit.offline.search.loaded_adapter import LoadedAdapter
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import find
 from xpl_cli.packages.package import load
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.rules.model import Result
+    from xpl_cli.audit.rules.model import RuleResult
 
 
 class Local:
     """A model in this process that answers as a client of its server does, and what is asked of it."""
 
     def __init__(self, package: Path, demos: Path) -> None:
-        self.package, self.options = load(package), Options(gates=(Gate.OFFLINE,), demos=demos)
+        self.package, self.options = load(package), AuditOptions(gates=(Gate.OFFLINE,), demos=demos)
         self.config = self.package.config({})
         self.embodiment = get_embodiment(self.config["env_cfg_type"])
         self.action_type = self.config["action_type"]
@@ -113,16 +113,16 @@ class Judged:
         return DemonstrationComparison(self.probe)  # type: ignore[arg-type]
 
     @cached_property
-    def fit(self) -> Result:
+    def fit(self) -> RuleResult:
         """What XPL270 says."""
         return self._checked("demonstrations-fit")
 
     @cached_property
-    def followed(self) -> Result:
+    def followed(self) -> RuleResult:
         """What XPL271 says."""
         return self._checked("demonstrations-followed")
 
-    def _checked(self, slug: str) -> Result:
+    def _checked(self, slug: str) -> RuleResult:
         facts = {"path": self.package, "demonstrations": self.fact, "options": self.probe.options}
 
         def blocks(again: Any, tried: Any, wanted: Any, seconds: float) -> Any:

@@ -114,7 +114,7 @@ class DemonstrationComparison:
         Raises:
             NotRun: if it refuses all.
         """
-        self.probe.options.clock.check()
+        self.probe.options.time_limit.check()
         course = BatchedReplay(self.session)
         answers: list[Chunk] = []
         refused: dict[int, str] = {}

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl.catalogue import Mistake
-from xpl.catalogue.pictures import dark
+from xpl.catalogue.image_changes import black_out
 from xpl.client import ClientError
 from xpl.conventions.chunk import rates
 from xpl.conventions.instruction import blank
@@ -121,7 +121,7 @@ class ConventionSearch:
         self._probe, self._ruler, self._given, self._refused = probe, ruler, given, frozenset(refused)
         self._session = ruler.session
         self._course = BatchedReplay(self._session)
-        until = time.monotonic() + min(seconds, probe.options.clock.left)
+        until = time.monotonic() + min(seconds, probe.options.time_limit.remaining)
         self._ways = MistakeFamilies(probe, self._course, {}, until, self._read)
         self._demonstrated = DemonstrationScorer(ruler, given, self._refused)
         self._complete = True
@@ -179,8 +179,8 @@ class ConventionSearch:
         for one in (*rates(), *self._ways.outer_mistakes):
             # Of those of equal words the first orders the steps. The others order their changes, from the state: that
             # takes away how far a prediction begins from there, which brings any policy nearer.
-            again, is_chunk = one.words in chunks, one.convention == "chunk"
-            chunks |= {one.words} if is_chunk else set()
+            again, is_chunk = one.description in chunks, one.convention == "chunk"
+            chunks |= {one.description} if is_chunk else set()
             wanted = _is_decidable(one) and not (is_chunk and again)
             if wanted and (all_of_them or one.convention in _ALL_ADAPTERS):
                 found.append(one)
@@ -190,19 +190,25 @@ class ConventionSearch:
                 if self._ways.seconds_left <= 0:
                     return
                 one = found[number]
-                yield MistakeAnswers(one.words, one.convention, self._answers(around, one, wanted))
+                yield MistakeAnswers(one.description, one.convention, self._answers(around, one, wanted))
 
         self._demonstrated.set_baseline(None, ())
         return self._rank_changes(MistakeFamily(found, ask), in_block=False)
 
     def _find_unread(self, around: PerturbedAdapter) -> Iterator[str]:
         """Yield the cameras and texts of which an answer does not depend."""
-        shown = [(camera, Mistake(0, camera, "camera", shown=dark(camera))) for camera in self._ways.case.cameras]
+        shown = [
+            (camera, Mistake(0, camera, "camera", change_observations=black_out(camera)))
+            for camera in self._ways.case.cameras
+        ]
         if self._ways.case.instructions:
-            shown.append((sdk.Obs.INSTRUCTION, Mistake(0, "", sdk.Obs.INSTRUCTION, shown=blank)))
+            shown.append((sdk.Obs.INSTRUCTION, Mistake(0, "", sdk.Obs.INSTRUCTION, change_observations=blank)))
         if self._history > 1:
             shown.append(
-                ("history", Mistake(0, "", "history_length", shown=lambda seen: [dict(seen[-1])], windowed=True))
+                (
+                    "history",
+                    Mistake(0, "", "history_length", change_observations=lambda seen: [dict(seen[-1])], windowed=True),
+                )
             )
         later = [
             number
@@ -213,7 +219,9 @@ class ConventionSearch:
             return
         # In a connection of its own each time, so that equal numbers are drawn.
         same = self._answers(
-            around, Mistake(0, "", "", shown=lambda seen: [dict(obs) for obs in seen], windowed=True), numbers
+            around,
+            Mistake(0, "", "", change_observations=lambda seen: [dict(obs) for obs in seen], windowed=True),
+            numbers,
         )
         if same is None:
             return
@@ -286,7 +294,7 @@ def _is_decidable(mistake: Mistake) -> bool:
     Filters change less than any policy's own error. Demonstrated grippers are closed or open, and a threshold brings
     every prediction nearer to that, however it is converted.
     """
-    return mistake.convention != "image_filter" and "threshold" not in mistake.words
+    return mistake.convention != "image_filter" and "threshold" not in mistake.description
 
 
 def _best_and_ties(changes: Sequence[ScoredChange]) -> list[ScoredChange]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from xpl.contract import ObservationDict
     from xpl_cli.audit.offline.parity.judgement import Judgement
-    from xpl_cli.audit.served.session import Session as Client
+    from xpl_cli.audit.served.recorded_client import RecordedClient as Client
     from xpl_cli.model_io.pairs import Chunk
 
     Serving = Callable[[], AbstractContextManager[Client]]

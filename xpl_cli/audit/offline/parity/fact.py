@@ -160,7 +160,7 @@ class Parity:
         return margins.summarize_margins(shown, len(first.session.questions)) if shown else {}
 
     def _compare(self, session: Session) -> SessionComparison:
-        self.probe.options.clock.check()
+        self.probe.options.time_limit.check()
         # What was asked of this audit counts for more than what was recorded with; the session is what it is.
         settings = {**self.settings, **self.probe.options.overrides}
         serving = partial(self.probe.fresh_session, **overrides(session, settings))

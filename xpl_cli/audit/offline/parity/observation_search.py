@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl.catalogue import Mistake
-from xpl.catalogue.pictures import dark
+from xpl.catalogue.image_changes import black_out
 from xpl_cli.audit.offline.parity.golden_scorer import GoldenPairScorer
 from xpl_cli.audit.offline.search.perturbed_adapter import PerturbedAdapter
 from xpl_cli.audit.offline.search.ranking import MistakeFamily, rank
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 Answers = Mapping[int, Sequence[Any]]
 
 _SAME: Final = Mistake(
-    0, "each environment asked by itself", "recurrent", shown=lambda seen: [dict(obs) for obs in seen]
+    0, "each environment asked by itself", "recurrent", change_observations=lambda seen: [dict(obs) for obs in seen]
 )
 """Changes nothing of what is shown."""
 _FIRSTS: Final = 4
@@ -81,7 +81,7 @@ class ObservationSearch:
                     if found.cause is None and time.monotonic() < until:
                         self.patterns += self._cameras_without_effect(around, ways.case.cameras)
                     return found
-                alone = ruler.explain_tried([Tried(_SAME.words, _SAME.convention, ruler.remaining(apart))])
+                alone = ruler.explain_tried([Tried(_SAME.description, _SAME.convention, ruler.remaining(apart))])
                 if alone.cause is not None:
                     crossed = self._find_shared_input(around, numbers)
                     return ruler.explain_tried([crossed(ruler.remaining(apart))]) if crossed else alone
@@ -141,7 +141,7 @@ class ObservationSearch:
             ("each environment's own pictures", "camera", (sdk.Obs.VISION,)),
         ):
             same = {key: first[key] for key in keys if key in first}
-            alike = Mistake(0, words, convention, shown=functools.partial(_with, same))
+            alike = Mistake(0, words, convention, change_observations=functools.partial(_with, same))
             with self._serve_perturbed(together=True) as around:
                 one, other = around.answers(alike, numbers), apart.answers(alike, numbers)
             if one is not None and other is not None and self._are_same(one, other):
@@ -162,7 +162,7 @@ class ObservationSearch:
         """Tell which cameras may be exchanged for darkness."""
         judgement, number = self._judgement, self._replayable[-1]
         for camera in cameras:
-            answers = around.answers(Mistake(0, camera, "camera", shown=dark(camera)), [number])
+            answers = around.answers(Mistake(0, camera, "camera", change_observations=black_out(camera)), [number])
             if answers is None:
                 continue
             far = differences([judgement.answers[one] for one in answers], list(answers.values()), judgement.spread)

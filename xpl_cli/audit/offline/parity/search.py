@@ -85,7 +85,7 @@ class ParitySearch:
         self._probe, self._judgement = probe, judgement
         self._course = SessionReplay(judgement.session)
         self._config = overrides(judgement.session, settings)
-        until = time.monotonic() + min(seconds, probe.options.clock.left)
+        until = time.monotonic() + min(seconds, probe.options.time_limit.remaining)
         self._ways = MistakeFamilies(probe, self._course, self._config, until, self._read)
         self._until = until
         self._ruler = GoldenPairScorer(self._course, judgement, self._course.all_questions)
@@ -111,8 +111,9 @@ class ParitySearch:
             if explanation.cause is not None:
                 return found[-1]
         self._ways.halve_time()
-        # Two of many mistakes explain what is as small as what kernels round.
-        two = next(self._two(), None) if max(self._ruler.before.values()) > OF_SPAN else None
+        # What is as small as what kernels round is explained by two of many mistakes, and looks like any pattern.
+        is_large = max(self._ruler.before.values()) > OF_SPAN
+        two = next(self._two(), None) if is_large else None
         if two is not None:
             return two
         near = [one for one in found if one.explanation.near is not None]
@@ -121,7 +122,7 @@ class ParitySearch:
         told = (
             *self._unseen,
             *places(self._threads, judgement.shares, judgement.tolerance),
-            *patterns(self._threads, judgement.spread, judgement.tolerance, self._kind),
+            *(patterns(self._threads, judgement.spread, judgement.tolerance, self._kind) if is_large else ()),
         )
         explanation = replace(best.explanation, patterns=told)
         return ParitySearchResult(explanation, best.in_block) if explanation.text else None
@@ -194,7 +195,7 @@ class ParitySearch:
     def _by_shown(self) -> Explanation | None:
         """Return what changes of what is shown explain; None if the adapter cannot be served for it."""
         shown = ObservationSearch(self._probe, self._course, self._judgement, self._config, repeats=self._repeats)
-        found = [one for one in self._ways.outer_mistakes if one.shown is not None]
+        found = [one for one in self._ways.outer_mistakes if one.change_observations is not None]
         try:
             explanation = shown.explain(found, self._ways, self._until)
         except (NotRun, ClientError):

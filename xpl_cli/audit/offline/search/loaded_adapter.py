@@ -116,7 +116,7 @@ class LoadedAdapter:
         size the process tells how far they are from those before: the geometry of the nearest is the adapter's, and
         where a change leaves that, the filter is the mistake.
         """
-        found = self._request({"changes": [dict(one.encoded or {}) for one in changes]}, wanted, seconds)
+        found = self._request({"changes": [dict(one.input_change or {}) for one in changes]}, wanted, seconds)
         tried = list(zip(changes, map(_WorkerAnswer.read, found or []), strict=False))
         sizes = [(told.apart, change.geometry) for change, told in tried if told.answers and change.geometry]
         least = min(sizes, default=(0.0, ""))[0]
@@ -125,7 +125,7 @@ class LoadedAdapter:
         self.draws = next((told.draws for _, told in tried if told.draws is not None), self.draws)
         return [
             MistakeAnswers(
-                change.words if told.words is None else told.words,
+                change.description if told.words is None else told.words,
                 _convention_of(change, self._nearest),
                 self._by_number(told.answers, wanted) if told.answers else None,
             )

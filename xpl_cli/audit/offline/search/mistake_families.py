@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import checkpoint
-from xpl.catalogue import Case, Mistake
+from xpl.catalogue import AdapterCase, Mistake
 from xpl.catalogue import convention as catalogue
 from xpl.convert import ConversionError
 from xpl.manifest import ModelIO
@@ -86,7 +86,7 @@ class MistakeFamilies:
         self.model_io = self.manifest.model_io or ModelIO()
         self.config: Config = package.config({**probe.options.overrides, **settings})
         history = self.model_io.longest
-        self.case = Case(
+        self.case = AdapterCase(
             embodiment=course.session.robot,
             action_type=course.session.action_type,
             block=self.model_io.data if self.model_io else {},
@@ -146,7 +146,7 @@ class MistakeFamilies:
         def asked(chosen: Sequence[int], wanted: Sequence[int]) -> list[MistakeAnswers]:
             answers = self.loaded.answers_by_block([found[number][1] for number in chosen], wanted, self.seconds_left)
             self.by_block = self.by_block and answers is not None
-            named = [(found[number][0].words, found[number][0].convention) for number in chosen]
+            named = [(found[number][0].description, found[number][0].convention) for number in chosen]
             return [MistakeAnswers(*one, given) for one, given in zip(named, answers or [], strict=False)]
 
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
@@ -180,11 +180,11 @@ class MistakeFamilies:
     @functools.cached_property
     def outer_mistakes(self) -> list[Mistake]:
         """The mistakes as changes around the adapter."""
-        return list(catalogue.around(self.case))
+        return list(catalogue.io_mistakes(self.case))
 
     def action_family(self, given: Mapping[int, Sequence[Any]], enough: ExplainsAll) -> MistakeFamily:
         """Return changes of answers that are known."""
-        found = [one for one in self.outer_mistakes if one.shown is None]
+        found = [one for one in self.outer_mistakes if one.change_observations is None]
         around = PerturbedAdapter(self._course, given)
         return MistakeFamily(found, self.answer_function(around, found, enough))
 
@@ -199,7 +199,7 @@ class MistakeFamilies:
                 one = found[number]
                 if self.seconds_left <= 0 or (explained is not None and one.rank > explained):
                     return
-                answered = MistakeAnswers(one.words, one.convention, around.answers(one, wanted))
+                answered = MistakeAnswers(one.description, one.convention, around.answers(one, wanted))
                 if explained is None and enough(answered):
                     explained = one.rank
                 yield answered
@@ -210,7 +210,7 @@ class MistakeFamilies:
 
     def input_family(self) -> MistakeFamily:
         """Return changes of what the adapter's own `encode` makes."""
-        return self._family_of_inputs(list(catalogue.in_inputs(self.case)))
+        return self._family_of_inputs(list(catalogue.input_mistakes(self.case)))
 
     def _family_of_inputs(self, found: Sequence[Mistake], numbers: Sequence[tuple[int, int]] = ()) -> MistakeFamily:
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
@@ -223,10 +223,10 @@ class MistakeFamilies:
         def both(pairs: Sequence[tuple[int, int]]) -> MistakeFamily:
             kept, made = [], []
             for one, other in pairs:
-                hows = [found[place].encoded or {} for place in (one, other)]
+                hows = [found[place].input_change or {} for place in (one, other)]
                 if len({how["kind"] for how in hows}) == len(hows) and not _ALONE & {how["kind"] for how in hows}:
                     kept.append((one, other))
-                    made.append(replace(found[one], encoded={"kind": "several", "of": hows}, geometry=""))
+                    made.append(replace(found[one], input_change={"kind": "several", "of": hows}, geometry=""))
             return self._family_of_inputs(made, kept)
 
         return MistakeFamily(found, ask, both, numbers)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from xpl.catalogue import Mistake
     from xpl.contract import Observation
     from xpl_cli.audit.offline.search.session_replay import SessionReplay
-    from xpl_cli.audit.served.session import Session as Client
+    from xpl_cli.audit.served.recorded_client import RecordedClient as Client
     from xpl_cli.model_io.pairs import Chunk, Question
 
 
@@ -63,7 +63,7 @@ class PerturbedAdapter:
         """
         numbers = self._course.with_earlier(wanted)
         given = self._answers_to_changed_observations(mistake, numbers)
-        if given is None or mistake.commanded is None:
+        if given is None or mistake.change_actions is None:
             return None if given is None else {number: list(chunk) for number, chunk in given.items()}
         found: dict[int, list[Any]] = {}
         for episode in self._course.group_by_episode(numbers):
@@ -71,7 +71,7 @@ class PerturbedAdapter:
             places = [question.asked[-1] for question in questions]
             told = [given[number] for number in episode]
             try:
-                changed = mistake.commanded(told, self._course.observations_of(questions[-1]), places)
+                changed = mistake.change_actions(told, self._course.observations_of(questions[-1]), places)
             except ValueError:  # such as a rotation of length zero
                 return None
             found.update(zip(episode, changed, strict=True))
@@ -80,11 +80,11 @@ class PerturbedAdapter:
     def _answers_to_changed_observations(
         self, mistake: Mistake, numbers: Sequence[int]
     ) -> Mapping[int, Sequence[Any]] | None:
-        if mistake.shown is None:
+        if mistake.change_observations is None:
             return {number: self._given[number] for number in numbers}
         if self._connect is None:
             return None
-        key = (id(mistake.shown), tuple(numbers))
+        key = (id(mistake.change_observations), tuple(numbers))
         if key not in self._plays:
             try:
                 play = self._replay_together if self._together else self._replay_by_episode
@@ -103,12 +103,14 @@ class PerturbedAdapter:
 
     def _replay_together(self, client: Client, mistake: Mistake, numbers: Sequence[int]) -> dict[int, Chunk]:
         """Play all episodes in their order, each with its environments together."""
-        assert mistake.shown is not None  # noqa: S101 - see who asks
+        assert mistake.change_observations is not None  # noqa: S101 - see who asks
         session = self._course.session
         changed: dict[tuple[int, int], Observation] = {}
         for episode in self._course.group_by_episode(numbers):
             last = session.questions[episode[-1]]
-            changed.update(zip(last.shown, mistake.shown(self._course.observations_of(last)), strict=True))
+            changed.update(
+                zip(last.shown, mistake.change_observations(self._course.observations_of(last)), strict=True)
+            )
 
         def observation(env: int, place: int) -> Observation:
             return changed.get((env, place)) or self._course.observation(env, place)
@@ -117,16 +119,16 @@ class PerturbedAdapter:
         return replay_by_question(client, session, self._course.calls_for(numbers), asked, observation)
 
     def _replay_by_episode(self, client: Client, mistake: Mistake, numbers: Sequence[int]) -> dict[int, Chunk]:
-        assert mistake.shown is not None  # noqa: S101 - see who asks
+        assert mistake.change_observations is not None  # noqa: S101 - see who asks
         found: dict[int, Chunk] = {}
         for episode in self._course.group_by_episode(numbers):
             questions = [self._course.session.questions[number] for number in episode]
             if mistake.windowed:
                 for question in questions:
-                    shown = mistake.shown(self._course.observations_of(question))
+                    shown = mistake.change_observations(self._course.observations_of(question))
                     found.update(self._run_episode(client, shown, {len(shown) - 1: question}))
             else:
-                shown = mistake.shown(self._course.observations_of(questions[-1]))
+                shown = mistake.change_observations(self._course.observations_of(questions[-1]))
                 found.update(self._run_episode(client, shown, {question.asked[-1]: question for question in questions}))
         return found
 

@@ -10,8 +10,8 @@ from xpl.action import ActionError, check_chunk
 from xpl.client import PolicyServerError
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.served.session import Answer
-    from xpl_cli.audit.served.session import Session as Client
+    from xpl_cli.audit.served.recorded_client import Answer
+    from xpl_cli.audit.served.recorded_client import RecordedClient as Client
     from xpl_cli.model_io.pairs import Chunk, Question, Session
     from xpl_cli.model_io.script import Call
 

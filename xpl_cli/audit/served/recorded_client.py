@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
-from xpl_cli.audit.rules.clock import TimeLimit
 from xpl_cli.audit.rules.model import NotRun
-from xpl_cli.audit.served.choosing import sentence
+from xpl_cli.audit.rules.time_limit import TimeLimit
 from xpl_cli.audit.served.compare import error_code
+from xpl_cli.audit.served.serving_choice import describe_missing
 from xpl_cli.serving.launch import MissingRequirement
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ Answer = Any
 It is as the wire brings it: whoever reads values looks first whether they are there (`compare.answers`)."""
 
 
-class Recorder:
+class AnswerRecorder:
     """Hears what an audit asks servers and what they answer.
 
     Args:
@@ -39,7 +39,7 @@ class Recorder:
         self._clock = clock or TimeLimit()
         self._hash = hashlib.sha256()
 
-    def ask(self, name: str, ask: Callable[[], Answer]) -> Answer:
+    def request(self, name: str, ask: Callable[[], Answer]) -> Answer:
         """Ask, and return the answer or the policy's error.
 
         Args:
@@ -57,27 +57,27 @@ class Recorder:
             answer = error
         self._hash.update(name.encode())
         # Texts of errors may hold addresses and paths; that there was one is what counts.
-        self._value(error_code(answer) if isinstance(answer, PolicyServerError) else answer)
+        self._add_to_hash(error_code(answer) if isinstance(answer, PolicyServerError) else answer)
         if isinstance(answer, PolicyServerError) and (lacks := MissingRequirement.parse(answer.details.get("lacks"))):
-            raise NotRun(sentence(lacks))
+            raise NotRun(describe_missing(lacks))
         return answer
 
     def record(self) -> str:
         """Return the hash of everything so far."""
         return self._hash.hexdigest()[:16]
 
-    def _value(self, value: object) -> None:
+    def _add_to_hash(self, value: object) -> None:
         """Add a value to the hash. Arrays count by dtype, shape and bytes."""
         import numpy as np
 
         if isinstance(value, dict):
             for key in sorted(value):
                 self._hash.update(str(key).encode())
-                self._value(value[key])
+                self._add_to_hash(value[key])
         elif isinstance(value, (list, tuple)):
             self._hash.update(f"[{len(value)}".encode())
             for item in value:
-                self._value(item)
+                self._add_to_hash(item)
         elif isinstance(value, (np.ndarray, np.generic)):
             array = np.asarray(value)
             self._hash.update(f"{array.dtype.str}{array.shape}".encode())
@@ -86,10 +86,10 @@ class Recorder:
             self._hash.update(repr(value).encode())
 
 
-class Session:
+class RecordedClient:
     """A client whose answers are recorded. Errors of the policy are returned, not raised."""
 
-    def __init__(self, client: Client, recorder: Recorder) -> None:
+    def __init__(self, client: Client, recorder: AnswerRecorder) -> None:
         self._client = client
         self._recorder = recorder
 
@@ -115,7 +115,7 @@ class Session:
 
     def infer(self, obs: Observation) -> Answer:
         """Show an observation and ask, as one unit."""
-        return self._recorder.ask(sdk.Method.INFER, lambda: self._client.infer(obs))
+        return self._recorder.request(sdk.Method.INFER, lambda: self._client.infer(obs))
 
     def act(self, obs: object) -> Answer:
         """Start an episode, show one observation and return the chunk, or the first error on the way to it."""
@@ -129,11 +129,11 @@ class Session:
 
     def prepare_case(self, told: Config) -> Answer:
         """Announce a case, its name among what is told; None where the adapter has no hook for it."""
-        return self._recorder.ask(sdk.Message.PREPARE_CASE, lambda: self._client.prepare_case(**told))
+        return self._recorder.request(sdk.Message.PREPARE_CASE, lambda: self._client.prepare_case(**told))
 
     def trial_end(self, told: Config) -> Answer:
         """Tell how a trial went; None where the adapter has no hook for it."""
-        return self._recorder.ask(sdk.Message.TRIAL_END, lambda: self._client.trial_end(told))
+        return self._recorder.request(sdk.Message.TRIAL_END, lambda: self._client.trial_end(told))
 
     def call(self, name: str, obs: Any = None) -> Answer:
         """Run any operation of the wire or of the policy."""
@@ -141,4 +141,4 @@ class Session:
             return self.prepare_case(obs)
         if name == sdk.Message.TRIAL_END:
             return self.trial_end(obs)
-        return self._recorder.ask(name, lambda: self._client.call(name, obs))
+        return self._recorder.request(name, lambda: self._client.call(name, obs))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-Shown = int | float | str
+ReportedValue = int | float | str
 """A value as reports show it."""
 _NUMBERS = (int, float, complex, np.number, np.bool_)
 
@@ -26,8 +26,8 @@ class Mismatch:
     """
 
     path: tuple[str | int, ...]
-    first: Shown
-    second: Shown
+    first: ReportedValue
+    second: ReportedValue
     size: float | None = None
 
 
@@ -48,7 +48,7 @@ def _compare(path: tuple[str | int, ...], first: object, second: object) -> Mism
         entries = ((key, first[key], second[key]) for key in first)
     elif isinstance(first, (list, tuple)) and isinstance(second, (list, tuple)):
         if len(first) != len(second):
-            return Mismatch(path, _counted(first), _counted(second))
+            return Mismatch(path, _describe_length(first), _describe_length(second))
         entries = ((place, a, b) for place, (a, b) in enumerate(zip(first, second, strict=True)))
     elif _is_array(first) and _is_array(second):
         return _arrays(path, first, second)
@@ -68,7 +68,7 @@ def _arrays(path: tuple[str | int, ...], first: object, second: object) -> Misma
     equal = (rows[0] == rows[1]).all(axis=1).reshape(a.shape)
     place = tuple(int(index) for index in np.unravel_index(int(np.argmin(equal)), a.shape))
     x, y = a[place], b[place]
-    return Mismatch((*path, *place), _shown(x), _shown(y), _distance(x, y))
+    return Mismatch((*path, *place), _report_value(x), _report_value(y), _distance(x, y))
 
 
 def _scalars(path: tuple[str | int, ...], first: object, second: object) -> Mismatch | None:
@@ -76,7 +76,7 @@ def _scalars(path: tuple[str | int, ...], first: object, second: object) -> Mism
         equal = struct.pack("<d", first) == struct.pack("<d", second)
     else:
         equal = type(first) is type(second) and bool(first == second)
-    return None if equal else Mismatch(path, _shown(first), _shown(second), _distance(first, second))
+    return None if equal else Mismatch(path, _report_value(first), _report_value(second), _distance(first, second))
 
 
 def _distance(first: object, second: object) -> float | None:
@@ -91,11 +91,11 @@ def _is_array(value: object) -> bool:
     return isinstance(value, (np.ndarray, np.generic))
 
 
-def _counted(values: Sized) -> str:
+def _describe_length(values: Sized) -> str:
     return "1 entry" if len(values) == 1 else f"{len(values)} entries"
 
 
-def _shown(value: object) -> Shown:
+def _report_value(value: object) -> ReportedValue:
     """Return a value as reports show it: a number of plain Python, or text of at most 80 characters."""
     if isinstance(value, np.generic):
         value = value.item()
@@ -104,6 +104,6 @@ def _shown(value: object) -> Shown:
     if isinstance(value, np.ndarray):
         return f"an array, {value.dtype} {value.shape}"
     if isinstance(value, (list, tuple)):
-        return f"a list of {_counted(value)}"
+        return f"a list of {_describe_length(value)}"
     text = "".join(itertools.islice(value if isinstance(value, str) else repr(value), 81))
     return text if len(text) <= 80 else text[:77] + "..."

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl import checkpoint
-from xpl_cli.audit.rules.profiles import Choice, Profile
+from xpl_cli.audit.rules.profiles import Profile, ServedProfile
 from xpl_cli.serving.launch import MissingRequirement
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.serving.launch import ServerStartError
 
 _MODULE, _CHECKPOINT, _ENVIRONMENT, _WHOLE = "module", "checkpoint", "environment", "whole"
@@ -45,15 +45,15 @@ _HELP = {
 """What to do where the real thing is wanted."""
 
 
-def first(options: Options) -> Choice:
+def first_choice(options: AuditOptions) -> ServedProfile:
     """Return what is tried first."""
     if options.profile is not Profile.SHADOW:
-        return Choice()
+        return ServedProfile()
     own = None if options.python or options.env else "none"
-    return Choice(Profile.SHADOW, options.profile_reason, own)
+    return ServedProfile(Profile.SHADOW, options.profile_reason, own)
 
 
-def after(choice: Choice, problem: ServerStartError, options: Options) -> Choice | None:
+def next_choice(choice: ServedProfile, problem: ServerStartError, options: AuditOptions) -> ServedProfile | None:
     """Return what is tried when this could not be served, None if that is to be reported.
 
     Without a wish, a shadow of the model is the next best.
@@ -63,10 +63,12 @@ def after(choice: Choice, problem: ServerStartError, options: Options) -> Choice
     is_uninstalled = problem.lacks.kind == _ENVIRONMENT
     if is_uninstalled and (options.python or options.env):
         return None
-    return Choice(Profile.SHADOW, sentence(problem.lacks), "none" if is_uninstalled else None)
+    return ServedProfile(Profile.SHADOW, describe_missing(problem.lacks), "none" if is_uninstalled else None)
 
 
-def told(choice: Choice, problem: ServerStartError, config: Mapping[str, object], policy_dir: Path) -> str:
+def explain_failure(
+    choice: ServedProfile, problem: ServerStartError, config: Mapping[str, object], policy_dir: Path
+) -> str:
     """Return why an adapter could not be served, and what may help.
 
     Args:
@@ -77,26 +79,26 @@ def told(choice: Choice, problem: ServerStartError, config: Mapping[str, object]
     """
     if problem.lacks is None:
         return f"the server did not start: {problem}"
-    kind, why = problem.lacks.kind, sentence(problem.lacks)
+    kind, why = problem.lacks.kind, describe_missing(problem.lacks)
     if not choice.is_shadow:
         return "; ".join(filter(None, (why, _HELP.get(kind), "--shadow audits one of xpl.Policy without the model")))
     before = choice.reason or ""
     if kind == _WHOLE:
-        return "; ".join(filter(None, (before, _no_weights(before, config, policy_dir), why, _REAL)))
+        return "; ".join(filter(None, (before, _describe_missing_checkpoint(before, config, policy_dir), why, _REAL)))
     advice = "; import it in load" if kind == _MODULE else ""
     return f"{before}{'; in shadow mode: ' if before else ''}{why}{advice}"
 
 
-def _no_weights(known: str, config: Mapping[str, object], policy_dir: Path) -> str:
+def _describe_missing_checkpoint(known: str, config: Mapping[str, object], policy_dir: Path) -> str:
     """Return that there is no checkpoint, where what is known to lack does not say so."""
     try:
         checkpoint.resolve(config, policy_dir)
     except checkpoint.CheckpointError as error:
-        told = sentence(MissingRequirement(_CHECKPOINT, str(error)))
+        told = describe_missing(MissingRequirement(_CHECKPOINT, str(error)))
         return "" if str(error) in known else told
     return ""
 
 
-def sentence(lacks: MissingRequirement) -> str:
+def describe_missing(lacks: MissingRequirement) -> str:
     """Return what a machine lacks in words."""
     return _SENTENCES.get(lacks.kind, "{}").format(lacks.name)
