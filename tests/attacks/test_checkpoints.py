@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from tests.support.adapters import trained
-from xpl_cli.adopt.checkpoints import block, registry, start
+from xpl_cli.adopt.checkpoints import block, package_start, registry
 from xpl_cli.basics.errors import UserError
 
 HOSTILE: tuple[Any, ...] = (
@@ -95,7 +95,7 @@ def test_any_value_of_a_checkpoint_may_be_hostile(tmp_path: Path, maker: str, pa
         ({"dtype": "F32", "shape": [2**64], "data_offsets": [0, 2**64]}, "ends at"),
         ({"dtype": "F32", "shape": [1], "data_offsets": [2**64, 2**64 + 4]}, "ends at"),
         ({"dtype": "F32", "shape": [1], "data_offsets": [4, 0]}, "offsets"),
-        ({"dtype": "F32", "shape": [10**400], "data_offsets": [0, 4]}, "numbers"),
+        ({"dtype": "F32", "shape": [10**400], "data_offsets": [0, 4]}, "another size"),
         ({"dtype": "F32", "shape": 5, "data_offsets": [0, 4]}, "shape"),
         ({"dtype": "F32", "shape": [1], "data_offsets": [0, "4"]}, "offsets"),
         (5, "shape"),
@@ -167,13 +167,13 @@ def test_no_text_of_a_checkpoint_becomes_code_or_a_key(tmp_path: Path, maker: st
     """What is written from it parses, and names neither a function nor a key that a text tried to add."""
     folder = MAKERS[maker](tmp_path / "checkpoint")
     robot = "franka_single" if maker in ("openvla", "openvla-oft", "diffusion policy", "robomimic") else "aloha_agilex"
-    wanted = start.Wanted("Foo", robot, None, block.Choices(gripper=(0.0, 1.0)))
-    assert start.begin([folder], wanted).files
+    wanted = package_start.StartOptions("Foo", robot, None, block.UserChoices(gripper=(0.0, 1.0)))
+    assert package_start.new_package([folder], wanted).files
     for file, text in list(_worded(folder))[::part]:
         whole = file.read_bytes()
         file.write_text(text, encoding="utf-8")
         try:
-            files = start.begin([folder], wanted).files
+            files = package_start.new_package([folder], wanted).files
         except UserError:
             continue
         finally:

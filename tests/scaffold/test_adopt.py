@@ -143,7 +143,7 @@ def test_a_manifest_that_is_there_is_not_replaced(adapter: Path) -> None:
     (adapter / "policy.yml").write_text("name: Mine\n")
     done = xpl("adopt", str(adapter), folder=adapter.parent)
     assert done.code == ExitCode.USAGE
-    assert "is there already" in done.stderr
+    assert "exists already" in done.stderr
     assert "--merge" in done.stderr
     assert (adapter / "policy.yml").read_text() == "name: Mine\n"
 

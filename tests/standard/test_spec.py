@@ -78,7 +78,7 @@ EXEMPT = {
     "policy/*/train.py": "likewise",
     "policy/*_state/model.py": "likewise",
     "envs/robotwin/stand_in_robot.py": "keys of descriptions of robots, some of which are spelt alike",
-    "xpl_cli/adopt/checkpoints/makers/*.py": "keys of other makers' files, some of which are spelt alike",
+    "xpl_cli/adopt/checkpoints/frameworks/*.py": "keys of other frameworks' files, some of which are spelt alike",
     "xpl_cli/data/formats/*.py": "likewise, of sets of demonstrations",
     "xpl_cli/data/formats/*/*.py": "likewise",
     "xpl_cli/data/conversion/names.py": "likewise",

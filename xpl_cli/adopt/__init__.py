@@ -1,1 +1,1 @@
-"""Adoption: what an adapter that was written without a manifest declares, read from its files; nothing of it is run."""
+"""Adoption: the manifest of an adapter that has none, read from its files; none of its code is run."""

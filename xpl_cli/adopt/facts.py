@@ -1,7 +1,7 @@
-"""What is known of an adapter or a checkpoint: values with their sources, and why others are not known.
+"""Facts of an adapter or a checkpoint: values with their sources, and unknown values with the reason.
 
-They lie in trees, maps and lists as a manifest has them. A leaf is `Told` or `Open`. What is neither stands for itself:
-words of the block that the fact beside them brings along, such as the key of a part.
+They form trees of maps and lists as in a manifest. A leaf is a `Fact` or an `UnknownValue`; any other value is a
+literal, such as a keyword that a neighbouring fact implies.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 UNKNOWN: Final = "unknown"
-"""Key of an open value in a manifest."""
+"""Key of an unknown value in a manifest."""
 
 Tree = Any
 """A map, a list, a leaf, or a plain value."""
 
 
 class Confidence(StrEnum):
-    """How sure a fact is: what the author has to look at again."""
+    """How certain a fact is: what the author has to check."""
 
     CERTAIN = "certain"
-    """A file says exactly this."""
+    """A file states exactly this."""
     LIKELY = "likely"
-    """It is named where this is usually told."""
+    """It is stated where this is usually stated."""
     ASSUMED = "assumed"
-    """Nothing says otherwise, and the ecosystem's contract says this."""
+    """Nothing contradicts it, and it is the default of the ecosystem's contract."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """A place that tells a fact.
+    """The source of a fact.
 
     Attributes:
-        file: relative to the package; "" for what lies in no file.
+        file: relative to the package; "" for a source that is no file.
         line: from 1; None for the file as a whole.
         what: what was read there.
     """
@@ -47,17 +47,17 @@ class Evidence:
     what: str
 
     def __str__(self) -> str:
-        place = f"{self.file}:{self.line}" if self.line is not None else self.file
-        return f"{place} {self.what}".strip()
+        location = f"{self.file}:{self.line}" if self.line is not None else self.file
+        return f"{location} {self.what}".strip()
 
 
 @dataclass(frozen=True)
-class Told:
-    """A value that was read.
+class Fact:
+    """A value with its source.
 
     Attributes:
-        value: as the manifest has it.
-        confidence: how sure it is.
+        value: as in the manifest.
+        confidence: how certain it is.
         evidence: where it was read.
     """
 
@@ -72,48 +72,48 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Open:
-    """A value that nothing tells.
+class UnknownValue:
+    """A value that no source states.
 
     Attributes:
-        reason: why it is not known, and who would know.
-        seen: places that may help.
-        stand_in: what the manifest holds meanwhile where it has no form for what is open; such a place is marked.
+        reason: why it is unknown, and who would know.
+        evidence: places that may help.
+        placeholder: value in the manifest where its schema allows no `{unknown: why}`; it is marked by a comment.
     """
 
     reason: str
-    seen: tuple[Evidence, ...] = ()
-    stand_in: Any = None
+    evidence: tuple[Evidence, ...] = ()
+    placeholder: Any = None
 
     @property
     def value(self) -> Any:
-        """What the manifest holds."""
-        return {UNKNOWN: self.reason} if self.stand_in is None else self.stand_in
+        """The value in the manifest."""
+        return {UNKNOWN: self.reason} if self.placeholder is None else self.placeholder
 
     @property
     def text(self) -> str:
         """The question in one line."""
-        return f"{self.reason}; seen: {', '.join(map(str, self.seen))}" if self.seen else self.reason
+        return f"{self.reason}; see {', '.join(map(str, self.evidence))}" if self.evidence else self.reason
 
 
-def certain(value: object, *evidence: Evidence) -> Told:
-    """Return a value that a file says exactly."""
-    return Told(value, Confidence.CERTAIN, evidence)
+def certain(value: object, *evidence: Evidence) -> Fact:
+    """Return a fact that a file states exactly."""
+    return Fact(value, Confidence.CERTAIN, evidence)
 
 
-def likely(value: object, *evidence: Evidence) -> Told:
-    """Return a value that is named where this is usually told."""
-    return Told(value, Confidence.LIKELY, evidence)
+def likely(value: object, *evidence: Evidence) -> Fact:
+    """Return a fact that is stated where this is usually stated."""
+    return Fact(value, Confidence.LIKELY, evidence)
 
 
-def assumed(value: object, why: str) -> Told:
-    """Return a value that nothing contradicts."""
-    return Told(value, Confidence.ASSUMED, (Evidence("", None, why),))
+def assumed(value: object, why: str) -> Fact:
+    """Return a fact that is a default and that nothing contradicts."""
+    return Fact(value, Confidence.ASSUMED, (Evidence("", None, why),))
 
 
 def plain(tree: Tree) -> Any:
-    """Return a tree as the manifest holds it."""
-    if isinstance(tree, (Told, Open)):
+    """Return a tree as manifest values, without sources."""
+    if isinstance(tree, (Fact, UnknownValue)):
         return tree.value
     if isinstance(tree, dict):
         return {key: plain(value) for key, value in tree.items()}
@@ -122,9 +122,9 @@ def plain(tree: Tree) -> Any:
     return tree
 
 
-def leaves(tree: Tree, key: str) -> Iterator[tuple[str, Told | Open]]:
+def leaves(tree: Tree, key: str) -> Iterator[tuple[str, Fact | UnknownValue]]:
     """Yield every leaf with its dotted key, in the order of the tree."""
-    if isinstance(tree, (Told, Open)):
+    if isinstance(tree, (Fact, UnknownValue)):
         yield key, tree
     elif isinstance(tree, dict):
         for name, value in tree.items():
@@ -135,28 +135,28 @@ def leaves(tree: Tree, key: str) -> Iterator[tuple[str, Told | Open]]:
 
 
 @dataclass(frozen=True)
-class Findings:
-    """What trees say, by dotted key of the manifest."""
+class ManifestFacts:
+    """The facts and unknown values of a manifest, by dotted key."""
 
-    told: Mapping[str, Told]
-    open: Mapping[str, Open]
+    facts: Mapping[str, Fact]
+    unknown: Mapping[str, UnknownValue]
 
     @classmethod
     def of(cls, sections: Mapping[str, Tree]) -> Self:
-        """Return what sections of a manifest say."""
-        found = [entry for key, tree in sections.items() for entry in leaves(tree, key)]
+        """Collect the leaves of sections of a manifest."""
+        entries = [entry for key, tree in sections.items() for entry in leaves(tree, key)]
         return cls(
-            {key: leaf for key, leaf in found if isinstance(leaf, Told)},
-            {key: leaf for key, leaf in found if isinstance(leaf, Open)},
+            {key: leaf for key, leaf in entries if isinstance(leaf, Fact)},
+            {key: leaf for key, leaf in entries if isinstance(leaf, UnknownValue)},
         )
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many values there are of each confidence."""
-        return dict(Counter(str(leaf.confidence) for leaf in self.told.values()))
+        """Number of facts of each confidence."""
+        return dict(Counter(str(leaf.confidence) for leaf in self.facts.values()))
 
-    def told_as_json(self) -> list[dict[str, Any]]:
-        """Return what is known, for programs."""
+    def facts_as_json(self) -> list[dict[str, Any]]:
+        """The facts as JSON values."""
         return [
             {
                 "key": key,
@@ -164,12 +164,12 @@ class Findings:
                 "confidence": leaf.confidence.value,
                 "evidence": [asdict(one) for one in leaf.evidence],
             }
-            for key, leaf in self.told.items()
+            for key, leaf in self.facts.items()
         ]
 
-    def open_as_json(self) -> list[dict[str, Any]]:
-        """Return what is not known, for programs."""
+    def unknown_as_json(self) -> list[dict[str, Any]]:
+        """The unknown values as JSON values."""
         return [
-            {"key": key, "meaning": leaf.reason, "seen": [asdict(one) for one in leaf.seen]}
-            for key, leaf in self.open.items()
+            {"key": key, "meaning": leaf.reason, "evidence": [asdict(one) for one in leaf.evidence]}
+            for key, leaf in self.unknown.items()
         ]

@@ -1,4 +1,4 @@
-"""What an adapter's files literally state: deploy.yml, the scripts, the names of files. Nothing is run or concluded."""
+"""Facts that an adapter's files state: deploy.yml, scripts, file names. Nothing is run or inferred."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import yaml
 
 from xpl import _spec as sdk
 from xpl import robots
-from xpl_cli.adopt.facts import Evidence, Open, Tree, certain, likely
+from xpl_cli.adopt.facts import Evidence, Tree, UnknownValue, certain, likely
 from xpl_cli.basics import files as bounded
 from xpl_cli.packages import documented
 from xpl_cli.standard import spec
@@ -29,35 +29,35 @@ _MOVES: Final = re.compile(r"^\s*cd\s", re.MULTILINE)
 _CALLED: Final = re.compile(r"\bfunc_name\s*=\s*[\"'](\w+)[\"']")
 
 
-def stated(folder: Path) -> dict[str, Tree]:
-    """Return keys of policy.yml with what the files of an adapter say of them, each with its place."""
-    found: dict[str, Tree] = {"name": certain(folder.name, Evidence("", None, "the folder's name"))}
-    found |= _run(folder)
-    found["evaluation_only"] = _training(folder)
+def read_facts(folder: Path) -> dict[str, Tree]:
+    """Return the keys of policy.yml that an adapter's files state, with their sources."""
+    facts: dict[str, Tree] = {"name": certain(folder.name, Evidence("", None, "the folder's name"))}
+    facts |= _run(folder)
+    facts["evaluation_only"] = _training(folder)
     environment = _environment(folder)
     if environment:
-        found["environment"] = environment
+        facts["environment"] = environment
     methods: dict[str, Evidence] = {}
     for number, line in enumerate(_lines(folder, sdk.File.DEPLOY_PY), start=1):
         for name in _CALLED.findall(line):
             if name not in (*sdk.CONTRACT_METHODS, *sdk.HOOKS):
                 methods.setdefault(name, Evidence(sdk.File.DEPLOY_PY, number, f"calls {name}"))
     if methods:
-        found["methods"] = certain(list(methods), *methods.values())
-    return found
+        facts["methods"] = certain(list(methods), *methods.values())
+    return facts
 
 
 def _run(folder: Path) -> Iterator[tuple[str, Tree]]:
-    """Yield robot and kind of control: those of deploy.yml, else those of the documented call of a script."""
+    """Yield embodiment and action type: from deploy.yml, else from the documented call of a script."""
     deploy, call = _deploy(folder), documented.run(folder)
-    known: dict[str, dict[str, Any]] = {
+    keys: dict[str, dict[str, Any]] = {
         "embodiments": {"key": sdk.Deploy.ENV_CFG_TYPE, "values": robots.names()},
         "action_types": {"key": sdk.Deploy.ACTION_TYPE, "values": {kind: kind for kind in sdk.ACTION_TYPES}},
     }
-    for name, how in known.items():
+    for name, how in keys.items():
         key, values = how["key"], how["values"]
-        given, shown = deploy.get(key), call.get(key)
-        if isinstance(given, str) and given in values:
+        stated, documented_value = deploy.get(key), call.get(key)
+        if isinstance(stated, str) and stated in values:
             line = next(
                 (
                     number
@@ -66,9 +66,15 @@ def _run(folder: Path) -> Iterator[tuple[str, Tree]]:
                 ),
                 None,
             )
-            yield name, certain([values[given]], Evidence(sdk.File.DEPLOY_YML, line, f"{key}: {given}"))
-        elif isinstance(shown, str) and shown in values:
-            yield name, likely([values[shown]], Evidence("", None, f"the documented call of its scripts: {shown}"))
+            yield name, certain([values[stated]], Evidence(sdk.File.DEPLOY_YML, line, f"{key}: {stated}"))
+        elif isinstance(documented_value, str) and documented_value in values:
+            yield (
+                name,
+                likely(
+                    [values[documented_value]],
+                    Evidence("", None, f"the documented call of its scripts: {documented_value}"),
+                ),
+            )
 
 
 def _deploy(folder: Path) -> dict[str, Any]:
@@ -80,16 +86,16 @@ def _deploy(folder: Path) -> dict[str, Any]:
 
 
 def _training(folder: Path) -> Tree:
-    """Return whether the package only evaluates: whether its scripts for data and training are there."""
+    """Return whether the package is for evaluation only: whether its data and training scripts are missing."""
     scripts = spec.data("package")["files"]["training"]
     there = [name for name in scripts if (folder / name).is_file()]
     missing = [name for name in scripts if name not in there]
-    told = [*(f"{name} is there" for name in there), *(f"{name} is not" for name in missing)]
-    return certain(not there, Evidence("", None, ", ".join(told)))
+    presence = [*(f"{name} is there" for name in there), *(f"{name} is not" for name in missing)]
+    return certain(not there, Evidence("", None, ", ".join(presence)))
 
 
 def _environment(folder: Path) -> dict[str, Tree]:
-    """Return the interpreter that install.sh makes, or that the script which starts the server enters."""
+    """Return the Python environment that install.sh creates, or that the server's start script activates."""
     for script in (sdk.File.INSTALL_SH, sdk.File.SETUP_EVAL_POLICY_SERVER_SH):
         lines = _lines(folder, script)
         for number, line in enumerate(lines, start=1):
@@ -98,22 +104,24 @@ def _environment(folder: Path) -> dict[str, Tree]:
             version = {"python": certain(python[1], where)} if python else {}
             if (conda := _CONDA.search(line)) is not None:
                 name = (_NAMED if conda[1] == "create" else _FIRST).search(conda[2])
-                called = certain(name[1], where) if name else Open("what the conda environment is called", (where,))
+                called = certain(name[1], where) if name else UnknownValue("name of the conda environment", (where,))
                 return {"manager": certain("conda", where), "name": called, **version}
             if _UV.search(line) or _VENV.search(line):
                 kind = certain("uv" if _UV.search(line) else "venv", where)
-                lies = Open("folder of the virtual environment, from the package; .venv if left out", (where,))
-                return {"manager": kind, **({"name": lies} if _moves(lines) else {}), **version}
+                lies = UnknownValue(
+                    "folder of the virtual environment, relative to the package; default: .venv", (where,)
+                )
+                return {"manager": kind, **({"name": lies} if _changes_folder(lines) else {}), **version}
     return {}
 
 
-def _moves(lines: list[str]) -> bool:
-    """Tell whether a script changes its folder, so that nobody knows where it makes what it names."""
+def _changes_folder(lines: list[str]) -> bool:
+    """Tell whether a script changes its folder, so that relative paths in it are ambiguous."""
     return _MOVES.search("\n".join(lines)) is not None
 
 
 def _lines(folder: Path, name: str) -> list[str]:
-    """Return the lines of a file without comments; none of one that is not there or cannot be read."""
+    """Return the lines of a file, comments blanked; an empty list if it cannot be read."""
     try:
         text = bounded.content(folder / name, _MOST).decode("utf-8", "replace")
     except OSError:

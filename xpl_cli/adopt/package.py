@@ -1,4 +1,4 @@
-"""One adoption: which files an adapter gets, and how they are put there without touching any other."""
+"""An adoption: which files an adapter gets, and writing them without changing any other."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
-from xpl_cli.adopt import field, files
-from xpl_cli.adopt.checkpoints import known, writing
-from xpl_cli.adopt.facts import Evidence, Findings, Open, Told, Tree, certain, leaves, plain
+from xpl_cli.adopt import files, zoo_facts
+from xpl_cli.adopt.checkpoints import adopted, yaml_writer
+from xpl_cli.adopt.facts import Evidence, Fact, ManifestFacts, Tree, UnknownValue, certain, leaves, plain
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import UserError
 from xpl_cli.packages import manifests, package
@@ -20,28 +20,28 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl.contract import Entry
-    from xpl_cli.adopt.checkpoints.block import Choices
+    from xpl_cli.adopt.checkpoints.block import UserChoices
     from xpl_cli.standard.spec import Schema
 
 _MANIFEST: Final = sdk.File.POLICY_YML
 _SCHEMA: Final = "policy"
 _VERSION: Final = "spec"
 _HEAD: Final = """\
-# Written by `xpl adopt`: what the adapter's files state, each value with its place. What they do not state is
-# `{unknown: what it is}`; fill it in. All keys: `xpl spec show policy`.
+# Written by `xpl adopt` from the adapter's files, each value with its source. Values that they do not state are
+# `{unknown: meaning}`; fill them in. All keys: `xpl spec show policy`.
 """
 
 
 @dataclass(frozen=True)
 class Adoption:
-    """What an adapter gets.
+    """The files and manifest sections that an adapter gets.
 
     Attributes:
         folder: the adapter's.
-        sections: what becomes part of its manifest, by top-level key, with sources.
-        files: new contents by name; only policy.yml may be there already, and then grows.
-        state: what becomes of the manifest.
-        notes: what kept a checkpoint from being read.
+        sections: new parts of its manifest, by top-level key, with sources.
+        files: new content by name; only policy.yml may exist already, and then keys are appended.
+        state: of the manifest: written, completed or unchanged.
+        notes: why a checkpoint could not be read in part.
     """
 
     folder: Path
@@ -51,15 +51,15 @@ class Adoption:
     notes: Sequence[str] = ()
 
     @functools.cached_property
-    def findings(self) -> Findings:
-        """All that is known, and all that is not."""
-        return Findings.of(self.sections)
+    def findings(self) -> ManifestFacts:
+        """All facts and unknown values."""
+        return ManifestFacts.of(self.sections)
 
     def write(self) -> None:
-        """Put the files there, each in one step.
+        """Write the files, each atomically.
 
         Raises:
-            UserError: if one cannot be written, or has come there meanwhile.
+            UserError: a file cannot be written, or was created meanwhile.
         """
         for name, content in self.files.items():
             path = self.folder / name
@@ -69,46 +69,48 @@ class Adoption:
                 else:
                     atomic.write_file(path, content, path.stat().st_mode & 0o777)
             except FileExistsError:
-                raise UserError(f"{path} is there already, and is not replaced") from None
+                raise UserError(f"{path} exists already, and is not replaced") from None
             except OSError as error:
                 raise UserError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
 @dataclass(frozen=True)
-class Trained:
-    """A checkpoint that an adapter runs, and what the user said of it.
+class CheckpointSource:
+    """The checkpoint of an adapter, and the user's choices.
 
     Attributes:
-        paths: its folder, and its data set's or its maker's code where the user has that.
+        paths: its folder, and optionally its dataset's or its framework's code.
         choices: cameras, grippers, statistics.
     """
 
     paths: Sequence[Path]
-    choices: Choices
+    choices: UserChoices
 
 
-def adoption(path: Path, given: Entry, *, merge: bool, scripts: bool, trained: Trained | None = None) -> Adoption:
-    """Decide what an adapter gets.
+def adoption(
+    path: Path, overrides: Entry, *, merge: bool, scripts: bool, trained: CheckpointSource | None = None
+) -> Adoption:
+    """Plan the adoption of an adapter.
 
     Args:
         path: its folder.
-        given: values of the user's own, by dotted key of the manifest; they outrank what is read.
-        trained: a checkpoint that says what the files do not, and fills the model_io block.
-        merge: add to a manifest that is there.
-        scripts: also make the scripts that are missing.
+        overrides: values by dotted key of the manifest, which take precedence over those that are read.
+        trained: a checkpoint that supplies further facts and the model_io block.
+        merge: add to an existing manifest.
+        scripts: also write the scripts that are missing.
 
     Raises:
-        NotFoundError: if there is no adapter.
-        UserError: if it has a manifest already and `merge` is not asked for, or a given value does not fit.
+        NotFoundError: there is no adapter.
+        UserError: a manifest exists and `merge` is false, or an override is invalid.
     """
     folder = package.find_policy(path)
     existing = manifests.content_of(folder / _MANIFEST)
     if existing is not None and not merge:
         raise UserError(
-            f"{path / _MANIFEST} is there already, and is not replaced",
+            f"{path / _MANIFEST} exists already, and is not replaced",
             hint="--merge appends the keys that it lacks; `xpl update` brings it to the newest version",
         )
-    sections, notes = _sections(folder, given, trained)
+    sections, notes = _sections(folder, overrides, trained)
     contents: dict[str, bytes] = {}
     state = "written"
     if existing is None:
@@ -116,7 +118,7 @@ def adoption(path: Path, given: Entry, *, merge: bool, scripts: bool, trained: T
         _check(content)
         contents[_MANIFEST] = content
     else:
-        manifests.read(folder / _MANIFEST, package.POLICY)  # raises where something in it is wrong
+        manifests.read(folder / _MANIFEST, package.POLICY)  # raises for an invalid manifest
         there = spec.parse_yaml(existing)
         sections = {key: tree for key, tree in sections.items() if key not in there}
         if sections:
@@ -128,32 +130,34 @@ def adoption(path: Path, given: Entry, *, merge: bool, scripts: bool, trained: T
     return Adoption(folder, sections, contents, state, notes)
 
 
-def _sections(folder: Path, given: Entry, trained: Trained | None) -> tuple[dict[str, Tree], tuple[str, ...]]:
-    """Return the manifest by top-level key, what nobody knows of it as such, and what a checkpoint could not tell."""
+def _sections(
+    folder: Path, overrides: Entry, trained: CheckpointSource | None
+) -> tuple[dict[str, Tree], tuple[str, ...]]:
+    """Return the manifest by top-level key, with unknown values, and notes on what a checkpoint does not state."""
     sections: dict[str, Tree] = {}
-    for key, value in given.items():
+    for key, value in overrides.items():
         _check_key(key)
-        _put(sections, key, certain(value, Evidence("", None, "given with --set")))
-    _complete(sections, files.stated(folder))
+        _set_default(sections, key, certain(value, Evidence("", None, "given with --set")))
+    _add_missing(sections, files.read_facts(folder))
     notes: tuple[str, ...] = ()
     if trained is not None:
-        found = _checkpoint(sections, trained)
-        _complete(sections, {key: tree for key, tree in found.sections().items() if any(leaves(tree, key))})
-        notes = tuple(found.trained.notes)
-    policy = field.called(folder.name)
-    for key, told in field.facts(policy) if policy is not None else ():
-        _put(sections, key, told)
+        checkpoint = _checkpoint(sections, trained)
+        _add_missing(sections, {key: tree for key, tree in checkpoint.sections().items() if any(leaves(tree, key))})
+        notes = tuple(checkpoint.trained.notes)
+    policy = zoo_facts.find_policy(folder.name)
+    for key, fact in zoo_facts.facts(policy) if policy is not None else ():
+        _set_default(sections, key, fact)
     for key, meaning in _required():
-        _put(sections, key, Open(meaning))
+        _set_default(sections, key, UnknownValue(meaning))
     sections[_VERSION] = spec.VERSION
     schema = spec.schema(_SCHEMA)["properties"]
     return {key: _ordered(sections[key], schema[key]) for key in schema if key in sections}, notes
 
 
-def _checkpoint(sections: Mapping[str, Tree], trained: Trained) -> known.Known:
-    """Read the checkpoint, as that of the robot and the kind of control that are known by now."""
+def _checkpoint(sections: Mapping[str, Tree], trained: CheckpointSource) -> adopted.AdoptedCheckpoint:
+    """Read the checkpoint for the embodiment and action type found so far."""
     robots, kinds = plain(sections.get("embodiments")), plain(sections.get("action_types"))
-    return known.read(
+    return adopted.read(
         trained.paths,
         str(robots[0]) if robots else None,
         str(kinds[0]) if kinds and len(kinds) == 1 else None,
@@ -161,29 +165,29 @@ def _checkpoint(sections: Mapping[str, Tree], trained: Trained) -> known.Known:
     )
 
 
-def _complete(sections: dict[str, Tree], found: Mapping[str, Tree]) -> None:
-    """Add what is not there yet; of a map, entry by entry."""
-    for key, tree in found.items():
+def _add_missing(sections: dict[str, Tree], trees: Mapping[str, Tree]) -> None:
+    """Add missing values; of a map, entry by entry."""
+    for key, tree in trees.items():
         if isinstance(tree, dict):
             for name, entry in tree.items():
-                _put(sections, f"{key}.{name}", entry)
+                _set_default(sections, f"{key}.{name}", entry)
         else:
-            _put(sections, key, tree)
+            _set_default(sections, key, tree)
 
 
-def _put(sections: dict[str, Tree], key: str, tree: Tree) -> None:
-    """Put a value under a dotted key, unless that, or a part of it, has one."""
-    place = sections
+def _set_default(sections: dict[str, Tree], key: str, tree: Tree) -> None:
+    """Set a value at a dotted key, unless the key or a parent has one."""
+    node = sections
     *above, name = key.split(".")
     for part in above:
-        place = place.setdefault(part, {})
-        if not isinstance(place, dict):
+        node = node.setdefault(part, {})
+        if not isinstance(node, dict):
             return
-    place.setdefault(name, tree)
+    node.setdefault(name, tree)
 
 
 def _required() -> Iterator[tuple[str, str]]:
-    """Yield the keys that a manifest must have, with what they say."""
+    """Yield the required keys of a manifest with their meaning."""
     schema = spec.schema(_SCHEMA)
     for name in schema["required"]:
         entry = schema["properties"][name]
@@ -207,22 +211,22 @@ def _ordered(tree: Tree, schema: Schema) -> Tree:
 
 
 def _yaml(sections: Mapping[str, Tree]) -> str:
-    return "".join(writing.section(key, tree) for key, tree in sections.items())
+    return "".join(yaml_writer.section(key, tree) for key, tree in sections.items())
 
 
 def _check(content: bytes) -> None:
-    """Stop where a value does not fit: one that the user gave.
+    """Validate the manifest; missing keys are allowed.
 
     Raises:
-        UserError: with the first one.
+        UserError: with the first invalid value.
     """
     from xpl_cli.standard.validate import validate_yaml
 
     _, problems = validate_yaml(content, _MANIFEST, _SCHEMA)
     for problem in problems:
         if problem.missing is None:
-            place = ".".join(map(str, problem.path)) or "the manifest"
-            raise UserError(f"{place}: {problem.told}", hint=f"`xpl spec show {_SCHEMA}`")
+            location = ".".join(map(str, problem.path)) or "the manifest"
+            raise UserError(f"{location}: {problem.told}", hint=f"`xpl spec show {_SCHEMA}`")
 
 
 def _check_key(key: str) -> None:
@@ -248,18 +252,18 @@ def _scripts(folder: Path, sections: Mapping[str, Tree]) -> dict[str, bytes]:
     from xpl_cli.scaffold import adapter
     from xpl_cli.scaffold.answers import Answers
 
-    chosen = adapter.defaults()
+    answers = adapter.defaults()
     for key, answer in (("embodiments", "embodiment"), ("action_types", sdk.Deploy.ACTION_TYPE)):
-        if isinstance(told := sections.get(key), Told):
-            chosen[answer] = told.value[0]
-    chosen["eval_only"] = bool(plain(sections.get("evaluation_only", True)))
-    rendered = adapter.render(Answers(name=folder.name, **chosen))
-    wanted = spec.data("package")["scripts"].keys() | {sdk.File.INSTALL_SH}
-    return {name: content for name, content in rendered.items() if name in wanted and not (folder / name).exists()}
+        if isinstance(fact := sections.get(key), Fact):
+            answers[answer] = fact.value[0]
+    answers["eval_only"] = bool(plain(sections.get("evaluation_only", True)))
+    rendered = adapter.render(Answers(name=folder.name, **answers))
+    names = spec.data("package")["scripts"].keys() | {sdk.File.INSTALL_SH}
+    return {name: content for name, content in rendered.items() if name in names and not (folder / name).exists()}
 
 
 def _create(path: Path, content: bytes) -> None:
-    """Write a new file: whole or not at all, and never over one that is there."""
+    """Create a file atomically; raise FileExistsError if it exists."""
     import os
     import tempfile
     from pathlib import Path as LocalPath

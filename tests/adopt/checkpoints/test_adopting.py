@@ -11,8 +11,8 @@ import yaml
 from tests.support.adapters import trained
 from tests.support.adapters.adopted import written
 from xpl import _spec as sdk
-from xpl_cli.adopt.checkpoints.block import Choices
-from xpl_cli.adopt.package import Adoption, Trained, adoption
+from xpl_cli.adopt.checkpoints.block import UserChoices
+from xpl_cli.adopt.package import Adoption, CheckpointSource, adoption
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def adapter(tmp_path: Path) -> Path:
 
 def adopted(folder: Path, *sources: Path, merge: bool = False, **given: Any) -> tuple[Adoption, dict[str, Any]]:
     """Return an adoption with a checkpoint, and the manifest that it would write."""
-    chosen = adoption(folder, given, merge=merge, scripts=False, trained=Trained(sources, Choices()))
+    chosen = adoption(folder, given, merge=merge, scripts=False, trained=CheckpointSource(sources, UserChoices()))
     return chosen, yaml.safe_load(chosen.files[sdk.File.POLICY_YML])
 
 
@@ -36,8 +36,8 @@ def test_the_model_io_block_and_what_is_unknown_come_from_the_checkpoint(adapter
     assert manifest["temporal"]["kind"] == "chunk"
     assert manifest["inputs"]["required"]
     assert manifest["model_io"]["state"][0]["input"] == "observation.state"
-    assert len(chosen.findings.open) >= 8
-    assert "model_io.state.0.parts.1.gripper.closed" in chosen.findings.open
+    assert len(chosen.findings.unknown) >= 8
+    assert "model_io.state.0.parts.1.gripper.closed" in chosen.findings.unknown
 
 
 def test_a_manifest_that_is_there_gets_the_block_and_keeps_the_rest(adapter: Path, tmp_path: Path) -> None:

@@ -10,19 +10,19 @@ import pytest
 from tests.support.adapters import trained
 from xpl.embodiment import get_embodiment
 from xpl_cli.adopt.checkpoints import block, registry
-from xpl_cli.adopt.facts import Confidence, Told, leaves, plain
+from xpl_cli.adopt.facts import Confidence, Fact, leaves, plain
 from xpl_cli.basics.errors import UserError
 
 
 def read(*folders: Path, robot: str = "aloha_agilex", **choices: Any) -> tuple[Any, dict[str, Any]]:
     """Return what folders say, and the block made of it, as a tree."""
     found, _ = registry.read(folders)
-    return found, block.model_io(found, get_embodiment(robot), block.Choices(**choices))
+    return found, block.model_io(found, get_embodiment(robot), block.UserChoices(**choices))
 
 
 def places(tree: Any) -> dict[str, str]:
     """Return where each value of a block was read."""
-    return {key: str(leaf.evidence[0]) for key, leaf in leaves(tree, "") if isinstance(leaf, Told) and leaf.evidence}
+    return {key: str(leaf.evidence[0]) for key, leaf in leaves(tree, "") if isinstance(leaf, Fact) and leaf.evidence}
 
 
 def line(folder: Path, name: str, text: str) -> int:
@@ -33,7 +33,7 @@ def line(folder: Path, name: str, text: str) -> int:
 
 def opened(tree: Any) -> list[str]:
     """Return the keys of a block that are open."""
-    return [key for key, leaf in leaves(tree, "") if not isinstance(leaf, Told)]
+    return [key for key, leaf in leaves(tree, "") if not isinstance(leaf, Fact)]
 
 
 def test_what_a_checkpoint_says_is_in_the_block_with_its_place(tmp_path: Path) -> None:
@@ -176,7 +176,7 @@ def test_a_policy_that_resizes_images_itself_gets_them_as_they_are(tmp_path: Pat
     assert [plain(image["input"]) for image in tree["images"]] == ["observation.images.base_0_rgb"]
     assert "steps" not in tree["images"][0]
     assert plain(tree["instruction"]) == {"input": "task", "empty": "blank"}
-    assert block.smallest(found, tree) == {"cam_head": {"width": None, "height": None}}
+    assert block.camera_sizes(found, tree) == {"cam_head": {"width": None, "height": None}}
 
 
 def test_a_type_that_is_not_known_leaves_its_sampling_open(tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_two_names_of_one_camera_leave_the_second_open_until_the_user_says(tmp_p
     """`top` and `front` may both be the head camera; --camera decides."""
     cameras = {"observation.images.top": (96, 96), "observation.images.front": (96, 96)}
     folder = trained.lerobot(tmp_path / "p", cameras=cameras, n_action_steps=8)
-    assert "another one's already" in plain(read(folder)[1]["images"][1]["cameras"])["unknown"]
+    assert "is taken by another one" in plain(read(folder)[1]["images"][1]["cameras"])["unknown"]
     _, tree = read(folder, cameras={"front": "cam_third_view"}, gripper=(0.0, 1.0))
     assert [plain(image["cameras"]) for image in tree["images"]] == [["cam_head"], ["cam_third_view"]]
     assert opened(tree) == []

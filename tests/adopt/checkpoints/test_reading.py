@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tests.support.adapters import trained
 from tests.support.examples import examples
 from xpl_cli.adopt.checkpoints import registry
-from xpl_cli.adopt.checkpoints.reading import Document, Folder
+from xpl_cli.adopt.checkpoints.reading import CheckpointFolder, ConfigDocument
 from xpl_cli.basics.errors import NotFoundError, UserError
 
 _KEYS = (
@@ -86,7 +86,7 @@ def test_links_of_the_hub_s_cache_are_followed(tmp_path: Path) -> None:
     for number, path in enumerate(sorted(made.iterdir())):
         path.rename(hub / "blobs" / str(number))
         (snapshot / path.name).symlink_to(Path("..") / ".." / "blobs" / str(number))
-    assert registry.read([snapshot])[0].maker == "lerobot"
+    assert registry.read([snapshot])[0].framework == "lerobot"
 
 
 def test_nothing_waits_for_a_pipe(tmp_path: Path) -> None:
@@ -120,15 +120,15 @@ def test_a_zip_is_listed_and_not_unpacked(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "bomb.ckpt", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("archive/data.pkl", b"\0" * (8 << 20))
     assert (tmp_path / "bomb.ckpt").stat().st_size < 100_000
-    assert Folder(tmp_path).members("bomb.ckpt") == ["archive/data.pkl"]
+    assert CheckpointFolder(tmp_path).members("bomb.ckpt") == ["archive/data.pkl"]
     trained.put(tmp_path, "no.ckpt", "no zip")
-    assert Folder(tmp_path).members("no.ckpt") == []
+    assert CheckpointFolder(tmp_path).members("no.ckpt") == []
 
 
 def test_numbers_are_finite_and_few(tmp_path: Path) -> None:
     for value in ([float("nan")], ["1"], [0.0] * 20_000, [True]):
         with pytest.raises(UserError, match="expected a list of finite numbers"):
-            Document("stats.json", {"mean": value}).numbers("mean")
+            ConfigDocument("stats.json", {"mean": value}).numbers("mean")
 
 
 def test_yaml_that_names_classes_is_refused(tmp_path: Path) -> None:

@@ -1,1 +1,1 @@
-"""Checkpoints and data sets that training left behind: what they say of the model, each fact with its place."""
+"""Reading of checkpoints and their datasets: the facts that they state about the model, with their sources."""

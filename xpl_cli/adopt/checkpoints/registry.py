@@ -1,4 +1,4 @@
-"""Recognises whose files a folder holds, and reads them."""
+"""Recognition of the framework that wrote a checkpoint, and its readers."""
 
 from __future__ import annotations
 
@@ -6,106 +6,105 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.adopt.checkpoints.makers import diffusion_policy, groot, openpi, openvla, rdt, robomimic, starvla
-from xpl_cli.adopt.checkpoints.makers.lerobot import checkpoint as lerobot
-from xpl_cli.adopt.checkpoints.makers.lerobot import dataset
-from xpl_cli.adopt.checkpoints.reading import Folder
+from xpl_cli.adopt.checkpoints.frameworks import diffusion_policy, groot, openpi, openvla, rdt, robomimic, starvla
+from xpl_cli.adopt.checkpoints.frameworks.lerobot import checkpoint as lerobot
+from xpl_cli.adopt.checkpoints.frameworks.lerobot import dataset
+from xpl_cli.adopt.checkpoints.reading import CheckpointFolder
 from xpl_cli.basics.errors import NotFoundError, UserError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from xpl_cli.adopt.checkpoints.makers.lerobot.dataset import Dataset
-    from xpl_cli.adopt.checkpoints.trained import Trained
+    from xpl_cli.adopt.checkpoints.frameworks.lerobot.dataset import LeRobotDataset
+    from xpl_cli.adopt.checkpoints.trained_model import TrainedModel
 
 
 @dataclass(frozen=True)
-class Beside:
-    """What else the user gave, and chose.
+class ReadOptions:
+    """Further input of the user.
 
     Attributes:
-        data: the data set that the model was trained on.
-        code: a checkout of the maker's code.
-        key: which entry of a file of statistics counts.
+        data: the dataset that the model was trained on.
+        code: a checkout of the framework's code.
+        key: entry of the statistics file.
     """
 
-    data: Dataset | None = None
-    code: Folder | None = None
+    data: LeRobotDataset | None = None
+    code: CheckpointFolder | None = None
     key: str | None = None
 
 
 @dataclass(frozen=True)
-class Maker:
-    """One maker of checkpoints.
+class Framework:
+    """A framework that writes checkpoints.
 
     Attributes:
-        name: as people know it.
-        inner: returns the folder that holds a checkpoint's files, given one that may; None if it is not this maker's.
-        read: reads it.
+        name: its usual name.
+        inner: returns the folder of the checkpoint's files inside a given one; None if it is not this framework's.
+        read: reads the checkpoint.
     """
 
     name: str
-    inner: Callable[[Folder], Folder | None]
-    read: Callable[[Folder, Beside], Trained]
+    inner: Callable[[CheckpointFolder], CheckpointFolder | None]
+    read: Callable[[CheckpointFolder, ReadOptions], TrainedModel]
 
 
 _MOST_INPUTS: Final = 64
 
-MAKERS = (
-    Maker("LeRobot", lerobot.inner, lambda folder, beside: lerobot.read(folder, beside.data)),
-    Maker("openpi", openpi.inner, lambda folder, beside: openpi.read(folder, beside.key, beside.code)),
-    Maker("Isaac-GR00T", groot.inner, lambda folder, beside: groot.read(folder, beside.key)),
-    Maker("OpenVLA", openvla.inner, lambda folder, beside: openvla.read(folder, beside.key)),
-    Maker("StarVLA", starvla.inner, lambda folder, beside: starvla.read(folder, beside.key)),
-    Maker("RDT", rdt.inner, lambda folder, _beside: rdt.read(folder)),
-    Maker("Diffusion Policy", diffusion_policy.inner, lambda folder, _beside: diffusion_policy.read(folder)),
-    Maker("robomimic", robomimic.inner, lambda folder, _beside: robomimic.read(folder)),
+FRAMEWORKS = (
+    Framework("LeRobot", lerobot.inner, lambda folder, beside: lerobot.read(folder, beside.data)),
+    Framework("openpi", openpi.inner, lambda folder, beside: openpi.read(folder, beside.key, beside.code)),
+    Framework("Isaac-GR00T", groot.inner, lambda folder, beside: groot.read(folder, beside.key)),
+    Framework("OpenVLA", openvla.inner, lambda folder, beside: openvla.read(folder, beside.key)),
+    Framework("StarVLA", starvla.inner, lambda folder, beside: starvla.read(folder, beside.key)),
+    Framework("RDT", rdt.inner, lambda folder, _beside: rdt.read(folder)),
+    Framework("Diffusion Policy", diffusion_policy.inner, lambda folder, _beside: diffusion_policy.read(folder)),
+    Framework("robomimic", robomimic.inner, lambda folder, _beside: robomimic.read(folder)),
 )
 
 
-def read(paths: Sequence[Path], key: str | None = None) -> tuple[Trained, Folder]:
-    """Return what was trained, and the folder of the checkpoint.
+def read(paths: Sequence[Path], key: str | None = None) -> tuple[TrainedModel, CheckpointFolder]:
+    """Read a checkpoint; return the model and the checkpoint's folder.
 
     Args:
-        paths: the folder of one checkpoint; of the data set that it was trained on, or a checkout of its maker's code,
-            if the user has that too.
-        key: which entry of a file of statistics counts, where it holds those of several data sets.
+        paths: the folder of one checkpoint; optionally that of its dataset, and a checkout of its framework's code.
+        key: entry of the statistics file, where it has several datasets.
 
     Raises:
-        NotFoundError: if there is no such folder.
-        UserError: if it is nobody's that is known, or several checkpoints, or a file in it is not what it should be.
+        NotFoundError: a folder does not exist.
+        UserError: no framework recognises the folder, there are several checkpoints, or a file is invalid.
     """
-    data, code, found = None, None, []
+    data, code, checkpoints = None, None, []
     for path in paths:
         folder = _folder(path)
         if dataset.recognises(folder):
             data = dataset.read(folder)
         elif folder.has(openpi.CONFIGS):
             code = folder
-        elif (known := recognised(folder)) is not None:
-            found.append(known)
+        elif (match := recognise(folder)) is not None:
+            checkpoints.append(match)
         else:
             raise UserError(
-                f"{path} is no checkpoint that is known: expected one of {', '.join(maker.name for maker in MAKERS)}",
-                hint="give the folder that holds its configuration, or the run that it lies in",
+                f"{path} is no known checkpoint: expected {', '.join(framework.name for framework in FRAMEWORKS)}",
+                hint="give the folder of its configuration, or of the training run",
             )
-    if len(found) != 1:
-        what = f"{len(found)} checkpoints" if found else "a data set or code, and no checkpoint"
-        raise UserError(f"--from was given {what}: expected one checkpoint, and its data set where you have it")
-    maker, folder = found[0]
+    if len(checkpoints) != 1:
+        what = f"{len(checkpoints)} checkpoints" if checkpoints else "a dataset or code, and no checkpoint"
+        raise UserError(f"--from got {what}: expected one checkpoint, and optionally its dataset")
+    maker, folder = checkpoints[0]
     try:
-        return _usable(maker.read(folder, Beside(data, code, key))), folder
+        return _usable(maker.read(folder, ReadOptions(data, code, key))), folder
     except UserError as error:
         if str(folder.path) in str(error):
             raise
         raise UserError(f"{folder.path}: {error}", hint=error.hint, code=error.code) from None
 
 
-def _usable(trained: Trained) -> Trained:
-    """Return what was read.
+def _usable(trained: TrainedModel) -> TrainedModel:
+    """Return the model if its number of inputs is plausible.
 
     Raises:
-        UserError: it has more inputs than any model: each is a line of what is written, and several of what is told.
+        UserError: it has more inputs than any model.
     """
     names = [name for view in trained.views for name in view.names]
     if max(len(trained.views), len(names), len(trained.states)) > _MOST_INPUTS:
@@ -116,19 +115,19 @@ def _usable(trained: Trained) -> Trained:
     return trained
 
 
-def recognised(folder: Folder) -> tuple[Maker, Folder] | None:
-    """Return whose checkpoint a folder holds, and where its files are; None if it is nobody's that is known."""
-    for maker in MAKERS:
-        place = maker.inner(folder)
-        if place is not None:
-            return maker, place
+def recognise(folder: CheckpointFolder) -> tuple[Framework, CheckpointFolder] | None:
+    """Return the framework of a checkpoint and the folder of its files; None if no framework recognises it."""
+    for framework in FRAMEWORKS:
+        inner = framework.inner(folder)
+        if inner is not None:
+            return framework, inner
     return None
 
 
-def _folder(path: Path) -> Folder:
+def _folder(path: Path) -> CheckpointFolder:
     if not path.exists():
         raise NotFoundError(f"there is no {path}")
     if not path.is_dir():
         raise UserError(f"{path} is a file: expected the folder that training wrote")
-    # A data set is told by its name, since the checkpoint's files go by their names alone.
-    return Folder(path, path.resolve().name if dataset.recognises(Folder(path)) else "")
+    # Evidence names the dataset's folder; files of the checkpoint have no prefix.
+    return CheckpointFolder(path, path.resolve().name if dataset.recognises(CheckpointFolder(path)) else "")

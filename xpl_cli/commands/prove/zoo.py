@@ -91,9 +91,9 @@ def prove(
 ) -> None:
     """Audit the adapter of a policy in a checkout, and write down how far it runs (in a checkout of xpl only)."""
     from xpl_cli.adopt import files
-    from xpl_cli.audit.rules.clock import Clock
     from xpl_cli.audit.rules.gates import Gate
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
+    from xpl_cli.audit.rules.time_limit import TimeLimit
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError, one_of
     from xpl_cli.basics.progress import progress
@@ -108,16 +108,16 @@ def prove(
     adapter = proving.adapter_in(policies.find(name), checkout)
     sandbox.check([adapter.path], memory_limit="80%", isolate=isolate)
     with progress() as say:
-        options = Options(
+        options = AuditOptions(
             gates=tuple(Gate(each) for each in _GATES if not gate or each in gate),
             keep_going=True,
             python=python,
             memory_limit="80%",
             isolate=isolate,
-            clock=Clock.parse(time_limit),
+            time_limit=TimeLimit.parse(time_limit),
             progress=say,
         )
-        said = dict(_said(files.stated(adapter.path)))
+        said = dict(_said(files.read_facts(adapter.path)))
         arguments = [word for each in gate for word in ("--gate", each)]
         arguments += ["--python", "PYTHON"] if python else []
         arguments += ["--run", "RUN"] if run else []
@@ -137,8 +137,8 @@ def prove(
 
 def _said(sections: Mapping[str, Any]) -> Iterator[tuple[str, Read]]:
     """Yield what the adapter's files say of some keys of a manifest, with where they say it."""
-    from xpl_cli.adopt.facts import Findings
+    from xpl_cli.adopt.facts import ManifestFacts
 
     for key in _READ:
-        for leaf in Findings.of({key: sections.get(key)}).told.values():
+        for leaf in ManifestFacts.of({key: sections.get(key)}).facts.values():
             yield key, {"value": leaf.value, "source": leaf.comment[:400]}

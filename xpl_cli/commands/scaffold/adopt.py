@@ -36,13 +36,13 @@ def adopt(
     as_json: bool = JSON,
 ) -> None:
     """Write the manifest that an adapter lacks. What its files do not state is unknown; nothing else is changed."""
-    from xpl_cli.adopt.package import Trained, adoption
+    from xpl_cli.adopt.package import CheckpointSource, adoption
     from xpl_cli.basics import console
     from xpl_cli.commands.scaffold.from_checkpoint import choices
     from xpl_cli.packages import package
 
     said = choices(gripper, camera, statistics, given=bool(sources))
-    trained = Trained(sources, said) if sources else None
+    trained = CheckpointSource(sources, said) if sources else None
     chosen = adoption(path, package.parse_overrides(settings), merge=merge, scripts=scripts, trained=trained)
     if not dry_run:
         chosen.write()
@@ -55,8 +55,8 @@ def adopt(
                 "path": str(path),
                 "state": chosen.state if not dry_run else "would be written",
                 "files": {name: content.decode() for name, content in chosen.files.items()},
-                "facts": chosen.findings.told_as_json(),
-                "unknown": chosen.findings.open_as_json(),
+                "facts": chosen.findings.facts_as_json(),
+                "unknown": chosen.findings.unknown_as_json(),
                 "notes": list(chosen.notes),
                 "audit": summary,
                 "next": following,
@@ -79,10 +79,10 @@ def _tell(path: Path, chosen: Adoption, summary: dict[str, Any]) -> None:
     from xpl_cli.basics import console
 
     found = chosen.findings
-    counted = {**found.counts, "unknown": len(found.open)}
+    counted = {**found.counts, "unknown": len(found.unknown)}
     counts = ", ".join(f"{count} {name}" for name, count in counted.items())
     console.data(f"{path}: {chosen.state} ({', '.join(chosen.files) or 'nothing to write'}): {counts}")
-    for key, leaf in found.open.items():
+    for key, leaf in found.unknown.items():
         console.data(f"  unknown  {key}: {leaf.text}")
     console.data(f"static audit: {summary['statement']}, {summary['counts']}")
     for line in summary["findings"]:
@@ -94,16 +94,16 @@ def _audited(folder: Path) -> dict[str, Any]:
     from xpl_cli.audit.engine.engine import audit
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.model import Outcome
-    from xpl_cli.audit.rules.options import Options
-    from xpl_cli.audit.rules.verdict import judged
+    from xpl_cli.audit.rules.options import AuditOptions
+    from xpl_cli.audit.rules.verdict import verdict_of
     from xpl_cli.packages import package
 
-    report = audit(folder, package.POLICY, Options(gates=(Gate.STATIC,)))
-    verdict, results = judged(report), report.results
+    report = audit(folder, package.POLICY, AuditOptions(gates=(Gate.STATIC,)))
+    verdict, results = verdict_of(report), report.results
     bad = [result for result in results if result.outcome in (Outcome.FAIL, Outcome.WARN, Outcome.ERROR)]
     count = {outcome: sum(result.outcome is outcome for result in results) for outcome in Outcome}
     return {
-        "verdict": verdict.word.upper(),
+        "verdict": verdict.status.upper(),
         "statement": str(verdict),
         "counts": ", ".join(f"{number} {outcome.value}" for outcome, number in count.items() if number),
         "findings": [

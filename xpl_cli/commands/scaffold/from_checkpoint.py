@@ -13,8 +13,8 @@ from xpl_cli.commands.scaffold import new_package
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from xpl_cli.adopt.checkpoints.block import Choices
-    from xpl_cli.adopt.checkpoints.start import Start
+    from xpl_cli.adopt.checkpoints.block import UserChoices
+    from xpl_cli.adopt.checkpoints.package_start import NewPackage
 
 GRIPPER = typer.Option(
     None, metavar="CLOSED,OPEN", help="With --from: the model's values of a closed and of an open gripper."
@@ -54,7 +54,7 @@ def begin(
     Raises:
         UserError: if an option does not fit, or the folders hold nothing that is known.
     """
-    from xpl_cli.adopt.checkpoints import start
+    from xpl_cli.adopt.checkpoints import package_start
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
 
@@ -66,8 +66,8 @@ def begin(
             hint="leave them out; what it does not say can be changed in policy.yml afterwards",
         )
     said = choices(options.get("gripper"), options.get("camera") or (), options.get("statistics"), given=True)
-    wanted = start.Wanted(name, options.get("embodiment"), options.get(sdk.Deploy.ACTION_TYPE), said)
-    begun = start.begin(paths, wanted)
+    wanted = package_start.StartOptions(name, options.get("embodiment"), options.get(sdk.Deploy.ACTION_TYPE), said)
+    begun = package_start.new_package(paths, wanted)
     target = parent / name
     state = new_package.put(begun.files, target, overwrite=overwrite, dry_run=dry_run)
     if not dry_run:
@@ -80,7 +80,7 @@ def begin(
     )
 
 
-def choices(gripper: str | None, cameras: Sequence[str], statistics: str | None, *, given: bool) -> Choices:
+def choices(gripper: str | None, cameras: Sequence[str], statistics: str | None, *, given: bool) -> UserChoices:
     """Return what the user said of a checkpoint.
 
     Args:
@@ -92,36 +92,36 @@ def choices(gripper: str | None, cameras: Sequence[str], statistics: str | None,
     Raises:
         UserError: if an option is not written so, or there is no checkpoint that it could be said of.
     """
-    from xpl_cli.adopt.checkpoints.block import Choices
+    from xpl_cli.adopt.checkpoints.block import UserChoices
     from xpl_cli.basics.errors import UserError
 
     if not given and (gripper or cameras or statistics):
         told = "--gripper, --camera and --statistics say what a checkpoint leaves open"
         raise UserError(told, hint="give its folder with --from")
-    return Choices(_gripper(gripper), _cameras(cameras), statistics)
+    return UserChoices(_gripper(gripper), _cameras(cameras), statistics)
 
 
-def _tell(begun: Start) -> list[str]:
+def _tell(begun: NewPackage) -> list[str]:
     found = begun.findings
-    counted = {**found.counts, "open": len(found.open)}
+    counted = {**found.counts, "open": len(found.unknown)}
     counts = ", ".join(f"{count} {word}" for word, count in counted.items())
     return [
         f"read from {begun.folder}: {counts}",
-        *(f"  open  {key}: {leaf.text}" for key, leaf in found.open.items()),
+        *(f"  open  {key}: {leaf.text}" for key, leaf in found.unknown.items()),
     ]
 
 
-def _facts(begun: Start) -> dict[str, Any]:
+def _facts(begun: NewPackage) -> dict[str, Any]:
     return {
         "checkpoint": begun.checkpoint,
         "from": str(begun.folder),
-        "facts": begun.findings.told_as_json(),
-        "open": begun.findings.open_as_json(),
+        "facts": begun.findings.facts_as_json(),
+        "open": begun.findings.unknown_as_json(),
         "notes": begun.notes,
     }
 
 
-def _next(target: Path, begun: Start) -> list[str]:
+def _next(target: Path, begun: NewPackage) -> list[str]:
     """Return the commands that follow, ready to be pasted."""
     import shlex
 

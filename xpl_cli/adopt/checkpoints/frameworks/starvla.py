@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.adopt.checkpoints.layout import Numbers, Range
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
-from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, certain, likely
+from xpl_cli.adopt.checkpoints.layout import DataRange, VectorNumbers
+from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
-    from xpl_cli.adopt.checkpoints.reading import Document, Folder
+    from xpl_cli.adopt.checkpoints.reading import CheckpointFolder, ConfigDocument
 
 NAME: Final = "starvla"
 CODE: Final = "starVLA/starVLA@0ed0aad"
@@ -28,7 +28,7 @@ _HORIZONS: Final = (
 )
 
 
-def inner(folder: Folder) -> Folder | None:
+def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
     """Return the folder of a run of StarVLA; None if it is none."""
     if not (folder.has(_CONFIG) and folder.has(_STATISTICS)):
         return None
@@ -36,7 +36,7 @@ def inner(folder: Folder) -> Folder | None:
     return folder if isinstance(config.at("framework"), dict) and config.at(*_DATA) else None
 
 
-def read(folder: Folder, key: str | None = None) -> Trained:
+def read(folder: CheckpointFolder, key: str | None = None) -> TrainedModel:
     """Return what a run says.
 
     Args:
@@ -47,23 +47,23 @@ def read(folder: Folder, key: str | None = None) -> Trained:
         UserError: if a file is not what it should be, or several entries leave a choice.
     """
     config, stats = folder.yaml(_CONFIG), folder.json(_STATISTICS)
-    chosen = stats.chosen(stats.get(dict), key)
+    entry = stats.choose_entry(stats.get(dict), key)
     framework = config.get(str, "framework", "name", default="")
     mix = config.get(str, *_DATA, "data_mix", default="")
     reads_state = bool(config.at(*_DATA, "include_state"))
-    where = config.seen("framework", "name")
-    return Trained(
-        maker=NAME,
-        about=f"a policy of StarVLA ({framework or 'no framework named'}), trained on {mix or chosen}",
+    where = config.evidence_of("framework", "name")
+    return TrainedModel(
+        framework=NAME,
+        about=f"a policy of StarVLA ({framework or 'no framework named'}), trained on {mix or entry}",
         family=certain("vla", where),
         views=[_view(config)],
-        states=[_vector(stats, chosen, "state", certain("state", config.seen(*_DATA, "include_state")))]
+        states=[_vector(stats, entry, "state", certain("state", config.evidence_of(*_DATA, "include_state")))]
         if reads_state
         else [],
-        action=_vector(stats, chosen, "action", None),
+        action=_vector(stats, entry, "action", None),
         reference=_reference(config),
         chunk=_chunk(config),
-        sampling=Open("none, seeded or free: it depends on the framework's action head", (where,)),
+        sampling=UnknownValue("none, seeded or free: it depends on the framework's action head", (where,)),
         instruction={
             "input": likely("lang", Evidence(f"{CODE}:deployment/model_server", None, "examples have a lang"))
         },
@@ -75,15 +75,20 @@ def read(folder: Folder, key: str | None = None) -> Trained:
     )
 
 
-def _view(config: Document) -> View:
+def _view(config: ConfigDocument) -> ImageSpec:
     path = next((path for path in ((*_DATA, "obs_image_size"), (*_DATA, "image_size")) if config.at(*path)), None)
     size = config.numbers(*path) if path else None
-    where = config.seen(*path) if path else Evidence(_CONFIG, None, "no obs_image_size")
+    where = config.evidence_of(*path) if path else Evidence(_CONFIG, None, "no obs_image_size")
     steps: list[Tree] = []
     if size and len(size) == 2:
         code = Evidence(f"{CODE}:deployment/model_server/policy_wrapper.py", None, "training_obs_image_size")
         steps.append(
-            {"resize": {"to": certain([int(one) for one in size], where), "filter": Open("the filter", (code,))}}
+            {
+                "resize": {
+                    "to": certain([int(one) for one in size], where),
+                    "filter": UnknownValue("the filter", (code,)),
+                }
+            }
         )
     rest: dict[str, Tree] = {
         "channels": likely("rgb", Evidence(f"{CODE}:starVLA/dataloader", None, "images are PIL images in RGB")),
@@ -91,37 +96,39 @@ def _view(config: Document) -> View:
         "dtype": "uint8",
     }
     views = Evidence(_CONFIG, None, "a list of views, in the order of the data config's video keys")
-    rest["stack"] = Open("how many views, and how they are put together", (views,))
-    shown = (int(size[0]), int(size[1])) if size and len(size) == 2 else None
-    return View(likely("image", views), ["of the data config"], views, shown, steps, rest)
+    rest["stack"] = UnknownValue("how many views, and how they are put together", (views,))
+    size_known = (int(size[0]), int(size[1])) if size and len(size) == 2 else None
+    return ImageSpec(likely("image", views), ["of the data config"], views, size_known, steps, rest)
 
 
-def _vector(stats: Document, chosen: str, kind: str, name: Told | None) -> Vector:
-    path = (chosen, kind)
-    within = Range.read(stats, path, "min", "max")
+def _vector(stats: ConfigDocument, entry: str, kind: str, name: Fact | None) -> VectorSpec:
+    path = (entry, kind)
+    within = DataRange.read(stats, path, "min", "max")
     if within is None:
-        raise UserError(f"{stats.place(*path)}: expected min and max of {kind}, as many of each")
+        raise UserError(f"{stats.location(*path)}: expected min and max of {kind}, as many of each")
     width = len(within.low)
-    numbers = Numbers(width, stats.seen(*path, what=f"{kind}: {width} numbers"), range=within)
-    told = ", ".join(word for word in ("min", "max", "q01", "q99", "mean", "std") if stats.at(*path, word))
-    rule = Open("min_max, quantiles or mean_std: the data config says it by key", (stats.seen(*path, what=told),))
-    return Vector(numbers, name, rule)
+    numbers = VectorNumbers(width, stats.evidence_of(*path, what=f"{kind}: {width} numbers"), range=within)
+    present = ", ".join(word for word in ("min", "max", "q01", "q99", "mean", "std") if stats.at(*path, word))
+    rule = UnknownValue(
+        "min_max, quantiles or mean_std: the data config says it by key", (stats.evidence_of(*path, what=present),)
+    )
+    return VectorSpec(numbers, name, rule)
 
 
-def _reference(config: Document) -> Told | Open:
-    told = config.get(str, *_DATA, "action_type", default="")
-    where = config.seen(*_DATA, "action_type")
-    if told.startswith("delta"):
+def _reference(config: ConfigDocument) -> Fact | UnknownValue:
+    mode = config.get(str, *_DATA, "action_type", default="")
+    where = config.evidence_of(*_DATA, "action_type")
+    if mode.startswith("delta"):
         return likely("cumulative", where)
-    if told.startswith("abs"):
+    if mode.startswith("abs"):
         return likely("absolute", where)
-    return Open("what actions are counted from", (where,) if told else ())
+    return UnknownValue("what actions are counted from", (where,) if mode else ())
 
 
-def _chunk(config: Document) -> Told | Open:
+def _chunk(config: ConfigDocument) -> Fact | UnknownValue:
     for path in _HORIZONS:
         steps = config.get(int, *path, default=0)
         if steps > 0:
             later = path[-1].startswith("future")  # the present step comes before them
-            return likely(steps + later, config.seen(*path))
-    return Open("how many steps an answer has: config.yaml names no action_horizon")
+            return likely(steps + later, config.evidence_of(*path))
+    return UnknownValue("how many steps an answer has: config.yaml names no action_horizon")

@@ -11,7 +11,7 @@ from tests.support.adapters import trained
 from xpl.convert import compile_interface
 from xpl.embodiment import get_embodiment
 from xpl_cli.adopt.checkpoints import block, registry
-from xpl_cli.adopt.facts import Told, leaves, plain
+from xpl_cli.adopt.facts import Fact, leaves, plain
 from xpl_cli.basics.errors import UserError
 
 TWO, ONE = "aloha_agilex", "franka_single"
@@ -20,19 +20,19 @@ TWO, ONE = "aloha_agilex", "franka_single"
 def read(*folders: Path, robot: str = TWO, key: str | None = None, **choices: Any) -> tuple[Any, dict[str, Any]]:
     """Return what folders say, and the block made of it, as a tree."""
     found, _ = registry.read(folders, key)
-    return found, block.model_io(found, get_embodiment(robot), block.Choices(**choices))
+    return found, block.model_io(found, get_embodiment(robot), block.UserChoices(**choices))
 
 
 def source(tree: Any, key: str) -> str:
     """Return where a value of a block was read."""
     leaf = dict(leaves(tree, ""))[key]
-    assert isinstance(leaf, Told)
+    assert isinstance(leaf, Fact)
     return str(leaf.evidence[0])
 
 
 def opened(tree: Any) -> list[str]:
     """Return the keys of a block that are open."""
-    return [key for key, leaf in leaves(tree, "") if not isinstance(leaf, Told)]
+    return [key for key, leaf in leaves(tree, "") if not isinstance(leaf, Fact)]
 
 
 # -- openpi ------------------------------------------------------------------------------------------------------------

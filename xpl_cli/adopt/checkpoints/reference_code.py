@@ -1,7 +1,7 @@
-"""Writes reference.py of a checkpoint whose maker's own code can be asked: LeRobot's `select_action`.
+"""Generates reference.py for a checkpoint whose framework can be called: LeRobot's `select_action`.
 
-Its lines are made of the facts, not of the block: it is the other reading that audits compare the adapter with. Each
-convention names where it was read; what nobody says is `assumed`.
+It is generated from the facts, not from the block: audits compare the adapter with this second implementation. Each
+convention has its source; without one it is `assumed`.
 """
 
 from __future__ import annotations
@@ -10,48 +10,48 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli.adopt.checkpoints import layout
-from xpl_cli.adopt.checkpoints.makers.lerobot.types import CODE
-from xpl_cli.adopt.facts import Confidence, Open, Told, Tree, leaves, plain
+from xpl_cli.adopt.checkpoints.frameworks.lerobot.types import CODE
+from xpl_cli.adopt.facts import Confidence, Fact, Tree, UnknownValue, leaves, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from xpl.contract import Entry
     from xpl.embodiment import Arm, Embodiment
-    from xpl_cli.adopt.checkpoints.trained import Trained
+    from xpl_cli.adopt.checkpoints.trained_model import TrainedModel
 
 
-class UnsaidError(Exception):
-    """A reference.py cannot be written: the argument says what is open."""
+class UnknownFactError(Exception):
+    """reference.py cannot be written; the message lists the unknown values."""
 
 
-def context(trained: Trained, block: Mapping[str, Tree], robot: Embodiment, checkpoint: str) -> dict[str, Any]:
-    """Return what the template of reference.py says.
+def context(trained: TrainedModel, block: Mapping[str, Tree], robot: Embodiment, checkpoint: str) -> dict[str, Any]:
+    """Return the variables of the reference.py template.
 
     Args:
-        trained: what was read.
-        block: the model_io block made of it.
+        trained: the model.
+        block: its model_io block.
         robot: the robot.
         checkpoint: its name.
 
     Raises:
-        UnsaidError: if something that it needs is open, or is no joint, gripper or hand.
+        UnknownFactError: a value is unknown, or a part is no joint, gripper or hand.
     """
     openings = [
         key
         for key, leaf in leaves({key: block[key] for key in ("images", "state", "action") if key in block}, "model_io")
-        if isinstance(leaf, Open)
+        if isinstance(leaf, UnknownValue)
     ]
     if openings:
-        raise UnsaidError(f"{len(openings)} values are open: {', '.join(openings)}")
+        raise UnknownFactError(f"{len(openings)} values are unknown: {', '.join(openings)}")
     state = block.get("state", [])
     if len(state) != 1:
-        raise UnsaidError(f"it has {len(state)} vector inputs, expected observation.state alone")
+        raise UnknownFactError(f"it has {len(state)} vector inputs, expected observation.state alone")
     return {
         "conventions": list(_conventions(trained, block, checkpoint)),
         "cameras": [_camera(entry) for entry in plain(block.get("images", []))],
-        "state": list(_read(plain(state[0]["parts"]), robot)),
-        "action": list(_written(plain(block["action"]["parts"]), robot)),
+        "state": list(_state_code(plain(state[0]["parts"]), robot)),
+        "action": list(_action_code(plain(block["action"]["parts"]), robot)),
         "draws": plain(block["sampling"]) != "none",
     }
 
@@ -61,9 +61,9 @@ def _camera(entry: Entry) -> tuple[str, str, str]:
     return entry["input"], entry["cameras"][0], f"({size[0]}, {size[1]})"
 
 
-def _read(parts: Sequence[Entry], robot: Embodiment) -> Iterator[str]:
-    """Yield what the numbers of the state are made of."""
-    for kind, how, arm in _each(parts, robot):
+def _state_code(parts: Sequence[Entry], robot: Embodiment) -> Iterator[str]:
+    """Yield the code of each part of the state vector."""
+    for kind, how, arm in _parts_with_arms(parts, robot):
         key = arm.prefix + (sdk.State.ARM_JOINT_STATE if kind == "joints" else sdk.State.EE_JOINT_STATE)
         text = f'observed["{key}"]'
         if kind == "gripper":
@@ -78,39 +78,41 @@ def _read(parts: Sequence[Entry], robot: Embodiment) -> Iterator[str]:
         yield f"np.degrees({text})" if how.get("unit") == "deg" else text
 
 
-def _written(parts: Sequence[Entry], robot: Embodiment) -> Iterator[tuple[str, str]]:
-    """Yield what the fields of a step are made of."""
-    place = 0
-    for kind, how, arm in _each(parts, robot):
+def _action_code(parts: Sequence[Entry], robot: Embodiment) -> Iterator[tuple[str, str]]:
+    """Yield key and code of each field of an action step."""
+    offset = 0
+    for kind, how, arm in _parts_with_arms(parts, robot):
         key = arm.prefix + (sdk.State.ARM_JOINT_STATE if kind == "joints" else sdk.State.EE_JOINT_STATE)
         if kind == "gripper":
             if isinstance(how["closed"], list):
-                raise UnsaidError("the action has a gripper of several numbers")
-            text = f"row[{place}:{place + 1}]"
-            place += 1
+                raise UnknownFactError("the action has a gripper of several numbers")
+            text = f"row[{offset}:{offset + 1}]"
+            offset += 1
             if (how["closed"], how["open"]) != (0, 1):
                 text = f"({text} - {how['closed']}) / ({how['open']} - {how['closed']})"
             yield key, f"np.clip({text}, 0.0, 1.0)"
             continue
         width = arm.dof if kind == "joints" else arm.ee_dim
-        text = f"row[{place}:{place + width}]"
-        place += width
+        text = f"row[{offset}:{offset + width}]"
+        offset += width
         if names := how.get("names"):
             text += f"[{[names.index(name) for name in arm.joint_names or ()]}]"
         yield key, f"np.radians({text})" if how.get("unit") == "deg" else text
 
 
-def _each(parts: Sequence[Entry], robot: Embodiment) -> Iterator[tuple[str, Entry, Arm]]:
+def _parts_with_arms(parts: Sequence[Entry], robot: Embodiment) -> Iterator[tuple[str, Entry, Arm]]:
     arms: dict[str, Arm] = dict(zip(layout.sides(robot), robot.arms, strict=True))
     for part in parts:
         ((kind, how),) = part.items()
         if kind not in ("joints", "gripper", "hand"):
-            raise UnsaidError(f"a vector holds a {kind}, which is written by hand: LeRobot has no word for it")
+            raise UnknownFactError(
+                f"a vector holds a {kind}, which has to be written by hand: LeRobot has no term for it"
+            )
         yield kind, how, arms[how["arm"]]
 
 
-def _conventions(trained: Trained, block: Mapping[str, Tree], checkpoint: str) -> Iterator[tuple[str, str]]:
-    """Yield each convention with its source, as Python texts."""
+def _conventions(trained: TrainedModel, block: Mapping[str, Tree], checkpoint: str) -> Iterator[tuple[str, str]]:
+    """Yield each convention with its source, as Python literals."""
     images, action = block.get("images", []), block["action"]
     joints = [part["joints"] for part in [*block["state"][0]["parts"], *action["parts"]] if "joints" in part]
     grippers = [part["gripper"]["closed"] for part in action["parts"] if "gripper" in part]
@@ -122,13 +124,16 @@ def _conventions(trained: Trained, block: Mapping[str, Tree], checkpoint: str) -
         yield "image_size", _source(steps[0]["resize"]["to"], checkpoint) if steps else repr(itself)
         if steps:
             yield "image_filter", _source(steps[0]["resize"]["filter"], checkpoint)
-        yield "image_orientation", repr("assumed: LeRobot turns no image, and the data shows what its cameras showed")
-        yield "camera", _weakest([view["cameras"] for view in images], checkpoint)
+        yield (
+            "image_orientation",
+            repr("assumed: LeRobot rotates no image, and the data has images as the cameras took them"),
+        )
+        yield "camera", _least_certain_source([view["cameras"] for view in images], checkpoint)
     if joints:
-        yield "joint_order", _weakest([how["arm"] for how in joints], checkpoint)
-        yield "angle_unit", _weakest([how["unit"] for how in joints], checkpoint)
+        yield "joint_order", _least_certain_source([how["arm"] for how in joints], checkpoint)
+        yield "angle_unit", _least_certain_source([how["unit"] for how in joints], checkpoint)
     if grippers:
-        yield "gripper", _weakest(grippers, checkpoint)
+        yield "gripper", _least_certain_source(grippers, checkpoint)
     yield "action_reference", _source(action["reference"], checkpoint)
     yield "chunk", _source(trained.chunk, checkpoint)
     if trained.history is not None:
@@ -142,23 +147,23 @@ def _conventions(trained: Trained, block: Mapping[str, Tree], checkpoint: str) -
     yield "sampling", _source(trained.sampling, checkpoint)
 
 
-def _weakest(told: Sequence[Tree], checkpoint: str) -> str:
-    """Return the source of several facts: that of the least sure one."""
+def _least_certain_source(trees: Sequence[Tree], checkpoint: str) -> str:
+    """Return the source of several facts: that of the least certain one."""
     ranked = list(Confidence)
-    known = [leaf for leaf in told if isinstance(leaf, Told)]
-    return _source(max(known, key=lambda leaf: ranked.index(leaf.confidence)), checkpoint)
+    facts = [leaf for leaf in trees if isinstance(leaf, Fact)]
+    return _source(max(facts, key=lambda leaf: ranked.index(leaf.confidence)), checkpoint)
 
 
-def _source(told: Tree, checkpoint: str) -> str:
-    """Return a source as a Python text: file and line where a file says it, `assumed` where it is concluded."""
-    if not isinstance(told, Told):
-        raise UnsaidError("a convention is open")
-    first = told.evidence[0]
-    if told.confidence is Confidence.CERTAIN and first.file:
-        place = f"{first.file}:{first.line}" if first.line else first.file
-        folder, _, name = place.partition("/")
-        # Not in the package: by the name of the checkpoint, or of the data set.
-        return repr(f"{checkpoint}@checkpoint:{place}" if not name else f"{folder}@dataset:{name}")
+def _source(tree: Tree, checkpoint: str) -> str:
+    """Return a source as a Python literal: file and line, or `assumed` where it is inferred."""
+    if not isinstance(tree, Fact):
+        raise UnknownFactError("a convention is unknown")
+    first = tree.evidence[0]
+    if tree.confidence is Confidence.CERTAIN and first.file:
+        location = f"{first.file}:{first.line}" if first.line else first.file
+        folder, _, name = location.partition("/")
+        # Outside the package: by the name of the checkpoint or the dataset.
+        return repr(f"{checkpoint}@checkpoint:{location}" if not name else f"{folder}@dataset:{name}")
     if first.file.startswith(CODE):
         return repr(f"{first.file} {first.what}")
     return repr(f"assumed: {first}"[:110])

@@ -11,15 +11,15 @@ import ast
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl_cli.adopt.checkpoints.layout import Numbers, Range
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
-from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, certain, likely
+from xpl_cli.adopt.checkpoints.layout import DataRange, VectorNumbers
+from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from xpl_cli.adopt.checkpoints.reading import Document, Folder
+    from xpl_cli.adopt.checkpoints.reading import CheckpointFolder, ConfigDocument
 
 NAME: Final = "openpi"
 CODE: Final = "Physical-Intelligence/openpi@15a9616:src/openpi"
@@ -32,7 +32,7 @@ _EPSILON: Final = 1e-6
 _FAMILIES: Final = (("pi0_fast", "none"), ("pi05", "seeded"), ("pi0", "seeded"))
 
 
-def inner(folder: Folder) -> Folder | None:
+def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
     """Return the folder of a checkpoint of openpi; None if it is none."""
     if _files(folder):
         return folder
@@ -40,12 +40,12 @@ def inner(folder: Folder) -> Folder | None:
     return folder.below(max(steps, key=int)) if steps else None
 
 
-def _files(folder: Folder) -> list[str]:
-    found = [name for pattern in (_FILE, f"assets/*/{_FILE}", f"assets/*/*/{_FILE}") for name in folder.names(pattern)]
-    return [name for name in found if isinstance(folder.json(name).at("norm_stats"), dict)]
+def _files(folder: CheckpointFolder) -> list[str]:
+    paths = [name for pattern in (_FILE, f"assets/*/{_FILE}", f"assets/*/*/{_FILE}") for name in folder.names(pattern)]
+    return [name for name in paths if isinstance(folder.json(name).at("norm_stats"), dict)]
 
 
-def read(folder: Folder, key: str | None = None, code: Folder | None = None) -> Trained:
+def read(folder: CheckpointFolder, key: str | None = None, code: CheckpointFolder | None = None) -> TrainedModel:
     """Return what a checkpoint says.
 
     Args:
@@ -56,20 +56,20 @@ def read(folder: Folder, key: str | None = None, code: Folder | None = None) -> 
     Raises:
         UserError: if a file is not what it should be, or several assets leave a choice.
     """
-    return _Reader(folder, key, code).trained()
+    return _OpenpiReader(folder, key, code).trained()
 
 
-class _Reader:
-    def __init__(self, folder: Folder, key: str | None, code: Folder | None) -> None:
+class _OpenpiReader:
+    def __init__(self, folder: CheckpointFolder, key: str | None, code: CheckpointFolder | None) -> None:
         self.folder = folder
-        self.file = _chosen(_files(folder), key)
+        self.file = _choose_assets(_files(folder), key)
         self.stats = folder.json(self.file)
-        self.config: Document | None = folder.json("config.json") if folder.has("config.json") else None
+        self.config: ConfigDocument | None = folder.json("config.json") if folder.has("config.json") else None
         self.name = _config_name(folder)
-        self.source = _Source.of(code, self.name) if code is not None else None
+        self.source = _TrainConfig.of(code, self.name) if code is not None else None
         self.notes: list[str] = []
 
-    def trained(self) -> Trained:
+    def trained(self) -> TrainedModel:
         where = Evidence(self.file, self.stats.line("norm_stats"), "norm_stats")
         kind = next((kind for kind, _ in _FAMILIES if self.name.startswith(kind)), "")
         if self.source is None:
@@ -77,13 +77,15 @@ class _Reader:
                 f"cameras, joints and deltas are in openpi's training config{f' {self.name}' if self.name else ''}: "
                 "give a checkout of openpi with a second --from"
             )
-        return Trained(
-            maker=NAME,
+        return TrainedModel(
+            framework=NAME,
             about=f"a policy of openpi{f', {self.name}' if self.name else ''}",
             family=certain("vla", where),
             views=[self._view(name) for name in _IMAGES],
-            states=[Vector(self._numbers("state"), certain("state", where), self._rule("state", kind), self._pad())],
-            action=Vector(self._numbers("actions"), None, self._rule("actions", kind), self._pad()),
+            states=[
+                VectorSpec(self._numbers("state"), certain("state", where), self._rule("state", kind), self._pad())
+            ],
+            action=VectorSpec(self._numbers("actions"), None, self._rule("actions", kind), self._pad()),
             reference=self._reference(),
             chunk=self._chunk(),
             sampling=self._sampling(kind),
@@ -98,19 +100,19 @@ class _Reader:
             notes=self.notes,
         )
 
-    def _numbers(self, name: str) -> Numbers:
+    def _numbers(self, name: str) -> VectorNumbers:
         path = ("norm_stats", name)
         mean, std = self.stats.numbers(*path, "mean"), self.stats.numbers(*path, "std")
         if not mean or not std or len(mean) != len(std):
-            raise UserError(f"{self.stats.place(*path)}: expected mean and std of {name}, as many of each")
+            raise UserError(f"{self.stats.location(*path)}: expected mean and std of {name}, as many of each")
         moved = max((index + 1 for index, (a, b) in enumerate(zip(mean, std, strict=True)) if a or b), default=0)
         width = moved or len(mean)
         where = Evidence(self.file, self.stats.line(*path), f"{name}: {width} of {len(mean)} numbers are not zero")
-        within = Range.read(self.stats, path, "q01", "q99")
+        within = DataRange.read(self.stats, path, "q01", "q99")
         if within is not None:  # what does not move fills the vector up
-            whole = len(within.low) == len(mean)
-            within = replace(within, low=within.low[:width], high=within.high[:width]) if whole else None
-        return Numbers(width, where, range=within)
+            is_complete = len(within.low) == len(mean)
+            within = replace(within, low=within.low[:width], high=within.high[:width]) if is_complete else None
+        return VectorNumbers(width, where, range=within)
 
     def _rule(self, name: str, kind: str) -> Tree:
         path = ("norm_stats", name)
@@ -126,28 +128,30 @@ class _Reader:
         if kind:
             names = {"low": "q01", "high": "q99"}
             return {"rule": likely("quantiles", use), **common, "names": names, "epsilon": epsilon}
-        return Open("mean_std for pi0, quantiles for pi05 and pi0-FAST: no name says which the checkpoint is", (there,))
+        return UnknownValue(
+            "mean_std for pi0, quantiles for pi05 and pi0-FAST: no name says which the checkpoint is", (there,)
+        )
 
     def _pad(self) -> Tree:
         width = self.config.get(int, "action_dim", default=0) if self.config else 0
         if self.config and width:
-            return certain(width, self.config.seen("action_dim"))
-        if self.source and (found := self.source.model.get("action_dim")):
-            return likely(*found)
+            return certain(width, self.config.evidence_of("action_dim"))
+        if self.source and (action_dim := self.source.model.get("action_dim")):
+            return likely(*action_dim)
         if self.name.startswith("pi0_fast"):
             return None
         return likely(_WIDTH, Evidence(f"{CODE}/models/pi0_config.py:25", None, "action_dim: int = 32"))
 
-    def _chunk(self) -> Told | Open:
+    def _chunk(self) -> Fact | UnknownValue:
         if self.config and (steps := self.config.get(int, "action_horizon", default=0)):
-            return certain(steps, self.config.seen("action_horizon"))
-        if self.source and (found := self.source.model.get("action_horizon")):
-            return certain(*found)
+            return certain(steps, self.config.evidence_of("action_horizon"))
+        if self.source and (horizon := self.source.model.get("action_horizon")):
+            return certain(*horizon)
         if self.source:
             return likely(50, Evidence(f"{CODE}/models/pi0_config.py:26", None, "action_horizon: int = 50"))
-        return Open("action_horizon of the training config, 50 by default")
+        return UnknownValue("action_horizon of the training config, 50 by default")
 
-    def _view(self, name: str) -> View:
+    def _view(self, name: str) -> ImageSpec:
         where = Evidence(f"{CODE}/models/model.py:39", None, f"IMAGE_KEYS: {name}")
         box = {
             "to": certain([_SIZE, _SIZE], Evidence(f"{CODE}/training/config.py:119", None, "ResizeImages(224, 224)")),
@@ -160,34 +164,34 @@ class _Reader:
             "dtype": likely("float32", Evidence(f"{CODE}/models/model.py:118", None, "/ 255.0 * 2.0 - 1.0")),
             "range": [-1, 1],
         }
-        shown = self.source.cameras.get(name) if self.source else None
-        return View(
+        camera = self.source.cameras.get(name) if self.source else None
+        return ImageSpec(
             input=certain(name, where),
-            names=[shown[0] if shown else name],
-            evidence=shown[1] if shown else where,
+            names=[camera[0] if camera else name],
+            evidence=camera[1] if camera else where,
             steps=[{"letterbox": box}],
             rest=rest,
             optional=name != _IMAGES[0],
         )
 
-    def _reference(self) -> Told | Open:
+    def _reference(self) -> Fact | UnknownValue:
         if self.source is None:
-            return Open("delta_state where the data config has DeltaActions, else as recorded")
+            return UnknownValue("delta_state where the data config has DeltaActions, else as recorded")
         return self.source.reference()
 
-    def _sampling(self, kind: str) -> Told | Open:
+    def _sampling(self, kind: str) -> Fact | UnknownValue:
         where = Evidence(f"{CODE}/models/pi0.py:231", None, "sample_actions draws noise")
-        found = dict(_FAMILIES).get(kind)
-        return likely(found, where) if found else Open("seeded for pi0 and pi05, none for pi0-FAST")
+        sampling = dict(_FAMILIES).get(kind)
+        return likely(sampling, where) if sampling else UnknownValue("seeded for pi0 and pi05, none for pi0-FAST")
 
 
-class _Source:
+class _TrainConfig:
     """One `TrainConfig(...)` of openpi's config.py, as far as it is written with literals."""
 
     def __init__(self, name: str, call: ast.Call) -> None:
         self.name = name
-        given = {keyword.arg: keyword.value for keyword in call.keywords if keyword.arg}
-        model, data = given.get("model"), given.get("data")
+        arguments = {keyword.arg: keyword.value for keyword in call.keywords if keyword.arg}
+        model, data = arguments.get("model"), arguments.get("data")
         self.model = self._literals(model) if isinstance(model, ast.Call) else {}
         self.data = self._literals(data) if isinstance(data, ast.Call) else {}
         self.factory = ast.unparse(data.func) if isinstance(data, ast.Call) else ""
@@ -195,7 +199,7 @@ class _Source:
         self.cameras = dict(self._cameras(data)) if data is not None else {}
 
     @classmethod
-    def of(cls, code: Folder, name: str) -> _Source | None:
+    def of(cls, code: CheckpointFolder, name: str) -> _TrainConfig | None:
         """Return the config of a name; None if there is none, or the file is no Python."""
         try:
             tree = ast.parse(code.text(CONFIGS))
@@ -203,8 +207,8 @@ class _Source:
             return None
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and ast.unparse(node.func) == "TrainConfig":
-                named = {keyword.arg: keyword.value for keyword in node.keywords}.get("name")
-                if isinstance(named, ast.Constant) and named.value == name:
+                config_name = {keyword.arg: keyword.value for keyword in node.keywords}.get("name")
+                if isinstance(config_name, ast.Constant) and config_name.value == name:
                     return cls(name, node)
         return None
 
@@ -227,7 +231,7 @@ class _Source:
                     if isinstance(key, ast.Constant) and isinstance(value, ast.Constant) and key.value in meant:
                         yield meant[key.value], (str(value.value), self._at(value))
 
-    def reference(self) -> Told | Open:
+    def reference(self) -> Fact | UnknownValue:
         """Return what actions are counted from, by the factory of the data config."""
         where = Evidence(CONFIGS, self.line, f"{self.name}: {self.factory}")
         flags = {
@@ -235,30 +239,30 @@ class _Source:
             "LeRobotLiberoDataConfig": ("extra_delta_transform", False),
         }
         if self.factory not in flags:
-            return Open(f"delta_state where {self.factory or 'its data config'} has DeltaActions", (where,))
+            return UnknownValue(f"delta_state where {self.factory or 'its data config'} has DeltaActions", (where,))
         flag, usual = flags[self.factory]
-        value, seen = self.data.get(flag, (usual, where))
+        value, evidence = self.data.get(flag, (usual, where))
         if value:
-            return certain("delta_state", seen)
-        return likely("absolute" if "Aloha" in self.factory else "cumulative", seen)
+            return certain("delta_state", evidence)
+        return likely("absolute" if "Aloha" in self.factory else "cumulative", evidence)
 
 
-def _config_name(folder: Folder) -> str:
+def _config_name(folder: CheckpointFolder) -> str:
     """Return the name of the training config: openpi writes checkpoints/<config>/<experiment>/<step>."""
     path = folder.path.resolve()
     names = [path.parents[1].name] if path.name.isdigit() and len(path.parents) > 1 else [path.name]
     return next((name for name in names if name.startswith("pi0")), "")
 
 
-def _chosen(found: list[str], key: str | None) -> str:
-    named: Mapping[str, str] = {name.removesuffix(f"/{_FILE}").removeprefix("assets/"): name for name in found}
-    if key is not None and key in named:
-        return named[key]
-    if len(found) == 1 and key is None:
-        return found[0]
+def _choose_assets(paths: list[str], key: str | None) -> str:
+    paths_by_asset: Mapping[str, str] = {name.removesuffix(f"/{_FILE}").removeprefix("assets/"): name for name in paths}
+    if key is not None and key in paths_by_asset:
+        return paths_by_asset[key]
+    if len(paths) == 1 and key is None:
+        return paths[0]
     raise UserError(
-        f"--statistics {key}: the checkpoint has {', '.join(named)}"
+        f"--statistics {key}: the checkpoint has {', '.join(paths_by_asset)}"
         if key
-        else f"there are statistics of {', '.join(named)}",
-        hint=f"--statistics {next(iter(named))}",
+        else f"there are statistics of {', '.join(paths_by_asset)}",
+        hint=f"--statistics {next(iter(paths_by_asset))}",
     )

@@ -1,11 +1,11 @@
-"""Writes trees of told values as YAML: each value with its source beside it, and what is open as `{unknown: why}`."""
+"""YAML output of fact trees: each value with its source as a comment, unknown values as `{unknown: why}`."""
 
 from __future__ import annotations
 
 import re
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl_cli.adopt.facts import Open, Told, Tree, plain
+from xpl_cli.adopt.facts import Fact, Tree, UnknownValue, plain
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -20,19 +20,19 @@ def section(key: str, tree: Tree) -> str:
     return "\n".join(_entry(key, tree, 0)) + "\n"
 
 
-def replaced(text: str, sections: Mapping[str, str]) -> str:
-    """Return a manifest with some of its top-level keys replaced, and what it lacks added at its end.
+def replace_sections(text: str, sections: Mapping[str, str]) -> str:
+    """Replace top-level keys of a manifest; append those that it lacks.
 
     Args:
         text: the manifest, with its comments.
-        sections: key to its YAML.
+        sections: YAML of each key.
     """
-    found = list(_TOP.finditer(text))
-    ends = [*(match.start() for match in found[1:]), len(text)]
-    result = [text[: found[0].start()] if found else text]
-    for match, end in zip(found, ends, strict=True):
+    matches = list(_TOP.finditer(text))
+    ends = [*(match.start() for match in matches[1:]), len(text)]
+    result = [text[: matches[0].start()] if matches else text]
+    for match, end in zip(matches, ends, strict=True):
         result.append(sections.get(match[1], text[match.start() : end]))
-    there = {match[1] for match in found}
+    there = {match[1] for match in matches}
     result += [body for key, body in sections.items() if key not in there]
     return "".join(result)
 
@@ -56,7 +56,7 @@ def _entry(key: str, tree: Tree, depth: int) -> Iterator[str]:
 
 
 def _item(tree: Tree, depth: int) -> Iterator[str]:
-    """Yield one entry of a list: its lines, the first value of which gets the dash."""
+    """Yield the lines of a list entry; the first value gets the dash."""
     indent = "  " * depth
     if not (isinstance(tree, dict) and _has_sources(tree)):
         yield from _commented(f"{indent}- {_flow(tree)}", indent, tree)
@@ -72,7 +72,7 @@ def _item(tree: Tree, depth: int) -> Iterator[str]:
 
 
 def _commented(line: str, indent: str, tree: Tree) -> Iterator[str]:
-    """Yield a line with its source beside it, or above it where it would get too long."""
+    """Yield a line with its source as trailing comment, or as comment above where the line is too long."""
     comment = _comment(tree)
     if comment and len(line) + len(comment) + 3 > _WIDTH:
         yield f"{indent}# {comment}"
@@ -82,25 +82,25 @@ def _commented(line: str, indent: str, tree: Tree) -> Iterator[str]:
 
 
 def _comment(tree: Tree) -> str:
-    if isinstance(tree, Told):
+    if isinstance(tree, Fact):
         return _one_line(tree.comment)
-    if not isinstance(tree, Open):
+    if not isinstance(tree, UnknownValue):
         return ""
-    marked = [] if tree.stand_in is None else [f"{spec.data('package')['placeholder']}: {tree.reason}"]
-    seen = [f"seen: {'; '.join(map(str, tree.seen))}"] if tree.seen else []
-    return _one_line("; ".join([*marked, *seen]))
+    marked = [] if tree.placeholder is None else [f"{spec.data('package')['placeholder']}: {tree.reason}"]
+    sources = [f"see {'; '.join(map(str, tree.evidence))}"] if tree.evidence else []
+    return _one_line("; ".join([*marked, *sources]))
 
 
-def _one_line(words: str) -> str:
-    """Return a text that can stand in a comment: one line, and nothing that YAML forbids."""
-    return "".join(char if char.isprintable() else " " for char in words).strip()[:400]
+def _one_line(text: str) -> str:
+    """Return text that is valid in a YAML comment: one line of printable characters."""
+    return "".join(char if char.isprintable() else " " for char in text).strip()[:400]
 
 
 def _has_sources(tree: Tree) -> bool:
     if isinstance(tree, dict):
-        return any(isinstance(value, (Told, Open)) or _has_sources(value) for value in tree.values())
+        return any(isinstance(value, (Fact, UnknownValue)) or _has_sources(value) for value in tree.values())
     if isinstance(tree, list):
-        return any(isinstance(value, (Told, Open)) or _has_sources(value) for value in tree)
+        return any(isinstance(value, (Fact, UnknownValue)) or _has_sources(value) for value in tree)
     return False
 
 

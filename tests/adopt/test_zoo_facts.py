@@ -9,8 +9,8 @@ import yaml
 
 from tests.support.adapters import trained
 from xpl import _spec as sdk
-from xpl_cli.adopt import field
-from xpl_cli.adopt.checkpoints import block, start
+from xpl_cli.adopt import zoo_facts
+from xpl_cli.adopt.checkpoints import block, package_start
 from xpl_cli.adopt.package import adoption
 from xpl_cli.standard.zoo import policies
 
@@ -44,15 +44,15 @@ def test_what_the_user_says_stays(tmp_path: Path) -> None:
 
 
 def test_a_policy_of_the_same_name_that_wraps_other_code_is_another() -> None:
-    assert field.called("ACT", "https://github.com/somebody/act") is None
-    assert field.called("act", "https://github.com/tonyzhaozh/ACT.git") == policies.find("ACT")
+    assert zoo_facts.find_policy("ACT", "https://github.com/somebody/act") is None
+    assert zoo_facts.find_policy("act", "https://github.com/tonyzhaozh/ACT.git") == policies.find("ACT")
 
 
 def test_a_chunk_is_taken_only_where_all_of_it_is_executed() -> None:
     """Otherwise an adapter may answer the whole chunk, or what is executed of it."""
-    told = {key: told.value for key, told in field.facts(policies.find("Mem_0"))}
+    told = {key: told.value for key, told in zoo_facts.facts(policies.find("Mem_0"))}
     assert told["temporal.chunk"] == 30
-    assert "temporal.chunk" not in dict(field.facts(policies.find("AHA_WAM")))
+    assert "temporal.chunk" not in dict(zoo_facts.facts(policies.find("AHA_WAM")))
 
 
 def test_a_package_from_a_checkpoint_gets_paper_and_code(tmp_path: Path) -> None:
@@ -60,8 +60,8 @@ def test_a_package_from_a_checkpoint_gets_paper_and_code(tmp_path: Path) -> None
     folder = trained.openvla(tmp_path / "p", oft=True)
     texts = {}
     for name in ("OpenVLA_OFT", "Shirts"):
-        wanted = start.Wanted(name, "franka_single", None, block.Choices())
-        texts[name] = start.begin([folder], wanted).files[sdk.File.POLICY_YML].decode()
+        wanted = package_start.StartOptions(name, "franka_single", None, block.UserChoices())
+        texts[name] = package_start.new_package([folder], wanted).files[sdk.File.POLICY_YML].decode()
     assert "2502.19645" in texts["OpenVLA_OFT"]
     assert "xpl zoo show OpenVLA_OFT (paper: " in texts["OpenVLA_OFT"]
     assert "xpl zoo show" not in texts["Shirts"]

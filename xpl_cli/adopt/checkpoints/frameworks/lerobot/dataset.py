@@ -9,67 +9,67 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.adopt.checkpoints.layout import Range
-from xpl_cli.adopt.facts import Evidence, Told, certain
+from xpl_cli.adopt.checkpoints.layout import DataRange
+from xpl_cli.adopt.facts import Evidence, Fact, certain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.adopt.checkpoints.reading import Document, Folder
+    from xpl_cli.adopt.checkpoints.reading import CheckpointFolder, ConfigDocument
 
 INFO: Final = "meta/info.json"
 STATS: Final = "meta/stats.json"
 
 
 @dataclass(frozen=True)
-class Dataset:
+class LeRobotDataset:
     """What a data set says of its features."""
 
-    info: Document
-    stats: Document | None
+    info: ConfigDocument
+    stats: ConfigDocument | None
 
     @property
-    def rate(self) -> Told | None:
+    def rate(self) -> Fact | None:
         """Frames a second."""
         fps = self.info.get(float, "fps", default=None)
-        return certain(_whole(fps), self.info.seen("fps")) if fps else None
+        return certain(_integer_if_whole(fps), self.info.evidence_of("fps")) if fps else None
 
     @property
-    def robot(self) -> Told | None:
+    def robot(self) -> Fact | None:
         """What the recording calls the robot."""
         name = self.info.get(str, "robot_type", default="")
-        return certain(name, self.info.seen("robot_type")) if name else None
+        return certain(name, self.info.evidence_of("robot_type")) if name else None
 
     def names(self, feature: str) -> tuple[Sequence[str], Evidence] | None:
         """Return what the numbers of a feature are called, and where that stands."""
         path: tuple[str, ...] = ("features", feature, "names")
-        found = self.info.texts(*path)
+        labels = self.info.texts(*path)
         inner = self.info.at(*path)
-        if found is None and isinstance(inner, dict) and len(inner) == 1:
+        if labels is None and isinstance(inner, dict) and len(inner) == 1:
             path = (*path, next(iter(inner)))
-            found = self.info.texts(*path)
-        if found is None:
+            labels = self.info.texts(*path)
+        if labels is None:
             return None
-        return found, Evidence(self.info.file, self.info.line(*path), "names")
+        return labels, Evidence(self.info.file, self.info.line(*path), "names")
 
-    def range(self, feature: str) -> Range | None:
+    def range(self, feature: str) -> DataRange | None:
         """Return the least and greatest numbers of a feature."""
-        return None if self.stats is None else Range.read(self.stats, (feature,), "min", "max")
+        return None if self.stats is None else DataRange.read(self.stats, (feature,), "min", "max")
 
 
-def recognises(folder: Folder) -> bool:
+def recognises(folder: CheckpointFolder) -> bool:
     """Tell whether a folder is a data set of LeRobot."""
     return folder.has(INFO)
 
 
-def read(folder: Folder) -> Dataset:
+def read(folder: CheckpointFolder) -> LeRobotDataset:
     """Return what a data set says.
 
     Raises:
         UserError: if its files are not what they should be.
     """
-    return Dataset(folder.json(INFO), folder.json(STATS) if folder.has(STATS) else None)
+    return LeRobotDataset(folder.json(INFO), folder.json(STATS) if folder.has(STATS) else None)
 
 
-def _whole(value: float) -> float:
+def _integer_if_whole(value: float) -> float:
     return int(value) if value == int(value) else value

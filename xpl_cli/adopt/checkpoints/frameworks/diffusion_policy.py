@@ -11,14 +11,14 @@ import re
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.adopt.checkpoints import names
-from xpl_cli.adopt.checkpoints.layout import Numbers
-from xpl_cli.adopt.checkpoints.reading import Document
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
-from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, certain, likely
+from xpl_cli.adopt.checkpoints.layout import VectorNumbers
+from xpl_cli.adopt.checkpoints.reading import ConfigDocument
+from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
-    from xpl_cli.adopt.checkpoints.reading import Folder
+    from xpl_cli.adopt.checkpoints.reading import CheckpointFolder
 
 NAME: Final = "diffusion_policy"
 CODE: Final = "real-stanford/diffusion_policy@5ba07ac:diffusion_policy"
@@ -27,7 +27,7 @@ _REFERENCE: Final = re.compile(r"\$\{([\w.]+)\}")
 _ROTATIONS: Final = {"rotation_6d": 6, "axis_angle": 3, "quaternion": 4}
 
 
-def inner(folder: Folder) -> Folder | None:
+def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
     """Return the folder of a run, which holds .hydra; None if it is none."""
     if not folder.has(_CONFIG):
         return None
@@ -35,14 +35,14 @@ def inner(folder: Folder) -> Folder | None:
     return folder if isinstance(config.at("shape_meta"), dict) or config.at("task", "shape_meta") else None
 
 
-def read(folder: Folder) -> Trained:
+def read(folder: CheckpointFolder) -> TrainedModel:
     """Return what a run says.
 
     Raises:
         UserError: if the configuration is not what it should be.
     """
     raw = folder.yaml(_CONFIG)
-    config = Document(raw.file, _resolved(raw.value, raw.value, 0), "", folder.path / _CONFIG)
+    config = ConfigDocument(raw.file, _resolve(raw.value, raw.value, 0), "", folder.path / _CONFIG)
     meta = ("shape_meta",) if isinstance(config.at("shape_meta"), dict) else ("task", "shape_meta")
     views, states = [], []
     for name in config.get(dict, *meta, "obs"):
@@ -55,11 +55,11 @@ def read(folder: Folder) -> Trained:
             states.append(_vector(str(name), shape, where))
     action = config.numbers(*meta, "action", "shape")
     if not action or len(action) != 1:
-        raise UserError(f"{config.place()}: expected shape_meta/action/shape with one number, got {action}")
+        raise UserError(f"{config.location()}: expected shape_meta/action/shape with one number, got {action}")
     absolute = config.at("task", "abs_action")
-    return Trained(
-        maker=NAME,
-        about=f"Diffusion Policy{_named(config)}",
+    return TrainedModel(
+        framework=NAME,
+        about=f"Diffusion Policy{_task_suffix(config)}",
         family=certain("diffusion", Evidence(_CONFIG, None, f"_target_: {config.at('_target_')}")),
         views=views,
         states=states,
@@ -73,25 +73,25 @@ def read(folder: Folder) -> Trained:
     )
 
 
-def _resolved(value: object, root: object, depth: int) -> Any:
+def _resolve(value: object, root: object, depth: int) -> Any:
     """Return a configuration with `${a.b}` replaced by what stands there; `${eval:...}` stays, for it is code."""
     if depth > 20:
         return value
     if isinstance(value, dict):
-        return {key: _resolved(entry, root, depth + 1) for key, entry in value.items()}
+        return {key: _resolve(entry, root, depth + 1) for key, entry in value.items()}
     if isinstance(value, list):
-        return [_resolved(entry, root, depth + 1) for entry in value]
-    found = _REFERENCE.fullmatch(value) if isinstance(value, str) else None
-    if found is None:
+        return [_resolve(entry, root, depth + 1) for entry in value]
+    reference = _REFERENCE.fullmatch(value) if isinstance(value, str) else None
+    if reference is None:
         return value
-    there = Document("", root).at(*found[1].split("."))
-    return value if there is None else _resolved(there, root, depth + 1)
+    there = ConfigDocument("", root).at(*reference[1].split("."))
+    return value if there is None else _resolve(there, root, depth + 1)
 
 
-def _view(name: str, size: tuple[int, int], where: Evidence) -> View:
+def _view(name: str, size: tuple[int, int], where: Evidence) -> ImageSpec:
     eye = Evidence(f"{CODE}/dataset", None, "images are float32 in 0..1, channel first")
-    filter_ = Open("how images of another size are brought to it: the environment's own runner knows", (where,))
-    return View(
+    filter_ = UnknownValue("how images of another size are brought to it: the environment's own runner knows", (where,))
+    return ImageSpec(
         input=certain(name, where),
         names=[name],
         evidence=where,
@@ -101,21 +101,25 @@ def _view(name: str, size: tuple[int, int], where: Evidence) -> View:
     )
 
 
-def _vector(name: str, shape: list[int], where: Evidence) -> Vector:
+def _vector(name: str, shape: list[int], where: Evidence) -> VectorSpec:
     width = shape[0] if len(shape) == 1 else 0
     if width < 1:
         raise UserError(f"{_CONFIG}: expected a shape with one number for {name}, got {shape}")
-    word = re.sub(r"^robot\d?_", "", name)
-    return Vector(Numbers(width, where, names.of_groups([(word, width)]), where), certain(name, where), _inside())
+    short_name = re.sub(r"^robot\d?_", "", name)
+    return VectorSpec(
+        VectorNumbers(width, where, names.names_of_groups([(short_name, width)]), where),
+        certain(name, where),
+        _inside(),
+    )
 
 
-def _action(width: int, config: Document) -> Vector:
+def _action(width: int, config: ConfigDocument) -> VectorSpec:
     where = Evidence(_CONFIG, None, f"shape_meta/action/shape: [{width}]")
     form = config.get(str, "task", "dataset", "rotation_rep", default="")
     turned = _ROTATIONS.get(form, 0)
     if config.at("task", "abs_action") and turned and width % (3 + turned + 1) == 0:
         arms = width // (3 + turned + 1)
-        told = Evidence(_CONFIG, None, f"abs_action, rotation_rep: {form}")
+        evidence = Evidence(_CONFIG, None, f"abs_action, rotation_rep: {form}")
         sides = [""] if arms == 1 else [f"robot{index}_" for index in range(arms)]
         groups = [
             (f"{side}{part}", count)
@@ -123,36 +127,36 @@ def _action(width: int, config: Document) -> Vector:
             for part, count in (("eef_pos", 3), ("eef_rot", turned), ("gripper", 1))
         ]
         if arms == 1:
-            return Vector(Numbers(width, where, names.of_groups(groups), told), None, _inside())
-    return Vector(Numbers(width, where), None, _inside())
+            return VectorSpec(VectorNumbers(width, where, names.names_of_groups(groups), evidence), None, _inside())
+    return VectorSpec(VectorNumbers(width, where), None, _inside())
 
 
-def _inside() -> Told:
+def _inside() -> Fact:
     return likely(None, Evidence(f"{CODE}/policy", None, "predict_action normalises by the policy's own normalizer"))
 
 
-def _reference(absolute: object) -> Told | Open:
+def _reference(absolute: object) -> Fact | UnknownValue:
     where = Evidence(_CONFIG, None, f"task/abs_action: {absolute}")
     if absolute is True:
         return certain("absolute", where)
-    return Open("absolute, or steps of the authors' controller (deltas of robosuite are cumulative)", (where,))
+    return UnknownValue("absolute, or steps of the authors' controller (deltas of robosuite are cumulative)", (where,))
 
 
-def _count(config: Document, name: str, reason: str) -> Told | Open:
-    found = config.at(name)
-    if isinstance(found, int) and not isinstance(found, bool) and found > 0:
-        return certain(found, Evidence(_CONFIG, None, f"{name}: {found}"))
-    return Open(f"{reason}: {name} is {found!r}")
+def _count(config: ConfigDocument, name: str, reason: str) -> Fact | UnknownValue:
+    value = config.at(name)
+    if isinstance(value, int) and not isinstance(value, bool) and value > 0:
+        return certain(value, Evidence(_CONFIG, None, f"{name}: {value}"))
+    return UnknownValue(f"{reason}: {name} is {value!r}")
 
 
-def _history(config: Document) -> dict[str, Tree] | None:
+def _history(config: ConfigDocument) -> dict[str, Tree] | None:
     length = _count(config, "n_obs_steps", "how many observations it sees")
-    if isinstance(length, Told) and length.value == 1:
+    if isinstance(length, Fact) and length.value == 1:
         return None
     runner = Evidence(f"{CODE}/gym_util/multistep_wrapper.py", None, "stack_last_n_obs repeats the first one")
     return {"length": length, "pad": likely("repeat", runner)}
 
 
-def _named(config: Document) -> str:
+def _task_suffix(config: ConfigDocument) -> str:
     name = config.at("task_name") or config.at("task", "name")
     return f", trained on {name}" if isinstance(name, str) and "$" not in name else ""

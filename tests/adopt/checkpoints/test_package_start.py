@@ -15,7 +15,7 @@ from tests.support.peer import xpl
 from xpl import _spec as sdk
 from xpl.convert.gaps import gaps
 from xpl.manifest import Manifest
-from xpl_cli.adopt.checkpoints import block, start
+from xpl_cli.adopt.checkpoints import block, package_start
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.model_io import reading
 from xpl_cli.packages.conventions import applying
@@ -36,9 +36,11 @@ MADE = {
 }
 
 
-def begin(*folders: Path, robot: str | None = TWO, **choices: Any) -> start.Start:
+def begin(*folders: Path, robot: str | None = TWO, **choices: Any) -> package_start.NewPackage:
     """Return the package that some folders make."""
-    return start.begin(folders, start.Wanted("Shirts", robot, None, block.Choices(**choices)))
+    return package_start.new_package(
+        folders, package_start.StartOptions("Shirts", robot, None, block.UserChoices(**choices))
+    )
 
 
 @pytest.mark.sampled(3)
@@ -51,8 +53,10 @@ def test_every_maker_s_checkpoint_makes_a_package_with_a_valid_manifest(tmp_path
     manifest, problems = validate_yaml(text, sdk.File.POLICY_YML, "policy")
     assert not problems, [problem.told for problem in problems]
     assert manifest["spec"] == "v1"
-    assert len([key for key in begun.findings.open if key.startswith("model_io.")]) == len(gaps(manifest["model_io"]))
-    assert all(leaf.evidence for leaf in begun.findings.told.values())
+    assert len([key for key in begun.findings.unknown if key.startswith("model_io.")]) == len(
+        gaps(manifest["model_io"])
+    )
+    assert all(leaf.evidence for leaf in begun.findings.facts.values())
     ast.parse(begun.files[sdk.File.MODEL_PY])
 
 
@@ -61,7 +65,7 @@ def test_comments_say_the_source_beside_each_value(tmp_path: Path) -> None:
     assert "  chunk: 8 # certain: config.json:" in text
     assert "    - input: observation.images.cam_high # certain: config.json:" in text
     assert "closed: { unknown: " in text
-    assert "# seen: policy_preprocessor_step_2_normalizer_processor.safetensors observation.state min..max" in text
+    assert "# see policy_preprocessor_step_2_normalizer_processor.safetensors observation.state min..max" in text
 
 
 def test_reference_py_of_a_whole_checkpoint_names_every_convention(tmp_path: Path) -> None:

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl_cli.adopt.checkpoints.layout import Numbers, Range
-from xpl_cli.adopt.checkpoints.makers.lerobot import statistics
-from xpl_cli.adopt.checkpoints.makers.lerobot.types import CODE, LICENSE, REPOSITORY, TYPES, Type
-from xpl_cli.adopt.checkpoints.reading import Document
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
-from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, assumed, certain, likely
+from xpl_cli.adopt.checkpoints.frameworks.lerobot import statistics
+from xpl_cli.adopt.checkpoints.frameworks.lerobot.types import CODE, LICENSE, REPOSITORY, TYPES, PolicyType
+from xpl_cli.adopt.checkpoints.layout import DataRange, VectorNumbers
+from xpl_cli.adopt.checkpoints.reading import ConfigDocument
+from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, assumed, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
-    from xpl_cli.adopt.checkpoints.makers.lerobot.dataset import Dataset
-    from xpl_cli.adopt.checkpoints.makers.lerobot.statistics import Statistics
-    from xpl_cli.adopt.checkpoints.reading import Folder
+    from xpl_cli.adopt.checkpoints.frameworks.lerobot.dataset import LeRobotDataset
+    from xpl_cli.adopt.checkpoints.frameworks.lerobot.statistics import Statistics
+    from xpl_cli.adopt.checkpoints.reading import CheckpointFolder
 
 NAME: Final = "lerobot"
 CONFIG: Final = "config.json"
@@ -34,16 +34,16 @@ _SAME: Final = 0.5
 """Share of a state's range that an absolute command's range has at least; deltas to the state have far less."""
 
 
-def inner(folder: Folder) -> Folder | None:
+def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
     """Return the folder that holds config.json: this one, or where training put it; None if it is not LeRobot's."""
     for name in ("", "pretrained_model", "checkpoints/last/pretrained_model"):
-        place = folder.below(name) if name else folder
-        if place.has(CONFIG) and _is_policy(place.json(CONFIG)):
-            return place
+        candidate = folder.below(name) if name else folder
+        if candidate.has(CONFIG) and _is_policy(candidate.json(CONFIG)):
+            return candidate
     return None
 
 
-def read(folder: Folder, data: Dataset | None = None) -> Trained:
+def read(folder: CheckpointFolder, data: LeRobotDataset | None = None) -> TrainedModel:
     """Return what a checkpoint says.
 
     Args:
@@ -53,25 +53,25 @@ def read(folder: Folder, data: Dataset | None = None) -> Trained:
     Raises:
         UserError: if a file is not what it should be.
     """
-    return _Reader(folder, data).trained()
+    return _LeRobotReader(folder, data).trained()
 
 
-def _is_policy(config: Document) -> bool:
+def _is_policy(config: ConfigDocument) -> bool:
     shapes = all(isinstance(config.at(f"{which}_shapes"), dict) for which in ("input", "output"))
     features = any(isinstance(config.at(f"{which}_features"), dict) for which in ("input", "output"))
     return shapes or (features and isinstance(config.at("type"), str))
 
 
-class _Reader:
-    def __init__(self, folder: Folder, data: Dataset | None) -> None:
+class _LeRobotReader:
+    def __init__(self, folder: CheckpointFolder, data: LeRobotDataset | None) -> None:
         self.folder, self.data = folder, data
         self.config = folder.json(CONFIG)
         self.type = self.config.get(str, "type", default="")
-        self.known: Type | None = TYPES.get(self.type)
+        self.policy_type: PolicyType | None = TYPES.get(self.type)
         older = statistics.of_weights(folder, self.config) if not folder.has(_BEFORE) else None
         self.before = statistics.of_processor(folder, _BEFORE, "normalizer_processor") or older
         self.after = statistics.of_processor(folder, _AFTER, "unnormalizer_processor") or older
-        self.steps = folder.json(_BEFORE) if folder.has(_BEFORE) else Document(_BEFORE, {})
+        self.steps = folder.json(_BEFORE) if folder.has(_BEFORE) else ConfigDocument(_BEFORE, {})
         self.notes: list[str] = []
         self.exempt: list[bool] = []
         if older is not None:
@@ -82,9 +82,9 @@ class _Reader:
         elif self.before is None:
             self.notes.append("the checkpoint has neither processors nor statistics in its weights: say normalize")
 
-    def trained(self) -> Trained:
+    def trained(self) -> TrainedModel:
         config = self.config
-        where = config.seen("type") if self.type else Evidence(CONFIG, None, "no type")
+        where = config.evidence_of("type") if self.type else Evidence(CONFIG, None, "no type")
         inputs, outputs = self._features("input"), self._features("output")
         if _ACTION not in outputs:
             raise UserError(
@@ -92,10 +92,12 @@ class _Reader:
             )
         if self.data is None:
             self._where_the_data_is()
-        return Trained(
-            maker=NAME,
+        return TrainedModel(
+            framework=NAME,
             about=f"a policy of LeRobot, {self.type or 'of an unknown type'}",
-            family=certain(self.known.family, where) if self.known else assumed("other", f"LeRobot's {self.type}"),
+            family=certain(self.policy_type.family, where)
+            if self.policy_type
+            else assumed("other", f"LeRobot's {self.type}"),
             views=[
                 self._view(name, shape)
                 for name, (kind, shape) in inputs.items()
@@ -106,7 +108,9 @@ class _Reader:
             reference=self._reference(outputs[_ACTION][1]),
             chunk=self._chunk(),
             sampling=self._sampling(),
-            recurrent=likely(self.known.recurrent, _code(self.known)) if self.known and self.known.recurrent else None,
+            recurrent=likely(self.policy_type.recurrent, _code(self.policy_type))
+            if self.policy_type and self.policy_type.recurrent
+            else None,
             instruction=self._instruction(),
             history=self._history(),
             ensembling=self._ensembling(),
@@ -119,21 +123,21 @@ class _Reader:
 
     def _features(self, which: str) -> dict[str, tuple[str, list[int]]]:
         """Return name to kind and shape of inputs or outputs; older checkpoints have shapes only."""
-        found: dict[str, tuple[str, list[int]]] = {}
+        features: dict[str, tuple[str, list[int]]] = {}
         for name, entry in self.config.get(dict, f"{which}_features", default={}).items():
             path = (f"{which}_features", name)
             kind = self.config.get(str, *path, "type")
             shape = [int(one) for one in self.config.numbers(*path, "shape") or []]
-            found[name] = (kind, shape)
+            features[name] = (kind, shape)
             if not shape or not isinstance(entry, dict):
-                raise UserError(f"{self.config.place(*path)}: expected a shape of {name}, got {str(entry)[:60]}")
+                raise UserError(f"{self.config.location(*path)}: expected a shape of {name}, got {str(entry)[:60]}")
         for name in self.config.get(dict, f"{which}_shapes", default={}):
             shape = [int(one) for one in self.config.numbers(f"{which}_shapes", name) or []]
             kind = (
                 "VISUAL" if "image" in name else "ACTION" if name == _ACTION else "STATE" if name == _STATE else "ENV"
             )
-            found.setdefault(name, (kind, shape))
-        return found
+            features.setdefault(name, (kind, shape))
+        return features
 
     def _at(self, which: str, name: str) -> Evidence:
         key = f"{which}_features" if self.config.at(f"{which}_features", name) is not None else f"{which}_shapes"
@@ -141,18 +145,18 @@ class _Reader:
 
     # -- inputs --------------------------------------------------------------------------------------------------------
 
-    def _view(self, name: str, shape: list[int]) -> View:
+    def _view(self, name: str, shape: list[int]) -> ImageSpec:
         where = self._at("input", name)
         steps: list[Tree] = []
         size = (shape[1], shape[2]) if len(shape) == 3 else None
-        resizes = bool(self.known and self.known.resizes)
+        resizes = bool(self.policy_type and self.policy_type.resizes)
         if size and not resizes:
-            told = Evidence(CONFIG, self.config.line("input_features", name, "shape"), f"shape: {shape}")
+            shape_evidence = Evidence(CONFIG, self.config.line("input_features", name, "shape"), f"shape: {shape}")
             why = "LeRobot resizes no image of another size itself; torch's bilinear filter, with antialias"
             steps.append(
                 {
                     "resize": {
-                        "to": certain(list(size), told),
+                        "to": certain(list(size), shape_evidence),
                         "filter": assumed("bilinear", why),
                         "antialias": True,
                         "as": "float",
@@ -169,7 +173,7 @@ class _Reader:
         }
         if self.before is not None:
             rest |= self.before.colours(name)
-        return View(
+        return ImageSpec(
             input=certain(name, where),
             names=[renamed or name],
             evidence=where,
@@ -187,36 +191,38 @@ class _Reader:
                 return before[0]
         return ""
 
-    def _state(self, name: str, shape: list[int]) -> Vector:
+    def _state(self, name: str, shape: list[int]) -> VectorSpec:
         numbers = self._numbers("input", name, shape, self.before)
         normalize = self.before.rule(name, "STATE" if name == _STATE else "ENV") if self.before else self._no_rule()
         parts = None
         if name != _STATE:
             reason = f"{name} is what a simulator knows, and no observation of the standard holds"
-            parts = Open(reason, (self._at("input", name),))
-        return Vector(numbers, certain(name, self._at("input", name)), normalize, parts=parts)
+            parts = UnknownValue(reason, (self._at("input", name),))
+        return VectorSpec(numbers, certain(name, self._at("input", name)), normalize, parts=parts)
 
-    def _numbers(self, which: str, name: str, shape: list[int], held: Statistics | None) -> Numbers:
+    def _numbers(self, which: str, name: str, shape: list[int], held: Statistics | None) -> VectorNumbers:
         names = self.data.names(name) if self.data else None
-        found = self._action_names() if name == _ACTION and names is None else names
-        within: Range | None = held.range(name) if held else None
+        labels = self._action_names() if name == _ACTION and names is None else names
+        within: DataRange | None = held.range(name) if held else None
         within = within or (self.data.range(name) if self.data else None)
         if within is not None and len(within.low) != shape[0]:
             within = None
-        return Numbers(
+        return VectorNumbers(
             width=shape[0],
             evidence=self._at(which, name),
-            names=found[0] if found else (),
-            named=found[1] if found else None,
+            names=labels[0] if labels else (),
+            names_evidence=labels[1] if labels else None,
             range=within,
         )
 
     def _instruction(self) -> dict[str, Tree] | None:
         steps = self.steps.get(list, "steps", default=[])
         reads = [step for step in steps if isinstance(step, dict) and "token" in str(step.get("registry_name"))]
-        if not reads and (self.known is None or self.known.family != "vla"):
+        if not reads and (self.policy_type is None or self.policy_type.family != "vla"):
             return None
-        where = Evidence(_BEFORE, None, str(reads[0].get("registry_name"))) if reads else self.config.seen("type")
+        where = (
+            Evidence(_BEFORE, None, str(reads[0].get("registry_name"))) if reads else self.config.evidence_of("type")
+        )
         blank = Evidence(f"{CODE}/policies/utils.py", None, 'task if task else ""')
         return {"input": likely("task", where), "empty": likely("blank", blank)}
 
@@ -225,38 +231,39 @@ class _Reader:
         if length <= 1:
             return None
         queues = Evidence(f"{CODE}/policies/utils.py", None, "populate_queues copies the first observation")
-        return {"length": certain(length, self.config.seen("n_obs_steps")), "pad": likely("repeat", queues)}
+        return {"length": certain(length, self.config.evidence_of("n_obs_steps")), "pad": likely("repeat", queues)}
 
     # -- answers -------------------------------------------------------------------------------------------------------
 
-    def _action(self, shape: list[int]) -> Vector:
+    def _action(self, shape: list[int]) -> VectorSpec:
         normalize = self.after.rule(_ACTION, "ACTION") if self.after else self._no_rule()
-        return Vector(self._numbers("output", _ACTION, shape, self.after), None, normalize)
+        return VectorSpec(self._numbers("output", _ACTION, shape, self.after), None, normalize)
 
-    def _no_rule(self) -> Open:
-        return Open(
-            "the checkpoint holds neither processors nor statistics in its weights", (self.config.seen("type"),)
+    def _no_rule(self) -> UnknownValue:
+        return UnknownValue(
+            "the checkpoint holds neither processors nor statistics in its weights", (self.config.evidence_of("type"),)
         )
 
-    def _reference(self, shape: list[int]) -> Told | Open:
+    def _reference(self, shape: list[int]) -> Fact | UnknownValue:
         steps = self.steps.get(list, "steps", default=[])
         for index, step in enumerate(steps):
             if isinstance(step, dict) and step.get("registry_name") == "relative_actions_processor":
                 enabled = self.steps.get(bool, "steps", index, "config", "enabled", default=False)
-                kept = self.steps.texts("steps", index, "config", "exclude_joints") or []
+                excluded = self.steps.texts("steps", index, "config", "exclude_joints") or []
                 where = Evidence(_BEFORE, self.steps.line("steps", "config", "enabled"), f"enabled: {enabled}")
                 if enabled:
                     names = self.steps.texts("steps", index, "config", "action_names") or []
-                    self.exempt = _exempt(shape[0], kept, names)
+                    self.exempt = _exempt(shape[0], excluded, names)
                     return certain("delta_state", where)
         if self.config.get(bool, "use_delta_joint_actions_aloha", default=False):
-            return certain("delta_state", self.config.seen("use_delta_joint_actions_aloha"))
+            return certain("delta_state", self.config.evidence_of("use_delta_joint_actions_aloha"))
         return self._by_ranges(shape)
 
-    def _by_ranges(self, shape: list[int]) -> Told | Open:
+    def _by_ranges(self, shape: list[int]) -> Fact | UnknownValue:
         """Return what actions are counted from, by how far they and the states of the data reach."""
         states, actions = (
-            held.range(name) if held else None for held, name in ((self.before, _STATE), (self.after, _ACTION))
+            processor.range(name) if processor else None
+            for processor, name in ((self.before, _STATE), (self.after, _ACTION))
         )
         if states is None or actions is None or len(states.low) != shape[0] or len(actions.low) != shape[0]:
             return assumed("absolute", "LeRobot records commands as they are sent to the robot")
@@ -265,65 +272,68 @@ class _Reader:
             for low, high, bottom, top in zip(actions.low, actions.high, states.low, states.high, strict=True)
             if top > bottom
         ]
-        told = f"{sum(wide)} of {len(wide)} commands reach as far as the state does"
-        where = Evidence(actions.evidence.file, None, told)
+        summary = f"{sum(wide)} of {len(wide)} commands reach as far as the state does"
+        where = Evidence(actions.evidence.file, None, summary)
         if wide and sum(wide) >= 0.8 * len(wide):
             return likely("absolute", where)
-        return Open("absolute, or deltas to the state: commands reach less far than the state", (where,))
+        return UnknownValue("absolute, or deltas to the state: commands reach less far than the state", (where,))
 
-    def _chunk(self) -> Told | Open:
-        key = self.known.horizon if self.known else "n_action_steps"
+    def _chunk(self) -> Fact | UnknownValue:
+        key = self.policy_type.horizon if self.policy_type else "n_action_steps"
         if self._ensembling() is not None:
             key = "chunk_size"
         for name in (key, "n_action_steps", "chunk_size", "horizon"):
             if (steps := self.config.get(int, name, default=0)) > 0:
-                return certain(steps, self.config.seen(name))
-        return Open("how many steps an answer has: config.json names no n_action_steps", (self.config.seen("type"),))
+                return certain(steps, self.config.evidence_of(name))
+        return UnknownValue(
+            "how many steps an answer has: config.json names no n_action_steps", (self.config.evidence_of("type"),)
+        )
 
-    def _ensembling(self) -> Told | None:
+    def _ensembling(self) -> Fact | None:
         decay: float | None = self.config.get(float, "temporal_ensemble_coeff", default=None)
-        return None if decay is None else certain(decay, self.config.seen("temporal_ensemble_coeff"))
+        return None if decay is None else certain(decay, self.config.evidence_of("temporal_ensemble_coeff"))
 
-    def _sampling(self) -> Told | Open:
-        if self.known is None:
-            return Open(
-                f"none, seeded or free: LeRobot's type {self.type!r} is not known here", (self.config.seen("type"),)
+    def _sampling(self) -> Fact | UnknownValue:
+        if self.policy_type is None:
+            return UnknownValue(
+                f"none, seeded or free: LeRobot's type {self.type!r} is not known here",
+                (self.config.evidence_of("type"),),
             )
         temperature = self.config.get(float, "temperature", default=0.0)
         if self.type == "pi0_fast" and temperature:
-            return certain("seeded", self.config.seen("temperature"))
-        return likely(self.known.sampling, _code(self.known))
+            return certain("seeded", self.config.evidence_of("temperature"))
+        return likely(self.policy_type.sampling, _code(self.policy_type))
 
     # -- the data set --------------------------------------------------------------------------------------------------
 
     def _action_names(self) -> tuple[list[str], Evidence] | None:
         """Return the names of an answer's numbers, where a checkpoint keeps them."""
         for path in (("action_feature_names",), ("dataset_feature_names", _ACTION)):
-            if (found := self.config.texts(*path)) is not None:
-                return found, Evidence(CONFIG, self.config.line(*path), path[0])
+            if (names := self.config.texts(*path)) is not None:
+                return names, Evidence(CONFIG, self.config.line(*path), path[0])
         return None
 
     def _where_the_data_is(self) -> None:
-        told: Any = None
+        training: Any = None
         if self.folder.has(_TRAINING):
-            told = self.folder.json(_TRAINING).at("dataset", "repo_id")
-        named = f" ({told})" if isinstance(told, str) else ""
+            training = self.folder.json(_TRAINING).at("dataset", "repo_id")
+        dataset_name = f" ({training})" if isinstance(training, str) else ""
         self.notes.append(
-            f"names of joints, grippers and cameras, the rate and the robot are in the data set{named}: "
+            f"names of joints, grippers and cameras, the rate and the robot are in the data set{dataset_name}: "
             "give its folder with a second --from"
         )
 
 
-def _exempt(width: int, kept: list[str], names: list[str]) -> list[bool]:
+def _exempt(width: int, excluded: list[str], names: list[str]) -> list[bool]:
     """Return for each number of an action whether it stays absolute (RelativeActionsProcessorStep._build_mask)."""
-    words = [word.lower() for word in kept if word]
+    words = [word.lower() for word in excluded if word]
     if not words or not names:
         return [False] * width
-    found = [any(word in name.lower() for word in words) for name in names[:width]]
-    return [*found, *[False] * (width - len(found))]
+    matches = [any(word in name.lower() for word in words) for name in names[:width]]
+    return [*matches, *[False] * (width - len(matches))]
 
 
-def _code(known: Type) -> Evidence:
+def _code(policy_type: PolicyType) -> Evidence:
     """Return where LeRobot's own code says what a type does."""
-    file, _, what = known.why.partition(": ")  # with its line
+    file, _, what = policy_type.why.partition(": ")  # with its line
     return Evidence(f"{CODE}/{file}", None, what)

@@ -10,12 +10,12 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.adopt.checkpoints.layout import Range
-from xpl_cli.adopt.facts import Evidence, Open, Tree, certain
+from xpl_cli.adopt.checkpoints.layout import DataRange
+from xpl_cli.adopt.facts import Evidence, Tree, UnknownValue, certain
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
-    from xpl_cli.adopt.checkpoints.reading import Document, Folder
+    from xpl_cli.adopt.checkpoints.reading import CheckpointFolder, ConfigDocument
 
 _RULES: Final = {
     "MEAN_STD": ("mean_std", ("mean", "std"), {}),
@@ -48,17 +48,17 @@ class Statistics:
     modes: dict[str, str]
     is_inside: bool = False
 
-    def range(self, feature: str) -> Range | None:
+    def range(self, feature: str) -> DataRange | None:
         """Return the least and greatest numbers of a feature."""
-        held = self.numbers.get(feature, {})
+        arrays = self.numbers.get(feature, {})
         for low, high in (("min", "max"), ("q01", "q99")):
-            if low in held and high in held:
+            if low in arrays and high in arrays:
                 what = Evidence(self.file, None, f"{feature} {low}..{high}")
-                return Range(tuple(held[low]), tuple(held[high]), what)
-        if "mean" in held and "std" in held:
-            pairs = list(zip(held["mean"], held["std"], strict=False))
+                return DataRange(tuple(arrays[low]), tuple(arrays[high]), what)
+        if "mean" in arrays and "std" in arrays:
+            pairs = list(zip(arrays["mean"], arrays["std"], strict=False))
             what = Evidence(self.file, None, f"{feature} mean +- 2 std")
-            return Range(tuple(m - 2 * s for m, s in pairs), tuple(m + 2 * s for m, s in pairs), what)
+            return DataRange(tuple(m - 2 * s for m, s in pairs), tuple(m + 2 * s for m, s in pairs), what)
         return None
 
     def rule(self, feature: str, kind: str) -> Tree:
@@ -72,21 +72,23 @@ class Statistics:
         if mode == "IDENTITY":
             return certain(None, Evidence(self.step.file, self.step.line, f"norm_map {kind}: {mode}"))
         if mode not in _RULES:
-            return Open(f"LeRobot's normalisation {mode} of {kind}, which is not known here", (self.step,))
+            return UnknownValue(f"LeRobot's normalisation {mode} of {kind}, which is not known here", (self.step,))
         rule, needed, names = _RULES[mode]
-        held = self.numbers.get(feature, {})
-        if not held:
-            told = f"{self.file or self.step.file} has no numbers of {feature}: LeRobot leaves it as it is"
-            return certain(None, Evidence(self.step.file, self.step.line, told))
-        if missing := [name for name in needed if name not in held]:
-            return Open(f"{self.file} lacks {', '.join(missing)} of {feature}, which {mode} needs", (self.step,))
+        arrays = self.numbers.get(feature, {})
+        if not arrays:
+            reason = f"{self.file or self.step.file} has no numbers of {feature}: LeRobot leaves it as it is"
+            return certain(None, Evidence(self.step.file, self.step.line, reason))
+        if missing := [name for name in needed if name not in arrays]:
+            return UnknownValue(
+                f"{self.file} lacks {', '.join(missing)} of {feature}, which {mode} needs", (self.step,)
+            )
         here = Evidence(self.step.file, self.step.line, f"norm_map {kind}: {mode}")
         entry: dict[str, Tree] = {"rule": certain(rule, here)}
         if self.is_inside:
-            words = ("low", "high") if rule == "quantiles" else needed
+            keys = ("low", "high") if rule == "quantiles" else needed
             there = Evidence(self.file, None, f"buffers of {feature}")
             entry["values"] = certain(
-                {word: _short(held[name]) for word, name in zip(words, needed, strict=True)}, there
+                {key: _short(arrays[name]) for key, name in zip(keys, needed, strict=True)}, there
             )
         else:
             there = Evidence(self.file, None, ", ".join(f"{feature}.{name}" for name in needed))
@@ -96,13 +98,13 @@ class Statistics:
 
     def colours(self, feature: str) -> dict[str, Tree]:
         """Return what an image's numbers are shifted and scaled by, after 0..1: `mean` and `std` of the block."""
-        mode, held = self.modes.get("VISUAL", "IDENTITY"), self.numbers.get(feature, {})
-        if mode == "IDENTITY" or not held:
+        mode, arrays = self.modes.get("VISUAL", "IDENTITY"), self.numbers.get(feature, {})
+        if mode == "IDENTITY" or not arrays:
             return {}
         where = Evidence(self.file, None, f"{feature}, {mode} by {self.step}")
-        if mode not in _RULES or any(len(held.get(name, ())) != 3 for name in _RULES[mode][1]):
-            return {"mean": Open(f"what {mode} does to images: no three numbers of {feature}", (where,))}
-        one, two = (held[name] for name in _RULES[mode][1])
+        if mode not in _RULES or any(len(arrays.get(name, ())) != 3 for name in _RULES[mode][1]):
+            return {"mean": UnknownValue(f"what {mode} does to images: no three numbers of {feature}", (where,))}
+        one, two = (arrays[name] for name in _RULES[mode][1])
         if mode != "MEAN_STD":  # 2 (x - low) / (high - low) - 1
             one, two = (
                 [(a + b) / 2 for a, b in zip(one, two, strict=True)],
@@ -111,7 +113,7 @@ class Statistics:
         return {"mean": certain(_short(one), where), "std": certain(_short(two), where)}
 
 
-def of_processor(folder: Folder, name: str, step: str) -> Statistics | None:
+def of_processor(folder: CheckpointFolder, name: str, step: str) -> Statistics | None:
     """Return the numbers of one processor file; None where there is no such file or step.
 
     Args:
@@ -132,39 +134,39 @@ def of_processor(folder: Folder, name: str, step: str) -> Statistics | None:
                 numbers.setdefault(feature, {})[word] = values
         epsilon = document.get(float, *config, "eps", default=_EPSILON)
         modes = document.get(dict, *config, "norm_map", default={})
-        place = Evidence(name, document.line("steps", "config", "norm_map"), step)
-        return Statistics(file, numbers, epsilon, place, {str(k): str(v) for k, v in modes.items()})
+        evidence = Evidence(name, document.line("steps", "config", "norm_map"), step)
+        return Statistics(file, numbers, epsilon, evidence, {str(k): str(v) for k, v in modes.items()})
     return None
 
 
-def of_weights(folder: Folder, config: Document) -> Statistics | None:
+def of_weights(folder: CheckpointFolder, config: ConfigDocument) -> Statistics | None:
     """Return the numbers that a checkpoint from before version 0.4 keeps in its weights; None where it has none."""
     if not folder.has(_WEIGHTS):
         return None
     try:
-        found = folder.tensors(_WEIGHTS, _BUFFER)
+        buffers = folder.tensors(_WEIGHTS, _BUFFER)
     except UserError:
         if (folder.path / _WEIGHTS).stat().st_size > 1024:
             raise
         return None  # a pointer of git-lfs, which holds no weights
     numbers: dict[str, dict[str, list[float]]] = {}
-    known = [*config.get(dict, "input_features", default={}), *config.get(dict, "output_features", default={})]
-    known += [*config.get(dict, "input_shapes", default={}), *config.get(dict, "output_shapes", default={})]
-    for key, values in found.items():
+    features = [*config.get(dict, "input_features", default={}), *config.get(dict, "output_features", default={})]
+    features += [*config.get(dict, "input_shapes", default={}), *config.get(dict, "output_shapes", default={})]
+    for key, values in buffers.items():
         match = _BUFFER.match(key)
         if match is not None:
-            feature = next((name for name in known if name.replace(".", "_") == match[1]), match[1])
+            feature = next((name for name in features if name.replace(".", "_") == match[1]), match[1])
             numbers.setdefault(feature, {})[match[2]] = values
     modes = config.get(dict, "normalization_mapping", default={})
     kinds = {str(kind): str(mode) for kind, mode in modes.items()} or _older(config)
     if not numbers and not kinds:
         return None
     key = "normalization_mapping" if modes else "input_normalization_modes"
-    place = Evidence(config.file, config.line(key), key)
-    return Statistics(_WEIGHTS, numbers, _EPSILON, place, kinds, is_inside=True)
+    evidence = Evidence(config.file, config.line(key), key)
+    return Statistics(_WEIGHTS, numbers, _EPSILON, evidence, kinds, is_inside=True)
 
 
-def _older(config: Document) -> dict[str, str]:
+def _older(config: ConfigDocument) -> dict[str, str]:
     """Return the modes that checkpoints of 2024 wrote, by feature: `min_max`, `mean_std`."""
     result: dict[str, str] = {}
     for key in ("input_normalization_modes", "output_normalization_modes"):
@@ -174,7 +176,7 @@ def _older(config: Document) -> dict[str, str]:
     return result
 
 
-def _steps(document: Document, name: str) -> list[int]:
+def _steps(document: ConfigDocument, name: str) -> list[int]:
     steps = document.get(list, "steps", default=[])
     return [index for index, step in enumerate(steps) if isinstance(step, dict) and step.get("registry_name") == name]
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.adopt.checkpoints import layout
-from xpl_cli.adopt.checkpoints.layout import Numbers
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
-from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, assumed, certain, likely
+from xpl_cli.adopt.checkpoints.layout import VectorNumbers
+from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, assumed, certain, likely
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
-    from xpl_cli.adopt.checkpoints.reading import Document, Folder
+    from xpl_cli.adopt.checkpoints.reading import CheckpointFolder, ConfigDocument
 
 NAME: Final = "rdt"
 CODE: Final = "thu-ml/RoboticsDiffusionTransformer@deb71d8"
@@ -28,7 +28,7 @@ _GREY: Final = 127
 _CAMERAS: Final = ("exterior", "right_wrist", "left_wrist")
 
 
-def inner(folder: Folder) -> Folder | None:
+def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
     """Return the folder of a checkpoint of RDT; None if it is none."""
     if not folder.has(_CONFIG):
         return None
@@ -36,7 +36,7 @@ def inner(folder: Folder) -> Folder | None:
     return folder if config.at("pred_horizon") and config.at("state_token_dim") and config.at("config", "rdt") else None
 
 
-def read(folder: Folder) -> Trained:
+def read(folder: CheckpointFolder) -> TrainedModel:
     """Return what a checkpoint says.
 
     Raises:
@@ -45,18 +45,18 @@ def read(folder: Folder) -> Trained:
     config = folder.json(_CONFIG)
     width = config.get(int, "state_token_dim")
     step = Evidence(f"{CODE}:scripts/agilex_model.py", None, "RoboticsDiffusionTransformerModel.step")
-    numbers = Numbers(width, config.seen("state_token_dim"))
-    return Trained(
-        maker=NAME,
+    numbers = VectorNumbers(width, config.evidence_of("state_token_dim"))
+    return TrainedModel(
+        framework=NAME,
         about="a policy of RDT",
-        family=certain("vla", config.seen("pred_horizon")),
+        family=certain("vla", config.evidence_of("pred_horizon")),
         views=[_view(step)],
-        states=[Vector(numbers, likely("states", step), _plain(), parts=_Places(width))],
-        action=Vector(numbers, None, _plain(), parts=_Places(width)),
+        states=[VectorSpec(numbers, likely("states", step), _plain(), parts=_StateVectorParts(width))],
+        action=VectorSpec(numbers, None, _plain(), parts=_StateVectorParts(width)),
         reference=likely(
             "absolute", Evidence(f"{CODE}:scripts/agilex_model.py", None, "_unformat_action_to_joint: qpos")
         ),
-        chunk=certain(config.get(int, "pred_horizon"), config.seen("pred_horizon")),
+        chunk=certain(config.get(int, "pred_horizon"), config.evidence_of("pred_horizon")),
         sampling=likely("seeded", Evidence(f"{CODE}:models/rdt_runner.py", None, "conditional_sample draws noise")),
         instruction={"input": likely("text_embeds", step)},
         history=_history(config),
@@ -68,19 +68,21 @@ def read(folder: Folder) -> Trained:
     )
 
 
-def _plain() -> Told:
+def _plain() -> Fact:
     return likely(None, Evidence(f"{CODE}:README.md", None, "RDT normalises nothing but the gripper, to 0..1"))
 
 
-def _history(config: Document) -> dict[str, Tree] | None:
+def _history(config: ConfigDocument) -> dict[str, Tree] | None:
     shape = config.numbers("img_pos_embed_config", 0, 1) or []
     if len(shape) != 3 or shape[0] < 2:
         return None
-    where = config.seen("img_pos_embed_config", what=f"images: {int(shape[0])} observations of {int(shape[1])} cameras")
+    where = config.evidence_of(
+        "img_pos_embed_config", what=f"images: {int(shape[0])} observations of {int(shape[1])} cameras"
+    )
     return {"length": certain(int(shape[0]), where), "of": ["images"]}
 
 
-def _view(step: Evidence) -> View:
+def _view(step: Evidence) -> ImageSpec:
     box = {
         "to": likely([_SIGLIP, _SIGLIP], Evidence(f"{CODE}:README.md", None, "siglip-so400m-patch14-384")),
         "fill": likely(_GREY, Evidence(f"{CODE}:scripts/agilex_model.py", None, "expand2square with image_mean")),
@@ -96,10 +98,10 @@ def _view(step: Evidence) -> View:
         "mean": [0.5, 0.5, 0.5],
         "std": [0.5, 0.5, 0.5],
     }
-    return View(likely("images", step), _CAMERAS, order, None, [{"letterbox": box}], rest)
+    return ImageSpec(likely("images", step), _CAMERAS, order, None, [{"letterbox": box}], rest)
 
 
-class _Places:
+class _StateVectorParts:
     """Makes the parts of a vector of RDT for a robot: joints and grippers at their places, nothing elsewhere."""
 
     def __init__(self, width: int) -> None:
@@ -108,7 +110,7 @@ class _Places:
     def __call__(self, robot: Embodiment, gripper: tuple[float, float] | None) -> Tree:
         """Return the parts; a gripper is 0..1, open at 1 (right_gripper_open), unless the user says otherwise."""
         parts: list[Any] = []
-        place = 0
+        offset = 0
         arms = dict(zip(layout.sides(robot), robot.arms, strict=True))
         for side, (joints, hand) in _STARTS.items():
             name = (
@@ -118,18 +120,18 @@ class _Places:
                 continue
             arm = arms[name]
             if not layout.is_gripper(arm):
-                return Open("RDT has no places for hands with several fingers", (_VECTOR,))
-            place = _skip(parts, place, joints)
+                return UnknownValue("RDT has no places for hands with several fingers", (_VECTOR,))
+            offset = _fill_until(parts, offset, joints)
             parts.append({"joints": {"arm": likely(name, _VECTOR), "unit": likely("rad", _VECTOR)}})
-            place = _skip(parts, place + arm.dof, hand)
+            offset = _fill_until(parts, offset + arm.dof, hand)
             closed, opened = gripper or (0.0, 1.0)
             parts.append({"gripper": {"arm": name, "closed": likely(closed, _VECTOR), "open": likely(opened, _VECTOR)}})
-            place += 1
-        _skip(parts, place, self.width)
+            offset += 1
+        _fill_until(parts, offset, self.width)
         return parts
 
 
-def _skip(parts: list[Any], place: int, until: int) -> int:
-    if until > place:
-        parts.append({"fill": {"width": until - place}})
+def _fill_until(parts: list[Any], offset: int, until: int) -> int:
+    if until > offset:
+        parts.append({"fill": {"width": until - offset}})
     return until
