@@ -74,7 +74,7 @@ class _Suite:
         self._folder = folder
         self._runs = 0
         orders = evaluate.make_configs(adapter, environment, self.plan, Runtime(), IsolationSettings())
-        self._backends = {lanes: make_backend(BackendConfig(lanes=lanes), *orders, episodes) for lanes in (1, 2)}
+        self._backends = {lanes: make_backend(BackendConfig(workers=lanes), *orders, episodes) for lanes in (1, 2)}
 
     def __enter__(self) -> Self:
         for lanes in self._backends:

@@ -27,7 +27,7 @@ from pathlib import Path
 
 from xpl_cli.audit.static.source import Source
 from xpl_cli.scaffold import adapter as scaffold
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 
 BIN = Path(sys.executable).parent
 CORES, ADAPTERS, FILES = 2, 40, 4000
@@ -125,7 +125,7 @@ def _title(count: int) -> str:
 
 def _adapter(path: Path, chance: random.Random) -> Path:
     """Write an adapter with its share of the files: model.py imports one of the vendored ones and a helper."""
-    answers = Answers(**{**scaffold.defaults(), "name": path.name})
+    answers = AdapterAnswers(**{**scaffold.defaults(), "name": path.name})
     scaffold.write(scaffold.render(answers), path)
     with (path / "model.py").open("a") as model:
         model.write("\n\nfrom .helper import f0  # noqa: E402\nfrom .vendor.part0.code0 import f1  # noqa: E402\n")

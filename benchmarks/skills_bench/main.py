@@ -12,7 +12,7 @@ from benchmarks.skills_bench import cases, report, runs
 from benchmarks.skills_bench.agent import Agent
 from benchmarks.skills_bench.project import CONDITIONS
 from benchmarks.skills_bench.runs import Plan, Result
-from xpl_cli.agents.skills.bundle import Bundle, bundles
+from xpl_cli.agents.skills.bundle import SkillBundle, bundles
 from xpl_cli.basics import atomic
 
 PARTS = ("triggers", "tasks")
@@ -57,7 +57,7 @@ def _agent(text: str) -> Agent:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _plans(options: argparse.Namespace, skills: Sequence[Bundle]) -> list[Plan]:
+def _plans(options: argparse.Namespace, skills: Sequence[SkillBundle]) -> list[Plan]:
     """Return all runs there could be; those that the options leave out say so."""
     agents: list[Agent | None] = options.agent or [None]
     found = []

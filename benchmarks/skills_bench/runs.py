@@ -16,7 +16,7 @@ from benchmarks.skills_bench.cases import Query, Task
 from benchmarks.skills_bench.project import SetupError, project
 
 if TYPE_CHECKING:
-    from xpl_cli.agents.skills.bundle import Bundle
+    from xpl_cli.agents.skills.bundle import SkillBundle
 
 NOT_RUN: Final = "not run"
 RAN: Final = "ran"
@@ -96,7 +96,7 @@ class Result:
     model_lines: int | None = None
 
 
-def make(plan: Plan, skills: Sequence[Bundle], limit_s: float) -> Result:
+def make(plan: Plan, skills: Sequence[SkillBundle], limit_s: float) -> Result:
     """Make a run, or say why not."""
     is_query = isinstance(plan.case, Query)
     name = plan.case.text if isinstance(plan.case, Query) else plan.case.name
@@ -121,7 +121,7 @@ def make(plan: Plan, skills: Sequence[Bundle], limit_s: float) -> Result:
     return result
 
 
-def _query(query: Query, agent: Agent, skills: Sequence[Bundle], limit_s: float, result: Result) -> None:
+def _query(query: Query, agent: Agent, skills: Sequence[SkillBundle], limit_s: float, result: Result) -> None:
     empty = Task(query.skill, "query", "", skills[0].folder / "evals", (), ())
     listed = "\n".join(f"- {skill.name}: {skill.description}" for skill in skills)
     with project(empty, "none") as place:
@@ -170,7 +170,7 @@ def _first_rollout(calls: Sequence[dict[str, Any]], told: Told) -> float | None:
 
 
 def all_of(
-    plans: Sequence[Plan], skills: Sequence[Bundle], limit_s: float, done: Callable[[list[Result]], None]
+    plans: Sequence[Plan], skills: Sequence[SkillBundle], limit_s: float, done: Callable[[list[Result]], None]
 ) -> list[Result]:
     """Make all runs in their order; `done` is given what there is after each one that was made.
 

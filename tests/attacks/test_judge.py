@@ -138,7 +138,9 @@ REACHES = """
 """
 
 
-@pytest.mark.skipif(not IsolationSettings.here(ROOT, isolate=False).apart, reason="the system has no PID namespaces")
+@pytest.mark.skipif(
+    not IsolationSettings.strictest(ROOT, isolate=False).apart, reason="the system has no PID namespaces"
+)
 def test_a_loop_neither_sees_nor_signals_the_process_that_judges(room: Path) -> None:
     """It kills and opens the memory of all that it sees, which is nothing: its episode ends as any other."""
     _deploy(room, REACHES)
@@ -199,7 +201,7 @@ class _Stage:
         """Run statements as a loop, and return what was asked of environment and policy."""
         (self.folder / "body").write_text(textwrap.dedent(body), encoding="utf-8")
         world = _World()
-        self.loop.play(world, world, batch=False)
+        self.loop.run_trial(world, world, batch=False)
         return world
 
 
@@ -209,7 +211,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Stage]:
     body = "exec((Path(__file__).parent / 'body').read_text(), {'env': env, 'policy': policy, '__file__': __file__})"
     code = f"from pathlib import Path\ndef eval_one_episode(env, policy):\n    {body}\n"
     (folder / "deploy.py").write_text(code, encoding="utf-8")
-    loop = AdapterLoop(folder, limits=LoopTimeouts(think_s=1.5), is_silent=True)
+    loop = AdapterLoop(folder, limits=LoopTimeouts(request_s=1.5), is_silent=True)
     yield _Stage(folder, loop)
     loop.close()
 

@@ -52,8 +52,8 @@ def test_a_set_is_recorded_and_is_valid(tmp_path: Path) -> None:
 def test_practice_leaves_the_evaluation_seeds_alone() -> None:
     folder = environments.find("mujoco")
     tests = check.seeds(folder, "lift_cube", "clean")
-    wishes = plan.PlanRequest(episodes=500, first=min(tests), is_practice=True)
-    seeds, frozen = plan._seeds(folder, "lift_cube", "clean", wishes)
+    plan_request = plan.PlanRequest(episodes=500, first=min(tests), is_practice=True)
+    seeds, frozen = plan._seeds(folder, "lift_cube", "clean", plan_request)
     assert (len(seeds), len(set(seeds)), frozen) == (500, 500, False)
     assert not set(seeds) & set(tests)
 
@@ -64,7 +64,7 @@ def test_practice_leaves_the_evaluation_seeds_alone() -> None:
 )
 def test_a_task_ends_when_it_has_enough_or_never_will(outcomes: list[bool | None], ended: bool) -> None:
     """Twenty tries of which none can be kept are no bad luck."""
-    assert collect._enough(3)(outcomes) is ended
+    assert collect._stop_rule(3)(outcomes) is ended
 
 
 def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path
     ]
     assert (told.bytes, [path.name for path in tmp_path.glob("*.hdf5")].count("episode_0000004.hdf5")) == (10, 0)
     assert "1 of 4 tries discarded, 1 infrastructure errors" in told.text()
-    collect._return_surplus(tmp_path)
+    collect._restore_surplus(tmp_path)
     assert (tmp_path / "episode_0000004.hdf5").is_file()
     (tmp_path / "episode_0000000.hdf5").unlink()
     with pytest.raises(UserError, match="is not there any more"):

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 EXPERT = ROOT / "policy" / "scripted_expert"
 
 
-def _run(folder: Path, policy: str, **wishes: Any) -> records.Run:
-    return records.read(synthetic(folder / policy, policy=policy, **wishes))
+def _run(folder: Path, policy: str, **options: Any) -> records.Run:
+    return records.read(synthetic(folder / policy, policy=policy, **options))
 
 
-def _rank(*runs: records.Run, **wishes: bool) -> ranking.Ranking:
-    return ranking.rank(comparable_runs.gather(runs, **wishes))
+def _rank(*runs: records.Run, **options: bool) -> ranking.Ranking:
+    return ranking.rank(comparable_runs.gather(runs, **options))
 
 
 # --- Order ------------------------------------------------------------------------------------------------------------
@@ -137,7 +137,7 @@ def test_a_ranking_is_written_for_people_papers_and_tables(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("wishes", "said"),
+    ("options", "message"),
     [
         ({"first_seed": 100}, "Seeds of lift_cube (clean) and 3 more: 20 from 0 to 19 in "),
         ({"episodes": 10}, "Seeds of lift_cube (clean) and 3 more"),
@@ -148,19 +148,19 @@ def test_a_ranking_is_written_for_people_papers_and_tables(tmp_path: Path) -> No
     ],
 )
 def test_runs_that_are_not_alike_are_ranked_only_by_those_who_want_it(
-    tmp_path: Path, wishes: dict[str, Any], said: str
+    tmp_path: Path, options: dict[str, Any], message: str
 ) -> None:
     """The refusal says what differs; in spite of it, the ranking says so, too."""
-    runs = _run(tmp_path, "One"), _run(tmp_path, "Other", **wishes)
+    runs = _run(tmp_path, "One"), _run(tmp_path, "Other", **options)
     with pytest.raises(comparable_runs.IncompatibleRunsError) as refused:
         _rank(*runs)
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert refused.value.code == ExitCode.NOT_RUN
-    if "spec" in wishes:  # which common episodes do not mend
+    if "spec" in options:  # which common episodes do not fix
         with pytest.raises(comparable_runs.IncompatibleRunsError):
             _rank(*runs, common=True)
     found = _rank(*runs, anyway=True)
-    assert any(note.startswith(said) for note in found.notes)
+    assert any(note.startswith(message) for note in found.notes)
     assert "in spite of differences" in ranking_text.title(found)
     assert validate(found.as_json(), "leaderboard") == []
 

@@ -69,7 +69,7 @@ def test_a_lane_with_a_server_of_its_own_plays_and_starts_it_again(player: Rollo
 
 
 def _played(player: RolloutActor) -> RolloutResult:
-    outcome = player.play(JOB, None)
+    outcome = player.run_job(JOB, None)
     assert isinstance(outcome, RolloutResult)
     return outcome
 

@@ -152,7 +152,7 @@ def test_half_a_line_is_taken_back_where_the_disk_is_full(folder: Path) -> None:
         folder = Path(sys.argv[1])
         run = records.read(folder)
         line = dataclasses.replace(run.finals[0], index=5, task="stack_cubes", setting="clean", seed=1)
-        with records.Writer(folder, run.plan) as writer:
+        with records.RecordWriter(folder, run.plan) as writer:
             size = (folder / records.FILE).stat().st_size
             resource.setrlimit(resource.RLIMIT_FSIZE, (size + 100, resource.RLIM_INFINITY))
             try:

@@ -146,7 +146,7 @@ def test_other_words_depend_on_the_seed_alone(instead: str, told: list[str]) -> 
 
 
 def test_where_all_episodes_are_told_the_same_nothing_is_swapped() -> None:
-    with pytest.raises(UserError, match=r"pick, clean: episodes of the next 30 seeds are told nothing else"):
+    with pytest.raises(UserError, match=r"pick, clean: the next 30 seeds have the same instruction"):
         with_instruction(_Told(["lift it"]), run_mode.SWAP, [RolloutJob(0, 1, "pick", "clean", 1)], 1)
 
 

@@ -163,18 +163,20 @@ def test_a_run_that_is_there_is_only_continued_if_asked_and_by_the_same_plan(
     assert (room / "run" / records.FILE).read_bytes() == before
 
 
-def _request(place: Path, wishes: plan.PlanRequest | None, **more: Any) -> evaluate.EvalRequest:
+def _request(place: Path, plan_request: plan.PlanRequest | None, **more: Any) -> evaluate.EvalRequest:
     adapter = package.load(place / "policy" / "Drilled")
-    return evaluate.EvalRequest(adapter, str(place / "envs" / "drill"), place / "run", wishes, resume=True, **more)
+    return evaluate.EvalRequest(
+        adapter, str(place / "envs" / "drill"), place / "run", plan_request, resume=True, **more
+    )
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"wishes": plan.PlanRequest(tasks="hold,fold")}, "no task 'fold'"),
-        ({"wishes": plan.PlanRequest(tasks="hold,hold")}, "twice"),
-        ({"wishes": plan.PlanRequest(), "room": BackendConfig("cloud")}, "local, ray"),
-        ({"wishes": plan.PlanRequest(), "overrides": {"env_cfg_type": "piper_single"}}, "has no piper_single"),
+        ({"plan_request": plan.PlanRequest(tasks="hold,fold")}, "no task 'fold'"),
+        ({"plan_request": plan.PlanRequest(tasks="hold,hold")}, "twice"),
+        ({"plan_request": plan.PlanRequest(), "backend_config": BackendConfig("cloud")}, "local, ray"),
+        ({"plan_request": plan.PlanRequest(), "overrides": {"env_cfg_type": "piper_single"}}, "has no piper_single"),
     ],
 )
 def test_what_cannot_be_played_is_refused_before_anything_is_recorded(
@@ -205,8 +207,8 @@ def test_evaluation_seeds_are_those_of_the_environment_where_it_has_some(room: P
     (seeds / "hold.json").write_text(json.dumps({"clean": [70, 71, 72, 73]}))
     adapter = package.load(room / "policy" / "Drilled")
 
-    def cell(**wishes: Any) -> PlannedCell:
-        made = plan.make_plan(adapter, seeds.parent, adapter.config(), plan.PlanRequest(**wishes))
+    def cell(**plan_request: Any) -> PlannedCell:
+        made = plan.make_plan(adapter, seeds.parent, adapter.config(), plan.PlanRequest(**plan_request))
         return made.plan.cells[0]
 
     assert (cell(first=2, episodes=2).seeds, cell(first=2, episodes=2).frozen) == ([72, 73], True)

@@ -75,7 +75,7 @@ class Chunks:
 def _orders(folder: Path, keep: str = ALL, **told: bool) -> RolloutConfig:
     settings = EnvSettings("lift", "arx_x5", "joint", **told)
     demos = RecordingConfig(str(folder), keep, privileged="privileged" in told)
-    return RolloutConfig("policy/P", "1" * 64, "envs/E", "2" * 64, {}, settings, demos=demos)
+    return RolloutConfig("policy/P", "1" * 64, "envs/E", "2" * 64, {}, settings, recording=demos)
 
 
 def _line(*, success: bool = True, failure: str | None = None) -> EpisodeOutcome:

@@ -263,7 +263,7 @@ _OTHER_WEIGHTS = {"loaded": "0" * 64, "name": None, "declared": []}
         (_audited(lambda gate: gate["results"].pop(0)), "audit", "static gate is without the rules XPL101"),
         (_audited(lambda gate: gate["results"].append(gate["results"][0])), "audit", "two results of XPL101"),
         (_audited(lambda gate: gate.update(digest="0" * 16)), "audit", "is not of the adapter in the bundle"),
-        (_claimed(verdict="green"), "audit", "it is green, its rules and the adapter make it partial"),
+        (_claimed(verdict="green"), "audit", "claims green, but its rules and the adapter give partial"),
         (_claimed(proven=PARITY), "audit", "says otherwise what is proven: its rules"),
         (_claimed(statement="GREEN"), "audit", "says otherwise what it comes to"),
         (
@@ -344,7 +344,7 @@ class TestReplay:
         shutil.copytree(EXPERT.parent.parent / "envs" / "mujoco", robot, ignore=shutil.ignore_patterns("__pycache__"))
         text = (robot / "env.yml").read_text(encoding="utf-8")
         (robot / "env.yml").write_text(text.replace("real_time: false", "real_time: true"), encoding="utf-8")
-        monkeypatch.setattr(claims, "environment", lambda _: robot)
+        monkeypatch.setattr(claims, "environment_folder", lambda _: robot)
         with pytest.raises(UserError, match="does not wait for the policy"):
             ReplayRunner(EXPERT).replay(run, [0])
 

@@ -14,7 +14,7 @@ from tests.client.interop import build
 from tests.support.peer import xpl
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 
 FOLDER = Path(__file__).resolve().parent
 ENV = build.ROOT / "envs" / "gymnasium"
@@ -31,7 +31,7 @@ def player(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the adapter that knows the tasks."""
     folder = tmp_path_factory.mktemp("policy") / "Player"
     chosen = {"name": "Player", "embodiment": "fetch", "action_type": "ee", "chunk": 1, "eval_only": True}
-    adapter.write(adapter.render(Answers(**{**adapter.defaults(), **chosen})), folder)
+    adapter.write(adapter.render(AdapterAnswers(**{**adapter.defaults(), **chosen})), folder)
     shutil.copy(FOLDER / "player.py", folder / "model.py")
     manifest = yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8"))
     manifest["inputs"] = {"required": ["privileged", "state.ee_pose"], "optional": ["state.tcp_pose"], "unused": []}

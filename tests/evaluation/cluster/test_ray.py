@@ -215,7 +215,7 @@ def test_a_run_waits_for_room_and_refuses_other_files_there(tmp_path: Path) -> N
         options = (*PLAYED, "--backend", "ray", "--out", str(tmp_path / "run"))
         with cluster.playing(*options, policy=policy) as leader:
             assert leader.stderr is not None
-            assert any("must have room for a lane" in line for line in leader.stderr)
+            assert any("it needs a worker" in line for line in leader.stderr)
             (policy / "README.md").write_text("Others.", encoding="utf-8")
             cluster.tell("add")
             _, told = leader.communicate()

@@ -15,7 +15,7 @@ def demo(
     from xpl_cli import demo as route
     from xpl_cli.basics import console
 
-    played = route.play(keep, console.note if as_json else console.data, quiet=as_json)
+    played = route.run_demo(keep, console.note if as_json else console.data, quiet=as_json)
     if as_json:
         console.answer("xpl.demo/1", route.summary(played), ["xpl new-policy Foo", "xpl audit policy/Foo"])
         return

@@ -186,7 +186,7 @@ def evaluate(
         )
         if is_done:
             return
-    demos = trajectory_recorder.recording_config(record, keep, resume=resume, privileged=privileged)
+    recording = trajectory_recorder.recording_config(record, keep, resume=resume, privileged=privileged)
     announcement = (
         None
         if remote_server is None or (out is None and is_here)
@@ -212,19 +212,23 @@ def evaluate(
         said = {task, setting, episodes, until_width, None if horizon == remote.WHOLE_CHUNK else horizon}
         is_silent = not overrides and said == {None} and instruction is None
         is_batch = (num_envs or 1) > 1
-        wishes: plan.PlanRequest | None = plan.PlanRequest(
+        plan_request: plan.PlanRequest | None = plan.PlanRequest(
             task, setting, episodes, int(adapter.config(overrides)[spec.Deploy.SEED]), horizon, until_width
         )
         if is_silent:
-            wishes = None if horizon is None or (out / records.FILE).exists() else plan.PlanRequest(horizon=horizon)
+            plan_request = (
+                None if horizon is None or (out / records.FILE).exists() else plan.PlanRequest(horizon=horizon)
+            )
         _run_recorded_eval(
             suite.EvalRequest(
                 package=adapter,
                 environment=env,
                 out=out,
-                wishes=wishes,
+                plan_request=plan_request,
                 resume=resume,
-                room=BackendConfig(backend, 1 if is_batch else backends.parse_workers(workers), servers, policy_gpus),
+                backend_config=BackendConfig(
+                    backend, 1 if is_batch else backends.parse_workers(workers), servers, policy_gpus
+                ),
                 films=film,
                 overrides=overrides if env is None else with_robot(adapter, env, overrides),
                 runtime=config.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
@@ -232,7 +236,7 @@ def evaluate(
                 announced=announcement,
                 num_envs=num_envs,
                 env_workers=quick_eval.num_envs_and_workers(num_envs, workers)[1] if is_batch else 1,
-                demos=demos,
+                recording=recording,
                 instruction=instruction,
             ),
             as_json=as_json,
@@ -257,7 +261,7 @@ def evaluate(
             overrides=with_robot(adapter, env, overrides),
             remote=remote_server,
             runtime=config.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
-            demos=demos,
+            recording=recording,
         ),
         policy,
         as_json=as_json,

@@ -90,12 +90,12 @@ def record(
     keep_choice = choose_name(
         "choice for --keep", keep or (config.SUCCESS if policy is None else config.ALL), config.KEEP
     )
-    demos = config.RecordingConfig(
+    recording = config.RecordingConfig(
         str(out.absolute()), keep_choice, choose_name("form of images", form, FORMS), quality, not no_depth, privileged
     )
     request = collect.RecordRequest(
         environment=env,
-        demos=demos,
+        recording=recording,
         tasks=task,
         setting=setting,
         embodiment=embodiment,

@@ -146,22 +146,24 @@ def _restrict_to_common(runs: Sequence[Run]) -> Iterator[Run]:
     shared = set.intersection(*counted)
     if not shared:
         raise UserError("these runs have no episode in common", code=ExitCode.NOT_RUN)
-    order = [slot for slot in runs[0].plan.slots() if slot.case in shared]
+    order = [slot for slot in runs[0].plan.slots() if slot.episode_key in shared]
     for run in runs:
-        entries = {cell.place: cell for cell in run.plan.cells}
+        entries = {cell.cell_key: cell for cell in run.plan.cells}
         seeds: dict[CellKey, list[int]] = {}
         for slot in order:
             seeds.setdefault((slot.task, slot.setting), []).append(slot.seed)
         cells = [replace(entries[key], seeds=cell_seeds) for key, cell_seeds in seeds.items()]
         plan = replace(run.plan, until_width=None, cells=cells).named()
-        by_case = {line.case: line for line in run.finals.values()}
-        finals = {slot.index: replace(by_case[slot.case], index=slot.index) for slot in plan.slots()}
-        places_of = {line.case: index for index, line in finals.items()}
-        attempts = [replace(line, index=places_of[line.case]) for line in run.attempts if line.case in places_of]
+        by_case = {line.episode_key: line for line in run.finals.values()}
+        finals = {slot.index: replace(by_case[slot.episode_key], index=slot.index) for slot in plan.slots()}
+        places_of = {line.episode_key: index for index, line in finals.items()}
+        attempts = [
+            replace(line, index=places_of[line.episode_key]) for line in run.attempts if line.episode_key in places_of
+        ]
         yield replace(run, plan=plan, attempts=attempts, finals=finals)
 
 
 def _counted_cases(run: Run) -> Iterator[EpisodeKey]:
     """Yield what a run's success rates are made of."""
     for cell in cells(run):
-        yield from (line.case for line in cell.counted if cell.counts_as_success(line) is not None)
+        yield from (line.episode_key for line in cell.counted if cell.counts_as_success(line) is not None)

@@ -130,7 +130,7 @@ class AdapterLoop:
             raise NotFoundError(f"{self._file} has no function {name}")
         return name
 
-    def play(self, task_env: TaskEnv, client: Any, *, batch: bool) -> None:
+    def run_trial(self, task_env: TaskEnv, client: Any, *, batch: bool) -> None:
         """Have the loop play a trial, to wherever it plays it.
 
         Args:

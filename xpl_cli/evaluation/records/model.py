@@ -96,7 +96,7 @@ class PlannedCell:
     frozen: bool
 
     @property
-    def place(self) -> CellKey:
+    def cell_key(self) -> CellKey:
         """Task and setting."""
         return self.task, self.setting
 
@@ -118,7 +118,7 @@ class PlannedEpisode:
     seed: int
 
     @property
-    def case(self) -> EpisodeKey:
+    def episode_key(self) -> EpisodeKey:
         """What is played."""
         return self.task, self.setting, self.seed
 
@@ -309,12 +309,12 @@ class EpisodeRecord(AttemptExecution, EpisodeOutcome, AttemptKey):
         return {"kind": "episode", **fields}
 
     @property
-    def place(self) -> CellKey:
+    def cell_key(self) -> CellKey:
         """Task and setting."""
         return self.task, self.setting
 
     @property
-    def case(self) -> EpisodeKey:
+    def episode_key(self) -> EpisodeKey:
         """What was played."""
         return self.task, self.setting, self.seed
 

@@ -298,7 +298,7 @@ def _plan(line: Line, where: str) -> RunPlan:
     if line["run"] != name_of(line):
         raise RecordError(f"{where}: the plan is not the one that the run is named after; it was changed")
     plan = RunPlan.parse(line)
-    if len({cell.place for cell in plan.cells}) < len(plan.cells):
+    if len({cell.cell_key for cell in plan.cells}) < len(plan.cells):
         raise RecordError(f"{where}: cells: expected each task once in each setting")
     return plan
 
@@ -327,8 +327,8 @@ def _check(episode: EpisodeRecord, planned: Sequence[PlannedEpisode], run: Run, 
             f"{where}: there is no episode {str(index)[:_MAX_INDEX_TEXT]} in the plan, which has {len(planned)}"
         )
     slot = planned[index]
-    if episode.case != slot.case:
-        raise _BadLineError(f"{where}: episode {index} of the plan is {slot.case}, got {episode.case}")
+    if episode.episode_key != slot.episode_key:
+        raise _BadLineError(f"{where}: episode {index} of the plan is {slot.episode_key}, got {episode.episode_key}")
     if index in run.finals:
         raise _BadLineError(f"{where}: episode {index} has a final line already")
     before, most = run.latest.get(index), run.plan.control.attempts

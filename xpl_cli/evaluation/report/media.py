@@ -141,7 +141,7 @@ def _in_display_order(run: Run) -> Iterator[EpisodeRecord]:
     cells: dict[tuple[str, str], tuple[list[EpisodeRecord], list[EpisodeRecord]]] = {}
     for episode in run.finals.values():
         if episode.trace is not None or episode.film is not None:
-            cell = cells.setdefault(episode.place, ([], []))
+            cell = cells.setdefault(episode.cell_key, ([], []))
             cell[bool(episode.success)].append(episode)
     for row in itertools.zip_longest(*(_alternately(*cell) for cell in cells.values())):
         yield from filter(None, row)

@@ -1,7 +1,7 @@
-"""Keeps from an environment what is no action of its robot, whoever made it up: a loop, or a model behind a server.
+"""Reject invalid actions of a loop or a model before they reach the environment.
 
-An environment breaks over it in its own way. That would look like a failure of the environment, and the episode would
-be played again: a policy could have that where it is about to lose.
+An environment that receives an invalid action fails in its own way. That would count as an infrastructure error and the
+episode would be retried, which a policy could provoke whenever it is about to fail.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 
 class ActionCheckWrapper(TaskEnvWrapper):
-    """A task environment that is given nothing but actions of its robot, of whatever values.
+    """A task environment that receives only valid actions of its robot, of whatever values.
 
     Args:
         task_env: the environment.
         embodiment: its robot.
-        action_type: how it is driven.
+        action_type: "joint" or "ee".
     """
 
     def __init__(self, task_env: TaskEnv, embodiment: Embodiment, action_type: str) -> None:

@@ -1,4 +1,4 @@
-"""What a run needs of whoever plays its episodes: jobs in, outcomes out, whatever machines are between."""
+"""The interface of rollout backends: jobs in, results out, on whatever machines."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ NAMES = (LOCAL, RAY)
 
 @dataclass(frozen=True)
 class BackendConfig:
-    """Where a run is played, and how much of it at a time.
+    """Where the rollouts of a run are executed, and how many at a time.
 
     Attributes:
         backend: one of `NAMES`.
-        lanes: episodes at a time; None is as many as there are cores.
-        servers: policy servers that the lanes share; None leaves it to the backend.
-        gpus: of the cluster, for each policy server.
+        workers: rollout workers; None for one per core.
+        servers: policy servers that the workers share; None leaves it to the backend.
+        gpus: GPUs of the cluster for each policy server.
     """
 
     backend: str = LOCAL
-    lanes: int | None = 1
+    workers: int | None = 1
     servers: int | None = None
     gpus: float = 0.0
 
@@ -39,10 +39,10 @@ class RolloutJob:
 
     Attributes:
         index: the episode's key in the plan.
-        attempt: which attempt this is, from 1 on.
-        task, setting, seed: what is played.
-        trace: whether curves are wanted.
-        film: whether a film is wanted.
+        attempt: number of the attempt, from 1.
+        task, setting, seed: of the episode.
+        trace: whether to record curves.
+        film: whether to record a video.
     """
 
     index: int
@@ -56,16 +56,16 @@ class RolloutJob:
 
 @dataclass(frozen=True)
 class RolloutResult:
-    """What came of a job.
+    """The result of a job.
 
     Attributes:
         job: the job.
         ending: how it ended.
-        conduct: when it was played, for how long, and by whom.
-        facts: the machine on which it was played; empty where that is not known.
+        conduct: when it ran, for how long, and on which worker.
+        facts: of the machine; empty if unknown.
         trace: an .npz with its curves, or None.
         film: an animated WebP, or None.
-        is_server_suspect: whether the policy server may be why it broke off.
+        is_server_suspect: whether the policy server may have caused a failure.
     """
 
     job: RolloutJob
@@ -81,23 +81,23 @@ class Backend(Protocol):
     """Runs rollout jobs. The caller decides whether a failed attempt is retried."""
 
     def free(self) -> int:
-        """Return how many more jobs can be played at once now."""
+        """Return how many more jobs can start now."""
 
     def submit(self, job: RolloutJob) -> None:
         """Take a job; returns at once."""
 
     def wait(self) -> list[RolloutResult]:
-        """Wait for outcomes, at least one; each job has at most one.
+        """Wait for results, at least one; each job has at most one.
 
         Raises:
-            UserError: no job can be played: for example, policy and environment do not fit.
+            UserError: no job can run: for example, policy and environment do not fit.
         """
 
     def close(self) -> None:
-        """End everything, also what is being played."""
+        """Stop all workers and servers, including running jobs."""
 
 
 def lost_rollout(job: RolloutJob, reason: str, worker: str | None = None, facts: Facts | None = None) -> RolloutResult:
-    """Return the outcome of a job whose player is gone."""
+    """Return the result of a job whose worker was lost."""
     conduct = AttemptExecution(started=now(), wall_seconds=0.0, worker=worker)
     return RolloutResult(job, infrastructure_error(reason), conduct, facts or {}, is_server_suspect=True)

@@ -1,4 +1,4 @@
-"""The backends by their names, and how many lanes and servers each takes."""
+"""Backends by name, and their numbers of workers and servers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def parse_workers(workers: str) -> int | None:
-    """Return the number of lanes that `--workers` asks for; None for `auto`.
+    """Return the number of rollout workers of `--workers`; None for `auto`.
 
     Raises:
         UserError: it is neither a number above 0 nor `auto`.
@@ -27,31 +27,33 @@ def parse_workers(workers: str) -> int | None:
     return int(workers)
 
 
-def check_backend(room: BackendConfig) -> None:
+def check_backend(backend_config: BackendConfig) -> None:
     """Raise a UserError for a backend that there is not."""
-    if room.backend not in NAMES:
-        raise UserError(f"there is no backend {room.backend!r}; there are: {', '.join(NAMES)}")
+    if backend_config.backend not in NAMES:
+        raise UserError(f"there is no backend {backend_config.backend!r}; there are: {', '.join(NAMES)}")
 
 
-def make_backend(room: BackendConfig, config: RolloutConfig, server_config: ServerConfig, episodes: int) -> Backend:
+def make_backend(
+    backend_config: BackendConfig, config: RolloutConfig, server_config: ServerConfig, episodes: int
+) -> Backend:
     """Return the backend of a run.
 
     Args:
-        room: where, and how much at a time.
-        config: what lanes play.
+        backend_config: which backend, and how many workers.
+        config: what the workers run.
         server_config: how the policy is served.
-        episodes: how many are to be played; more lanes than that are no use.
+        episodes: upper limit of useful workers.
 
     Raises:
-        UserError: it cannot be had here.
+        UserError: the backend is not available here.
     """
-    if room.backend == RAY:
+    if backend_config.backend == RAY:
         from xpl_cli.evaluation.rollout.ray_backend import RayBackend
 
-        return RayBackend(config, server_config, room, episodes)
+        return RayBackend(config, server_config, backend_config, episodes)
     from xpl_cli.evaluation.rollout.local_backend import LocalBackend, assign_servers
 
-    workers = min(room.lanes or len(os.sched_getaffinity(0)), max(1, episodes))
-    # A model on a GPU takes room there: it is loaded once, unless somebody says otherwise.
-    servers = room.servers or (workers if server_config.gpu is None else 1)
+    workers = min(backend_config.workers or len(os.sched_getaffinity(0)), max(1, episodes))
+    # A model on a GPU takes memory there: it is loaded once, unless the user sets --servers.
+    servers = backend_config.servers or (workers if server_config.gpu is None else 1)
     return LocalBackend(config, assign_servers(server_config, workers, min(servers, workers)))

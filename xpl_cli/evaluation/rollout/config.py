@@ -1,4 +1,4 @@
-"""What the lanes of a run are told: what they play, what they keep of it, and how they get at policy servers."""
+"""Configuration of rollout workers: what they run and record, and how they reach policy servers."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 
 SUCCESS, ALL = "success", "all"
 KEEP: Final = (SUCCESS, ALL)
-"""Which episodes are kept: those that succeeded, or all that were played to their end."""
+"""Which episodes are saved: the successful ones, or all that ran to their end."""
 
 
 @dataclass(frozen=True)
 class RecordingConfig:
-    """Where episodes are kept as trajectories, and how.
+    """Where and how episodes are saved as trajectories.
 
     Attributes:
         folder: of the set, absolute.
         keep: one of `KEEP`.
         images: one of `xpl.trajectory.FORMS`.
         quality: of JPEGs.
-        depth: whether depth is kept, too.
-        privileged: whether what the simulator tells privileged policies is kept, too; who plays is not told of it more.
+        depth: whether to save depth.
+        privileged: whether to save the simulator's privileged observations; the policy does not receive more for that.
     """
 
     folder: str
@@ -42,12 +42,12 @@ class RecordingConfig:
 
 @dataclass(frozen=True)
 class Runtime:
-    """In which Python, and how apart, an adapter and an environment run.
+    """Python environments and isolation of adapter and environment.
 
     Attributes:
         python, env, gpu: interpreter and device of the adapter, as for `xpl serve`.
-        eval_env: Python of the environment, as `interpreter.resolve` takes it; None is env.yml's, or ours.
-        isolate: keep the adapter from the network and from writing. Other processes it never sees, if that can be had.
+        eval_env: Python of the environment, as `interpreter.resolve` takes it; None for that of env.yml, or ours.
+        isolate: keep the adapter from the network and from writing. If the system can, it never sees other processes.
     """
 
     python: str | None = None
@@ -62,12 +62,12 @@ class EnvSettings:
     """How an environment is configured for an adapter.
 
     Attributes:
-        task: of the environment; None where the offline one plays whatever there is.
-        embodiment, action_type: its robot, and how that is driven.
-        num_envs: environments that are played at once.
+        task: of the environment; None in the offline environment, which has a single script.
+        embodiment, action_type: its robot, and "joint" or "ee".
+        num_envs: environments in one batch.
         cameras: False for no images, True for images of its own size, or (height, width).
-        privileged: whether it tells what a robot does not see.
-        setting: of the environment; None leaves it to that.
+        privileged: whether observations hold privileged values.
+        setting: of the environment; None for its default.
     """
 
     task: str | None
@@ -88,22 +88,22 @@ class EnvSettings:
 
 @dataclass(frozen=True)
 class RolloutConfig:
-    """What all lanes of a run play; everything in it may travel to another machine.
+    """What all rollout workers of a run execute; picklable, for other machines.
 
     Attributes:
-        policy: folder of the adapter, whose loop is run where there is no horizon.
+        policy: folder of the adapter, whose evaluation loop runs if there is no horizon.
         policy_digest: of its own files.
         environment: folder of the environment package.
         environment_digest: of its own files.
         config: the adapter's configuration.
         settings: of the environment; task and setting are those of each job.
-        horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
-        eval_env: Python of the environment, as `interpreter.resolve` takes it; None is env.yml's, or ours.
-        num_envs: environments that a lane plays at once, in one batch.
-        env_workers: processes that share them; 0 plays them in the lane's own.
-        bounds: what the adapter's loop is kept from.
-        demos: where episodes are kept as trajectories, and how; None for not at all.
-        instruction: what the policy is told instead of the instruction, one of `run_mode.INSTRUCTIONS`.
+        horizon: execution horizon, at most; None leaves it to the adapter's loop.
+        eval_env: Python of the environment, as `interpreter.resolve` takes it; None for that of env.yml, or ours.
+        num_envs: environments that a worker runs in one batch.
+        env_workers: processes that share them; 0 runs them in the worker's own.
+        bounds: isolation of the adapter's loop.
+        recording: where and how episodes are saved as trajectories; None for not at all.
+        instruction: what the policy gets instead of the instruction, one of `run_mode.INSTRUCTIONS`.
     """
 
     policy: str
@@ -117,20 +117,20 @@ class RolloutConfig:
     num_envs: int = 1
     env_workers: int = 1
     bounds: IsolationSettings = field(default_factory=IsolationSettings)
-    demos: RecordingConfig | None = None
+    recording: RecordingConfig | None = None
     instruction: str | None = None
 
 
 @dataclass(frozen=True)
 class ServerAccess:
-    """How a lane gets at policy servers.
+    """How a rollout worker reaches a policy server.
 
     Attributes:
-        token: bearer token, where they ask for one.
-        is_patient: whether it waits for a server as long as the configuration says, and not only until whoever looks
-            after servers must have noticed.
-        on_loading: is told while a model loads.
-        ca_file: certificate authority for `wss://`, where the system's are not enough.
+        token: bearer token, if the server requires one.
+        is_patient: whether it waits for a server as long as the configuration says, instead of only until the process
+            that manages the servers must have noticed.
+        on_loading: called while a model loads.
+        ca_file: certificate authority for `wss://`, in addition to the system's.
     """
 
     token: str | None = None

@@ -17,7 +17,7 @@ _INFERENCE_OPERATIONS = (sdk.Method.GET_ACTION, sdk.Method.GET_ACTION_BATCH, sdk
 
 
 class TaskEnvWrapper:
-    """A task environment that passes everything on; kinds of it override what they look at.
+    """A task environment that forwards everything; subclasses override single hooks.
 
     Args:
         task_env: the environment.
@@ -59,7 +59,7 @@ class TaskEnvWrapper:
         return reports
 
     def listen(self, client: Any) -> Any:
-        """Return the client, listened to, by whoever guards the environment too."""
+        """Return the client with timed inference calls, also for wrappers further inside."""
         inner = getattr(self._env, "listen", None)
         return TimedClient(client if inner is None else inner(client), self._on_inference)
 
@@ -74,7 +74,7 @@ class TaskEnvWrapper:
         """See the actions that were executed."""
 
     def _on_inference(self, seconds: float) -> None:
-        """Hear that the policy was asked, and how long it took."""
+        """Handle the duration of an inference."""
 
 
 class TimedClient:

@@ -1,7 +1,7 @@
-"""Whose failure it is that an episode broke off: the policy's, whose process ended or hung, or nobody's that is known.
+"""Attribute a broken rollout: to the policy, whose process ended or hung, or to the infrastructure.
 
-Only what is seen to be outside of the adapter's processes is the infrastructure's: the front end of the server is gone,
-the environment's process is, or the network. A policy that ends itself when it is about to lose gains nothing by it.
+An infrastructure error is only what is observed outside of the adapter's processes: the server's front end, the
+environment's process or the network is lost. A policy that ends itself when it is about to fail gains nothing by it.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _LONGER_S = 10.0
 
 
 def is_policy_crash(error: Exception, url: str, ssl_context: ssl.SSLContext | None = None) -> bool:
-    """Tell whether an error shows that a process which runs the adapter's code ended or hung.
+    """Return whether an error shows that a process with the adapter's code ended or hung.
 
     Args:
-        error: what broke an episode off.
+        error: what ended the episode.
         url: of the policy server.
         ssl_context: for `wss://`.
     """
@@ -43,24 +43,24 @@ def is_policy_crash(error: Exception, url: str, ssl_context: ssl.SSLContext | No
 
 
 def with_longer_timeout(config: Config) -> dict[str, Any]:
-    """Return a configuration by which a client waits a little longer than its server does.
+    """Return a configuration in which the client's request timeout is longer than the server's.
 
-    A server that ends a worker that hangs says so, if anybody still listens; then it may end itself, and nobody could
-    tell a policy that hangs where it is about to lose from a machine that failed.
+    A server reports that it ended a hanging worker if the client still waits for the answer; then the server may end,
+    too, and a policy that hangs could not be told from a machine that failed.
     """
     limit = config.get(sdk.Deploy.REQUEST_TIMEOUT_S)
     return dict(config) if limit is None else {**config, sdk.Deploy.REQUEST_TIMEOUT_S: limit + _LONGER_S}
 
 
 def is_infrastructure_error(error: ClientError) -> bool:
-    """Tell whether an error of a client, which is no death of the policy's, says nothing about the policy."""
+    """Return whether an error of a client, other than a policy crash, is an infrastructure error."""
     if isinstance(error, PolicyServerError):
         return error.details.get("reason") in _OUTSIDE
     return error.is_infrastructure_error
 
 
 def is_responding(url: str, ssl_context: ssl.SSLContext | None = None) -> bool:
-    """Tell whether the front end of a server answers, whatever it says: then it is the model that hangs."""
+    """Return whether the front end of a server responds, with whatever status: then it is the model that hangs."""
     address = urlsplit(url)
     host, port = address.hostname or "", address.port
     with contextlib.suppress(OSError, http.client.HTTPException):

@@ -1,4 +1,4 @@
-"""The backend that plays in this process: one lane, several environments at once if need be, one policy server."""
+"""The in-process backend: one rollout worker, one batch of environments, one policy server."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class ServerHandle(Protocol):
-    """A policy server that a lane talks to: one of ours (`servers.Server`), or one that runs already."""
+    """A policy server of a rollout worker: one of ours (`servers.ManagedServer`) or an external one."""
 
     def url(self) -> str:
         """Return where it answers."""
@@ -28,10 +28,10 @@ class ServerHandle(Protocol):
 
 
 class ExternalServer:
-    """A policy server that somebody else looks after.
+    """A policy server that is started and stopped elsewhere.
 
     Args:
-        url: where it answers.
+        url: its address.
     """
 
     def __init__(self, url: str) -> None:
@@ -49,12 +49,12 @@ class ExternalServer:
 
 
 class InProcessBackend:
-    """Plays jobs in this process (see `xpl_cli.evaluation.rollout.backend.Backend`).
+    """Runs jobs in this process (see `xpl_cli.evaluation.rollout.backend.Backend`).
 
     Args:
-        orders: what is played; its environments are played in one batch.
-        server: who answers for the policy.
-        access: how it is reached.
+        config: what is run; its environments run in one batch.
+        server: the policy server.
+        access: how to reach it.
     """
 
     def __init__(self, config: RolloutConfig, server: ServerHandle, access: ServerAccess) -> None:
@@ -67,7 +67,7 @@ class InProcessBackend:
         """Make the environment before a server is started.
 
         Raises:
-            UserError: it cannot be played.
+            UserError: it cannot run.
         """
         self._worker.prepare(task, setting)
 
@@ -80,10 +80,10 @@ class InProcessBackend:
         self._jobs.append(job)
 
     def wait(self) -> list[RolloutResult]:
-        """Play the batch, and return its outcomes.
+        """Run the batch and return its results.
 
         Raises:
-            UserError: no job can be played.
+            UserError: no job can run.
         """
         first = self._jobs[0]
         # A batch is of one task and setting; the others wait for the next one.
@@ -93,12 +93,12 @@ class InProcessBackend:
             url = self._server.url()
         except ServerLostError as error:
             raise UserError(f"the policy server does not start any more: {error}", code=ExitCode.NOT_RUN) from None
-        outcomes = self._worker.play_batch(jobs, url)
+        outcomes = self._worker.run_jobs(jobs, url)
         if any(outcome.is_server_suspect for outcome in outcomes):
             self._server.drop()
         return outcomes
 
     def close(self) -> None:
-        """End the lane, and the server where it is ours."""
+        """Stop the worker, and the server if it is ours."""
         self._worker.close()
         self._server.close()

@@ -1,6 +1,6 @@
-"""Tells a policy something else than what it is to do, to see whether it heeds what it is told.
+"""Give a policy another instruction than the task's, to test whether it follows instructions.
 
-The task stays the same, and is judged as ever. A policy that succeeds all the same does not read.
+Task and success criterion stay the same. A policy that still succeeds does not use the instruction.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.rollout.backend import RolloutJob
 
 _TRIES = 30
-"""Seeds that are looked at for one that is about something else."""
+"""Seeds that are searched for another instruction."""
 
 
 def with_instruction(env: TaskEnv, instead: str, jobs: Sequence[RolloutJob], num_envs: int) -> InstructionWrapper:
@@ -32,13 +32,13 @@ def with_instruction(env: TaskEnv, instead: str, jobs: Sequence[RolloutJob], num
 
     Args:
         env: the environment.
-        instead: `blank` for an empty text; `swap` for what the episode of the next seed is told that is told another
-            one. Which that is depends on nothing but the seed.
-        jobs: the episodes that are to be played.
-        num_envs: environments at once.
+        instead: `blank` for an empty text; `swap` for the instruction of the next seed that has another one. That
+            depends on the seed alone.
+        jobs: the episodes to run.
+        num_envs: environments in one batch.
 
     Raises:
-        UserError: none of the next seeds is told anything else, or the environment refuses a seed.
+        UserError: none of the next seeds has another instruction, or the environment refuses a seed.
         InfrastructureError: the environment is lost.
     """
     if instead == BLANK:
@@ -53,13 +53,13 @@ def with_instruction(env: TaskEnv, instead: str, jobs: Sequence[RolloutJob], num
         if all(texts):
             return InstructionWrapper(env, [*(text or "" for text in texts), *[""] * (num_envs - len(jobs))])
     raise UserError(
-        f"{jobs[0].task}, {jobs[0].setting}: episodes of the next {_TRIES} seeds are told nothing else; "
+        f"{jobs[0].task}, {jobs[0].setting}: the next {_TRIES} seeds have the same instruction; "
         "--instruction swap is for tasks whose instruction differs from episode to episode"
     )
 
 
 def _instructions(env: TaskEnv, jobs: Sequence[RolloutJob], ahead: int, num_envs: int) -> list[str]:
-    """Return what the episodes so many seeds ahead are told."""
+    """Return the instructions of the episodes `ahead` seeds later."""
     reset_envs(env, [replace(job, seed=job.seed + ahead) for job in jobs], num_envs)
     try:
         observations = env.get_obs_batch(list(range(len(jobs))))
@@ -69,11 +69,11 @@ def _instructions(env: TaskEnv, jobs: Sequence[RolloutJob], ahead: int, num_envs
 
 
 class InstructionWrapper(TaskEnvWrapper):
-    """A task environment that tells something else in each place.
+    """A task environment with a replaced instruction in each environment of the batch.
 
     Args:
         task_env: the environment.
-        texts: what is told instead, by environment.
+        texts: instruction of each environment.
     """
 
     def __init__(self, task_env: TaskEnv, texts: Sequence[str]) -> None:

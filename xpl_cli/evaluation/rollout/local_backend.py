@@ -1,7 +1,8 @@
-"""The backend of this machine: lanes in processes of their own, policy servers beside them.
+"""The local backend: rollout workers and policy servers in processes of this machine.
 
-A thread of this process looks after each lane: it sees to the server, gives the lane a job and waits. Lanes and servers
-notice when this process is gone, however it ended, and end too.
+A thread of this process manages each worker: it starts the server, sends the worker a job and waits. Workers and
+    servers
+end when this process ends, for whatever reason.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ _GRACE_S = 10.0
 
 
 def assign_servers(server_config: ServerConfig, workers: int, servers: int) -> list[tuple[ServerHandle, ServerAccess]]:
-    """Return the servers that lanes share as evenly as may be, one for each lane, and how each is reached.
+    """Distribute servers evenly over workers; return server and access of each worker.
 
     Args:
         server_config: how the policy is served.
-        workers: episodes that are played at a time.
-        servers: how many there are.
+        workers: number of rollout workers.
+        servers: number of servers.
     """
     shares = [workers * (number + 1) // servers - workers * number // servers for number in range(servers)]
     owned = [(ManagedServer(server_config, share), share) for share in shares]
@@ -46,11 +47,11 @@ def assign_servers(server_config: ServerConfig, workers: int, servers: int) -> l
 
 
 class LocalBackend:
-    """Plays jobs on this machine (see `xpl_cli.evaluation.rollout.backend.Backend`).
+    """Runs jobs on this machine (see `xpl_cli.evaluation.rollout.backend.Backend`).
 
     Args:
-        orders: what lanes play.
-        reached: for each lane its policy server, and how it is reached.
+        config: what workers run.
+        reached: for each worker its policy server, and how to reach it.
     """
 
     def __init__(self, config: RolloutConfig, reached: Sequence[tuple[ServerHandle, ServerAccess]]) -> None:
@@ -63,18 +64,18 @@ class LocalBackend:
             worker.start()
 
     def free(self) -> int:
-        """Return how many lanes have nothing to do; none while a job waits that was given back."""
+        """Return how many workers are idle; 0 while a returned job waits."""
         return 0 if self._returned else len(self._idle)
 
     def submit(self, job: RolloutJob) -> None:
-        """Give a job to the lane that has waited longest."""
+        """Give a job to the worker that has been idle longest."""
         self._idle.pop(0).jobs.put(job)
 
     def wait(self) -> list[RolloutResult]:
-        """Wait for the next outcome; none where a lane has given its job back.
+        """Wait for the next result; empty if a worker returned its job.
 
         Raises:
-            UserError: no job can be played.
+            UserError: no job can run.
         """
         worker, result = self._done.get()
         if isinstance(result, Exception):
@@ -93,11 +94,11 @@ class LocalBackend:
         worker.end()
         if not self._workers:
             reason = str(result.ending.error)
-            raise UserError(reason, hint="put that right, and go on with --resume", code=ExitCode.NOT_RUN)
+            raise UserError(reason, hint="fix the cause and continue with --resume", code=ExitCode.NOT_RUN)
         self._returned.append(result.job)
 
     def close(self) -> None:
-        """End lanes and servers; what is being played is broken off."""
+        """Stop workers and servers, including running jobs."""
         for worker in self._workers:
             worker.end()
         for worker in self._workers:
@@ -107,11 +108,11 @@ class LocalBackend:
 
 
 class _WorkerThread(threading.Thread):
-    """Looks after one lane: its process, and the server that it talks to.
+    """Manages one worker: its process and its policy server.
 
     Attributes:
-        jobs: what it is to play; None lets it end.
-        is_sound: whether it can play; not if its server does not start any more.
+        jobs: jobs to run; None ends the thread.
+        is_sound: whether it can run jobs; False once its server no longer starts.
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class _WorkerThread(threading.Thread):
         access: ServerAccess,
         done: _Done,
     ) -> None:
-        # A daemon: it may wait for a model to load, and must not keep a run that was interrupted from ending.
+        # A daemon: it may wait for a model to load, and an interrupted run must end nevertheless.
         super().__init__(daemon=True)
         self.jobs: queue.SimpleQueue[RolloutJob | None] = queue.SimpleQueue()
         self._worker = f"{platform.node()}/{number}"
@@ -133,11 +134,11 @@ class _WorkerThread(threading.Thread):
         self.is_sound = True
 
     def run(self) -> None:
-        """Play jobs until there is none any more."""
+        """Run jobs until None arrives."""
         while (job := self.jobs.get()) is not None:
             self._is_busy = True
             try:
-                result: RolloutResult | Exception = self._play(job)
+                result: RolloutResult | Exception = self._run_job(job)
             except Exception as error:  # noqa: BLE001 - raised where the run is led
                 result = error
             self._is_busy = False
@@ -145,19 +146,19 @@ class _WorkerThread(threading.Thread):
         self._process.close()
 
     def end(self) -> None:
-        """Break off what is being played, and let the thread end."""
+        """Stop the running job and let the thread end."""
         self.jobs.put(None)
         if self._is_busy:
             self._process.kill()
 
-    def _play(self, job: RolloutJob) -> RolloutResult:
+    def _run_job(self, job: RolloutJob) -> RolloutResult:
         try:
             url = self._server.url()
         except ServerLostError as error:
             self.is_sound = False
             return lost_rollout(job, f"the policy server does not start any more: {error}", self._worker)
         try:
-            outcome = self._process.play(job, url)
+            outcome = self._process.run_job(job, url)
         except WorkerLostError as error:
             outcome = lost_rollout(job, str(error), self._worker)
         if outcome.is_server_suspect:
@@ -166,7 +167,7 @@ class _WorkerThread(threading.Thread):
 
 
 class WorkerLostError(RuntimeError):
-    """The process of a lane has ended."""
+    """The process of a worker has ended."""
 
 
 class _WorkerProcess:
@@ -177,11 +178,11 @@ class _WorkerProcess:
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: Connection[Any, Any] | None = None
 
-    def play(self, job: RolloutJob, url: str) -> RolloutResult:
-        """Play a job.
+    def run_job(self, job: RolloutJob, url: str) -> RolloutResult:
+        """Run a job.
 
         Raises:
-            UserError: no job can be played.
+            UserError: no job can run.
             WorkerLostError: the process ended.
         """
         try:
@@ -195,7 +196,7 @@ class _WorkerProcess:
         return result
 
     def kill(self) -> None:
-        """Let the process break off what it plays, close its environment and end; whoever waits for it sees to that."""
+        """Let the process stop its job, close its environment and end; the waiting thread cleans up."""
         process = self._process
         if process is not None:
             process.terminate()
@@ -208,12 +209,12 @@ class _WorkerProcess:
             self._end_process()
 
     def _start_process(self) -> Connection[Any, Any]:
-        # Not by `multiprocessing`, which would run the main module of whoever uses this once more in the lane.
+        # Not by `multiprocessing`, which would run the caller's main module again in the worker.
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
                 [*again.command("xpl_cli.evaluation.rollout.worker_process"), str(theirs.fileno())],
-                stdin=subprocess.PIPE,  # ends with this process, and the lane with it
+                stdin=subprocess.PIPE,  # ends with this process, and the worker with it
                 stdout=2,  # what an adapter's loop prints is no data
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
@@ -229,7 +230,7 @@ class _WorkerProcess:
         if channel is not None:
             channel.close()
         if process is None:
-            return "the process that plays episodes cannot be started"
+            return "the process of the rollout worker cannot be started"
         try:
             code = process.wait(_GRACE_S)
         except subprocess.TimeoutExpired:
@@ -237,4 +238,4 @@ class _WorkerProcess:
             code = process.wait()
         assert process.stdin is not None  # noqa: S101 - for the type checker: PIPE was asked for
         process.stdin.close()
-        return f"the process that played it {spawn.describe_exit(code)}"
+        return f"the process of the rollout worker {spawn.describe_exit(code)}"

@@ -1,6 +1,6 @@
-"""What a Ray cluster runs for a suite: lanes and policy servers, as plain classes that `ray_backend` makes actors of.
+"""Actors of a Ray cluster: rollout workers and policy servers, as plain classes that `ray_backend` turns into actors.
 
-They refuse by an answer and not by an exception: what an actor raises reaches the other side as an error of Ray's.
+They refuse by a return value instead of an exception: Ray wraps exceptions of actors in its own.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SAME_PLACE = "the same files must lie at the same place on every machine: a sha
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why nothing can be played: a UserError that travels."""
+    """Why nothing can run: a UserError that can be pickled."""
 
     message: str
     hint: str | None
@@ -36,28 +36,28 @@ class Refusal:
 
     @classmethod
     def of(cls, error: UserError) -> Refusal:
-        """Return the refusal that an error stands for."""
+        """Return the refusal of an error."""
         return cls(str(error), error.hint, error.code)
 
     def error(self) -> UserError:
-        """Return the error that it stands for."""
+        """Return the error of this refusal."""
         return UserError(self.message, hint=self.hint, code=ExitCode(self.code))
 
 
 @dataclass(frozen=True)
 class ActorUnavailable:
-    """Why an actor can play no more, although it could; what it was asked to play has not begun."""
+    """Why an actor can run no more jobs; the requested job has not begun."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class ActorInfo:
-    """Where a lane is.
+    """Where a worker runs.
 
     Attributes:
         worker: its name in records.
-        facts: its machine.
+        facts: of its machine.
     """
 
     worker: str
@@ -65,16 +65,16 @@ class ActorInfo:
 
 
 class PolicyServerActor:
-    """A policy server: for lanes on other machines, or for one in the same process.
+    """A policy server: for workers on other machines, or for one in the same process.
 
     Args:
         version: of xpl on the machine that leads the run.
-        orders: how it is started.
-        clients: lanes that use it.
-        token: what it asks of lanes on other machines; None keeps it to this machine, with a token of its own.
+        config: how it is started.
+        clients: number of workers that use it.
+        token: required of workers on other machines; None restricts it to this machine, with a token of its own.
 
     Attributes:
-        token: what it asks for.
+        token: the required token.
     """
 
     def __init__(self, version: str, config: ServerConfig, clients: int, token: str | None) -> None:
@@ -104,7 +104,7 @@ class PolicyServerActor:
         self._server.drop()
 
     def _check(self) -> None:
-        """Raise a UserError unless this machine has what the run is about; looks at it once."""
+        """Raise a UserError unless this machine has adapter and checkpoint of the run; checks once."""
         if not self._is_checked:
             _check_version(self._version)
             _check_files("adapter", self._config.policy, self._config.policy_digest)
@@ -113,14 +113,14 @@ class PolicyServerActor:
 
 
 class RolloutActor:
-    """A lane and, where it has one of its own, the policy server that it talks to.
+    """A rollout worker and its own policy server, if it has one.
 
     Args:
         version: of xpl on the machine that leads the run.
-        orders: what is played.
-        own_server: how its own server is started; None where servers are apart.
-        number: of the lane.
-        token: what servers apart ask for.
+        config: what is run.
+        own_server: how its own server is started; None if servers are separate actors.
+        number: of the worker.
+        token: required by separate servers.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class RolloutActor:
         self._rollout_worker: RolloutWorker | None = None
 
     def ready(self) -> ActorInfo | Refusal | ActorUnavailable:
-        """Prepare for playing and return where that is; doing so again changes nothing."""
+        """Prepare and return where the worker runs; idempotent."""
         try:
             _check_version(self._version)
             _check_files("adapter", self._config.policy, self._config.policy_digest)
@@ -146,14 +146,14 @@ class RolloutActor:
         url = None if self._server is None else self._server.url()
         return url if isinstance(url, (Refusal, ActorUnavailable)) else ActorInfo(self._worker, machine_facts())
 
-    def play(self, job: RolloutJob, url: str | None) -> RolloutResult | Refusal | ActorUnavailable:
-        """Play an attempt at an episode, with the policy server at an address, or with its own."""
-        assert self._rollout_worker is not None  # noqa: S101 - for the type checker: nobody plays who is not ready
+    def run_job(self, job: RolloutJob, url: str | None) -> RolloutResult | Refusal | ActorUnavailable:
+        """Run an attempt at an episode, with the policy server at `url` or its own."""
+        assert self._rollout_worker is not None  # noqa: S101 - for the type checker: `ready` was called
         address = url if self._server is None else self._server.url()
         if not isinstance(address, str):
-            return address or ActorUnavailable("the lane has no policy server")
+            return address or ActorUnavailable("the rollout worker has no policy server")
         try:
-            outcome = self._rollout_worker.play(job, address)
+            outcome = self._rollout_worker.run_job(job, address)
         except UserError as error:
             return Refusal.of(error)
         if self._server is not None and outcome.is_server_suspect:
@@ -179,7 +179,7 @@ def _check_files(what: str, folder: str, digest: str) -> None:
 
 
 def _isolation_here(config: RolloutConfig | ServerConfig) -> IsolationSettings:
-    """Return what the adapter is kept from on this machine."""
+    """Return the adapter's isolation on this machine."""
     settings = config.bounds
     return settings if settings.isolate else IsolationSettings.strictest(Path(config.policy).parent, isolate=False)
 

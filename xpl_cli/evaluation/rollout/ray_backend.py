@@ -1,9 +1,9 @@
-"""The backend of a Ray cluster: each lane is an actor, and so are policy servers that lanes share or that need GPUs.
+"""The Ray backend: each rollout worker is an actor, and so are policy servers that workers share or that need GPUs.
 
-Ray places the actors by what they ask for, and starts them again, on another machine if need be, when their process or
-machine is gone. An attempt is given to an actor at most once: if the actor is lost meanwhile, so is the attempt, and
-whoever leads the run decides about the next one. What does no harm twice (is this lane ready, where is that server) is
-asked by Ray again until there is an answer.
+Ray places the actors by their resources, and restarts them, possibly on another machine, when their process or machine
+is lost. An attempt is sent to an actor at most once: if the actor is lost, so is the attempt, and the process that
+leads the run decides about a retry. Idempotent calls (is this worker ready, what is the address of that server) are
+repeated by Ray until they return.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.rollout.servers import ServerConfig
 
 PATIENCE_S = 1200.0
-"""How long there may be no lane at all; a model may take half of that to load."""
+"""How long there may be no worker at all; a model may take half of that to load."""
 _NOTE_S = 20.0
 _CALL_S = 10.0
 _UNLIMITED = -1
@@ -55,13 +55,13 @@ class _RayServer:
 
 @dataclass(eq=False)
 class _RayWorker:
-    """A lane of the cluster.
+    """A rollout worker of the cluster.
 
     Attributes:
         actor: handle of its actor.
-        server: the one that it uses; None where it has its own.
-        post: where it is; None as long as it cannot play.
-        job: what it plays.
+        server: its policy server; None if it has its own.
+        post: where it runs; None until it is ready.
+        job: the running job.
     """
 
     actor: Any
@@ -71,36 +71,38 @@ class _RayWorker:
 
     @property
     def is_free(self) -> bool:
-        """Whether it could play now."""
+        """Whether it can start a job now."""
         return self.post is not None and self.job is None and (self.server is None or self.server.url is not None)
 
 
 class RayBackend:
-    """Plays jobs on a Ray cluster that runs already (see `xpl_cli.evaluation.rollout.backend.Backend`).
+    """Runs jobs on a running Ray cluster (see `xpl_cli.evaluation.rollout.backend.Backend`).
 
     The cluster is the one that Ray itself finds: at `RAY_ADDRESS`, or started on this machine. As long as this object
-    lives, nothing of this process reaches standard output: Ray writes its own notes there, which cannot be turned off.
+    lives, nothing of this process reaches standard output: Ray prints notes there, which cannot be turned off.
 
     Args:
-        orders: what lanes play.
-        server_orders: how the policy is served.
-        room: how many lanes, None for as many as the cluster has processors left; how many policy servers, None for one
-            where it needs GPUs, and else one for each lane, in the lane's own actor.
-        episodes: how many are to be played; more lanes than that are no use.
+        config: what workers run.
+        server_config: how the policy is served.
+        backend_config: number of workers, None for as many as the cluster has free processors; number of policy
+            servers, None for one if it needs GPUs, and else one for each worker, in the worker's own actor.
+        episodes: upper limit of useful workers.
 
     Raises:
         UserError: Ray is not installed, or there is no cluster.
     """
 
-    def __init__(self, config: RolloutConfig, server_config: ServerConfig, room: BackendConfig, episodes: int) -> None:
+    def __init__(
+        self, config: RolloutConfig, server_config: ServerConfig, backend_config: BackendConfig, episodes: int
+    ) -> None:
         self._resources = contextlib.ExitStack()
         self._ray = _connect(self._resources)
-        self._gpus = room.gpus
+        self._gpus = backend_config.gpus
         self._has_results = False
         self._returned_jobs: list[RolloutJob] = []
         self._callbacks: dict[Any, Callable[[Any], list[RolloutResult]]] = {}
-        servers = room.servers or (1 if room.gpus else 0)
-        workers = min(room.lanes or _processors(self._ray) - servers, episodes)
+        servers = backend_config.servers or (1 if backend_config.gpus else 0)
+        workers = min(backend_config.workers or _processors(self._ray) - servers, episodes)
         token = secrets.token_urlsafe(32) if servers else None
         shared = self._start_servers(server_config, min(servers, workers), workers, token)
         own = None if shared else server_config
@@ -114,21 +116,21 @@ class RayBackend:
             self._prepare(worker)
 
     def free(self) -> int:
-        """Return how many lanes could play now."""
+        """Return how many workers can start a job now."""
         return max(0, sum(worker.is_free for worker in self._workers) - len(self._returned_jobs))
 
     def submit(self, job: RolloutJob) -> None:
-        """Give a job to a lane that is free."""
+        """Give a job to a free worker."""
         worker = next(worker for worker in self._workers if worker.is_free)
         worker.job = job
         url = None if worker.server is None else worker.server.url
-        self._callbacks[worker.actor.play.remote(job, url)] = partial(self._on_result, worker)
+        self._callbacks[worker.actor.run_job.remote(job, url)] = partial(self._on_result, worker)
 
     def wait(self) -> list[RolloutResult]:
-        """Wait for outcomes, or until more lanes are free.
+        """Wait for results, or until more workers are free.
 
         Raises:
-            UserError: no job can be played, or the cluster has had no room for too long.
+            UserError: no job can run, or the cluster has had no free resources for too long.
         """
         free, results = self.free(), list[RolloutResult]()
         while not results and self.free() <= free:
@@ -143,11 +145,11 @@ class RayBackend:
         self._resources.close()
 
     def _start_servers(self, config: ServerConfig, servers: int, workers: int, token: str | None) -> list[_RayServer]:
-        """Return the server of each lane, or nothing where lanes have their own."""
+        """Return the server of each worker; empty if workers have their own."""
         actors: list[_RayServer] = []
         for number in range(servers):
             clients = workers * (number + 1) // servers - workers * number // servers
-            # No processor of its own: a lane must not be able to take the last one from the server that it waits for.
+            # No processor of its own: a worker must not take the last one from the server that it waits for.
             actor = self._actor(PolicyServerActor, num_cpus=0, num_gpus=self._gpus)
             actors += [_RayServer(actor.remote(xpl_cli.__version__, config, clients, token))] * clients
         return actors
@@ -171,7 +173,7 @@ class RayBackend:
             if not self._ray.wait(pending, timeout=PATIENCE_S)[0]:
                 raise UserError(
                     f"no worker started on the Ray cluster within {PATIENCE_S:g} s: {self._missing_resources()}",
-                    hint="add machines, or ask for less, and go on with --resume",
+                    hint="add machines or request less, and continue with --resume",
                     code=ExitCode.NOT_RUN,
                 )
         arrived: list[Any] = self._ray.wait(pending, num_returns=len(pending), timeout=0)[0]
@@ -181,10 +183,10 @@ class RayBackend:
         left = {name: count for name, count in self._ray.available_resources().items() if name in ("CPU", "GPU")}
         server = f" and a policy server (GPU {self._gpus:g})" if self._gpus else ""
         resources = ", ".join(f"{name} {count:g}" for name, count in sorted(left.items())) or "nothing"
-        return f"it must have room for a lane (CPU 1){server}; left are: {resources}"
+        return f"it needs a worker (CPU 1){server}; available: {resources}"
 
     def _prepare(self, worker: _RayWorker) -> None:
-        """Let a lane tell when it can play; one that is being started again answers then."""
+        """Let a worker report that it is ready; a restarting one reports later."""
         worker.post = None
         self._callbacks[worker.actor.ready.options(max_task_retries=_UNLIMITED).remote()] = partial(
             self._on_ready, worker
@@ -199,7 +201,7 @@ class RayBackend:
         return []
 
     def _locate(self, server: _RayServer, ask: Any) -> None:
-        """Ask where a server answers, by one of its actor's methods; each starts it where it does not run."""
+        """Request the address of a server by a method of its actor, which starts the server if it does not run."""
         server.url = None
         self._callbacks[ask.options(max_task_retries=_UNLIMITED).remote()] = partial(self._on_address, server)
 
@@ -212,9 +214,9 @@ class RayBackend:
         return []
 
     def _on_result(self, worker: _RayWorker, ref: Any) -> list[RolloutResult]:
-        """Return what became of a lane's job, and see to it that the lane can play again."""
+        """Return the result of a worker's job, and let the worker prepare for the next one."""
         job, post = worker.job, worker.post
-        assert job is not None and post is not None  # noqa: S101, PT018 - for the type checker: it was playing
+        assert job is not None and post is not None  # noqa: S101, PT018 - for the type checker: it was running a job
         worker.job = None
         try:
             answer = self._answer(ref)
@@ -238,10 +240,10 @@ class RayBackend:
         return [outcome]
 
     def _start_answer(self, ref: Any) -> Any:
-        """Return what an actor answered that was to begin, or to begin again; who refuses that is unfit.
+        """Return the answer of an actor that starts or restarts; a refusal makes it unavailable.
 
         Raises:
-            UserError: it refuses, or cannot be started anywhere, before anything was played.
+            UserError: it refuses or cannot be started anywhere, before any job ran.
         """
         try:
             return self._answer(ref)
@@ -274,17 +276,17 @@ class RayBackend:
         Raises:
             UserError: no worker is left.
         """
-        console.note(f"the run goes on without {len(workers)} of {len(self._workers)} workers: {why.reason}")
+        console.note(f"the run continues without {len(workers)} of {len(self._workers)} workers: {why.reason}")
         for worker in workers:
             self._workers.remove(worker)
             self._ray.kill(worker.actor)
         if not self._workers:
-            raise UserError(f"no worker is left: {why.reason}", hint="go on with --resume", code=ExitCode.NOT_RUN)
+            raise UserError(f"no worker is left: {why.reason}", hint="continue with --resume", code=ExitCode.NOT_RUN)
 
 
 def _connect(resources: contextlib.ExitStack) -> Any:
-    """Return the module `ray`, connected to a cluster until the resources are given back."""
-    # By default Ray tries a quarter of an hour where nobody answers any more; it reads this when it is imported.
+    """Return the module `ray`, connected to a cluster until the resources are released."""
+    # By default Ray retries a lost cluster for 15 minutes; it reads this when it is imported.
     os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "1")
     try:
         import ray
@@ -312,7 +314,7 @@ def _connect(resources: contextlib.ExitStack) -> Any:
 
 @contextlib.contextmanager
 def _keep_sigterm_handler() -> Iterator[None]:
-    """Keep what SIGTERM does to a command; Ray would put an end of its own in its place."""
+    """Keep the handler of SIGTERM; Ray would install its own."""
     before = signal.getsignal(signal.SIGTERM)
     yield
     if threading.current_thread() is threading.main_thread():
@@ -320,10 +322,10 @@ def _keep_sigterm_handler() -> Iterator[None]:
 
 
 def _check_address(address: str) -> None:
-    """See whether somebody listens at an address; Ray itself would take its time, and say less.
+    """Check that an address accepts connections; Ray itself would take longer and report less.
 
     Raises:
-        OSError: nobody does.
+        OSError: it does not.
         ValueError: it is no address of a cluster.
     """
     host, _, port = address.rpartition(":")
@@ -334,11 +336,11 @@ def _check_address(address: str) -> None:
     try:
         socket.create_connection((host.strip("[]"), int(port)), _CALL_S).close()
     except OSError as error:
-        raise OSError(f"nobody answers at RAY_ADDRESS={address} ({error.strerror or error})") from None
+        raise OSError(f"no answer at RAY_ADDRESS={address} ({error.strerror or error})") from None
 
 
 def _processors(ray: Any) -> int:
-    """Return how many processors nobody uses now, at least two."""
+    """Return the number of free processors, at least two."""
     return max(2, int(ray.available_resources().get("CPU", 0)))
 
 

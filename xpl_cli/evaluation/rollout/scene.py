@@ -1,4 +1,4 @@
-"""What a lane plays in: an environment for a task and setting, and the connection to who answers for the policy."""
+"""The environment of a rollout worker for a task and setting, and its connection to a policy server."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _CONNECT_S, _AGAIN_S = 5.0, 0.2
 
 @dataclass
 class RolloutScene:
-    """What is being played: a task in a setting, and who answers for the policy.
+    """Environment and policy connection of the current task and setting.
 
     Attributes:
         key: task and setting.
         env: the environment.
         frequency: control rate, Hz.
-        camera: films it; None: it has no camera.
-        client: connection to a policy server, with its address; None where there is none yet.
+        camera: records the video; None if there is no camera.
+        client: address of a policy server and the connection to it; None if there is none yet.
     """
 
     key: tuple[str, str]
@@ -46,10 +46,10 @@ class InfrastructureError(Exception):
 
 
 def with_short_connect_timeout(config: Config) -> Config:
-    """Return a configuration for a client that soon gives up on a server that is gone.
+    """Return a configuration for a client that soon gives up on a server that is lost.
 
-    Whoever leads the run starts servers before lanes need them, and again when they have ended. A lane waits as long
-    as a place on the server may be kept for a client that was cut off, and a little more.
+    The process that leads the run starts servers before workers need them, and again when they have ended. A worker
+    waits as long as the server may keep the slot of a disconnected client, and a little more.
     """
     timeout = config.get(sdk.Deploy.CLOSE_TIMEOUT_S)
     timeout = sdk.DEPLOY_DEFAULTS[sdk.Deploy.CLOSE_TIMEOUT_S] if timeout is None else timeout
@@ -57,11 +57,11 @@ def with_short_connect_timeout(config: Config) -> Config:
 
 
 def reset_envs(env: TaskEnv, jobs: Sequence[RolloutJob], num_envs: int) -> None:
-    """Begin episodes; places that are left over get seeds that nobody asked for.
+    """Reset all environments of a batch; environments without a job get further seeds.
 
     Raises:
         UserError: the environment refuses a seed.
-        InfrastructureError: it raised something else, or is lost.
+        InfrastructureError: it raised another error, or is lost.
     """
     seeds = [job.seed for job in jobs]
     beyond = max(seeds) + 1

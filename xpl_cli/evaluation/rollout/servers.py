@@ -1,4 +1,4 @@
-"""The policy servers of a run: started when they are needed, again when they have ended, shared by some lanes."""
+"""The policy servers of a run: started on demand, restarted when they have ended, shared by workers."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ _STARTS = 3
 
 @dataclass(frozen=True)
 class ServerConfig:
-    """How the policy of a run is served; everything in it may travel to another machine.
+    """How the policy of a run is served; picklable, for other machines.
 
     Attributes:
         policy: folder of the adapter.
         policy_digest: of its own files.
-        checkpoint_digest: of what its configuration leads to; None: to nothing.
+        checkpoint_digest: of the configured checkpoint; None without one.
         overrides: keys of deploy.yml.
         python, env, gpu: interpreter and device of the adapter, as for `xpl serve`.
-        bounds: what the adapter is kept from.
+        bounds: isolation of the adapter.
     """
 
     policy: str
@@ -53,7 +53,7 @@ class ServerConfig:
 
         Args:
             options: further ones of `xpl serve`.
-            token: what it asks clients for.
+            token: that it requires of clients.
         """
         return running_server(
             Path(self.policy),
@@ -68,13 +68,13 @@ class ServerConfig:
 
 
 class ManagedServer:
-    """A policy server of this machine, for one lane or several. Its methods may be called from their threads.
+    """A policy server of this machine, for one or several workers. Its methods are thread-safe.
 
     Args:
-        orders: how the policy is served.
-        clients: lanes that use it; each has its own model, or session of one that may be shared.
+        config: how the policy is served.
+        clients: number of workers that use it; each has its own model, or a session of a shared one.
         options: further ones of `xpl serve`.
-        token: what it asks its lanes for, so that no other process drives what they drive; a new one by default.
+        token: that it requires of workers, so that no other process uses it; a new one by default.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class ServerLostError(RuntimeError):
 
 
 def _accepts_connections(url: str) -> bool:
-    """Tell whether somebody accepts connections; a process that was killed does not at once look ended."""
+    """Return whether an address accepts connections; a killed process may not look ended at once."""
     address = urlsplit(url)
     try:
         with socket.create_connection((address.hostname or "", address.port or 0), _ANSWER_S):

@@ -1,7 +1,7 @@
-"""What an episode leaves behind besides its result: curves, the latency of the policy, a film.
+"""What a rollout records besides its result: curves, the latency of the policy, a video.
 
-`Watch` stands between an evaluation loop and its environment and client, changes nothing, and works with an adapter's
-own loop as with ours. A trace holds no wall-clock time: equal episodes give equal bytes.
+`TelemetryWrapper` stands between an evaluation loop and its environment and client, changes nothing, and works with an
+adapter's own loop and with ours. A trace holds no wall-clock time: equal episodes give equal bytes.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _BINS = 32
 
 
 class TelemetryWrapper(TaskEnvWrapper):
-    """A task environment, of one environment, that is looked at.
+    """A task environment, with a single environment, whose telemetry is recorded.
 
     Args:
         task_env: the environment.
         embodiment: its robot.
         frequency: control rate, Hz.
-        traced: whether curves are kept.
-        reel: takes the film, or None.
+        traced: whether to record curves.
+        reel: takes the video, or None.
     """
 
     def __init__(
@@ -68,11 +68,12 @@ class TelemetryWrapper(TaskEnvWrapper):
         return Inference(len(self._latencies), round(sum(self._latencies), 6), counts)
 
     def trace(self) -> bytes | None:
-        """Return the curves as an .npz; None where none were kept.
+        """Return the curves as an .npz; None if none were recorded.
 
-        Arrays: `frequency` () Hz; `chunk_starts` (C,) int32, the control steps before which the policy was asked;
-        `state_steps` (N,) int32, the control steps before which `state.<name>` (N, D) was seen; `action.<name>` (T, D)
-        as commanded. States and actions are float32 under the observation's and action's own names.
+        Arrays: `frequency` () Hz; `chunk_starts` (C,) int32, the control steps before an inference; `state_steps` (N,)
+            int32,
+        the control steps before which `state.<name>` (N, D) was observed; `action.<name>` (T, D) as commanded. States
+        and actions are float32 and have the names of observations and actions.
         """
         if not self._states:
             return None
@@ -107,7 +108,7 @@ class TelemetryWrapper(TaskEnvWrapper):
             self._add_film_frame()
 
     def _values(self, values: State) -> list[Any]:
-        # Copies: a view would keep a whole observation, pictures and all, for as long as the episode lasts.
+        # Copies: a view would keep the whole observation with its images in memory during the episode.
         return [np.array(values[name], np.float32) if name in values else None for name in self._names]
 
     def _columns(self, kind: str, rows: list[list[Any]]) -> dict[str, Any]:
@@ -120,7 +121,7 @@ class TelemetryWrapper(TaskEnvWrapper):
         self._latencies.append(seconds)
 
     def _add_film_frame(self) -> None:
-        """Film the moment; an environment that cannot be filmed is played without."""
+        """Add a video frame; an environment that cannot be rendered runs without a video."""
         from xpl_cli.basics.errors import UserError
 
         if self._reel is None:

@@ -1,7 +1,7 @@
-"""Keeps episodes as trajectories while they are played: what the policy was shown, and what it commanded then.
+"""Record episodes as trajectories: the observations of the policy and its actions.
 
-The recorder stands between an evaluation loop and its environment, as `Watch` does, and changes nothing. A file appears
-when its episode has ended and is one to be kept; an episode that breaks off leaves nothing.
+The recorder stands between an evaluation loop and its environment, as `TelemetryWrapper` does, and changes nothing. A
+file appears once its episode has ended and is to be saved; an episode that breaks off leaves nothing.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def file_name(index: int) -> str:
 
 
 def is_kept(ending: EpisodeOutcome, keep: str) -> bool:
-    """Tell whether an episode is one to be kept."""
+    """Return whether an episode is to be saved."""
     return ending.failure in (None, "task") and (keep == ALL or bool(ending.success))
 
 
@@ -43,15 +43,15 @@ def is_kept(ending: EpisodeOutcome, keep: str) -> bool:
 def recording(
     task_env: TaskEnv, config: RolloutConfig, jobs: Sequence[RolloutJob], frequency: float
 ) -> Iterator[TrajectoryRecorder | None]:
-    """Yield what stands before an environment and keeps its episodes; None where nobody wants that.
+    """Yield a wrapper that records the episodes of an environment; None if nothing is recorded.
 
     Args:
         task_env: the environment.
-        config: what is played.
-        jobs: the attempt that each environment plays.
+        config: of the rollout.
+        jobs: the attempt of each environment.
         frequency: control rate, Hz.
     """
-    if config.demos is None:
+    if config.recording is None:
         yield None
         return
     recorder = TrajectoryRecorder(task_env, config, jobs, frequency)
@@ -62,24 +62,24 @@ def recording(
 
 
 class TrajectoryRecorder(TaskEnvWrapper):
-    """A task environment whose episodes are kept; see `recorded`."""
+    """A task environment whose episodes are recorded; see `recording`."""
 
     def __init__(self, task_env: TaskEnv, config: RolloutConfig, jobs: Sequence[RolloutJob], frequency: float) -> None:
-        assert config.demos is not None  # noqa: S101 - for the type checker: `recorded` looks
+        assert config.recording is not None  # noqa: S101 - for the type checker: `recording` checks
         super().__init__(task_env)
-        self._config, self._settings, self._jobs = config, config.demos, list(jobs)
+        self._config, self._settings, self._jobs = config, config.recording, list(jobs)
         self._frequency = frequency
-        self._hides = config.demos.privileged and not config.settings.privileged
+        self._hides = config.recording.privileged and not config.settings.privileged
         self._observations: dict[int, ObservationDict] = {}
         self._has_inferred = False
         self._error: Exception | None = None
         self._writers: dict[int, trajectory.Writer] = {}
 
     def keep(self, endings: Sequence[EpisodeOutcome]) -> None:
-        """Put the files of the episodes that are to be kept in place.
+        """Commit the files of the episodes that are to be saved.
 
         Args:
-            endings: how each went, in the order of the jobs.
+            endings: how each ended, in the order of the jobs.
 
         Raises:
             UserError: one could not be written.
@@ -97,13 +97,13 @@ class TrajectoryRecorder(TaskEnvWrapper):
             raise UserError(f"episodes cannot be recorded: {error}", code=ExitCode.NOT_RUN) from None
 
     def close(self) -> None:
-        """Drop what is not to be kept."""
+        """Discard the files that are not saved."""
         for writer in self._writers.values():
             writer.discard()
         self._writers = {}
 
     def _on_observation(self, env: int, obs: ObservationDict) -> ObservationDict:
-        """Return an observation as the policy gets it: what only the file is told is not in it."""
+        """Return an observation as the policy gets it: without values that only the file holds."""
         self._observations[env] = obs
         return {key: value for key, value in obs.items() if key != sdk.Obs.PRIVILEGED} if self._hides else obs
 
@@ -112,7 +112,7 @@ class TrajectoryRecorder(TaskEnvWrapper):
             self._add(env, action)
         self._has_inferred = False
 
-    def _on_inference(self, seconds: float) -> None:  # noqa: ARG002 - a file tells when, not how long
+    def _on_inference(self, seconds: float) -> None:  # noqa: ARG002 - a file has the step, not the duration
         self._has_inferred = True
 
     def _add(self, env: int, action: Action) -> None:
@@ -132,17 +132,17 @@ class TrajectoryRecorder(TaskEnvWrapper):
 
     def _writer(self, job: RolloutJob) -> trajectory.Writer:
         path = Path(self._settings.folder) / file_name(job.index)
-        demos = self._settings
+        recording = self._settings
         return trajectory.Writer(
             path,
-            images=demos.images,
-            quality=demos.quality,
+            images=recording.images,
+            quality=recording.quality,
             frequency=self._frequency,
-            privileged=demos.privileged,
+            privileged=recording.privileged,
         )
 
     def _metadata(self, job: RolloutJob, ending: EpisodeOutcome) -> dict[str, Any]:
-        """Return what is told of an episode: what was played by whom, and how it went."""
+        """Return the metadata of an episode: what ran with which policy, and how it ended."""
         config = self._config
         return {
             "environment": Path(config.environment).name,
@@ -176,22 +176,22 @@ def _without_depth(obs: ObservationDict) -> ObservationDict:
 def recording_config(
     folder: Path | None, keep: str | None, *, resume: bool, privileged: bool
 ) -> RecordingConfig | None:
-    """Return where an evaluation keeps its episodes; None where nobody asked for that.
+    """Return where an evaluation saves trajectories; None if none were requested.
 
     Args:
-        folder: of the set, if it is to keep them.
+        folder: of the set; None for no recording.
         keep: one of `KEEP`; all by default.
-        resume: whether a set that is there is continued.
-        privileged: whether what the simulator tells privileged policies is kept, too.
+        resume: whether an existing set is continued.
+        privileged: whether to save privileged observations.
 
     Raises:
-        UserError: there are episodes already, there is no such choice or none to make, or h5py is not installed.
+        UserError: there are episodes already, an option is unknown or needs --record, or h5py is not installed.
     """
     if folder is None:
         if keep is not None:
-            raise UserError("--keep says which episodes --record keeps, and nobody asked for that")
+            raise UserError("--keep selects which episodes --record saves: add --record")
         if privileged:
-            raise UserError("--privileged says what --record keeps, and nobody asked for that")
+            raise UserError("--privileged selects what --record saves: add --record")
         return None
     require_library()
     if not resume and next(folder.glob("*.hdf5"), None) is not None:

@@ -1,6 +1,6 @@
-"""What a policy is told of a trial: the case before it, and how it went after it (`prepare_case`, `on_trial_end`).
+"""What a policy learns about a trial: the case before it, and the outcome after it (`prepare_case`, `on_trial_end`).
 
-Nothing of a seed or a layout is among it, and the name of a trial tells nothing: what is played is not to be looked up.
+That includes neither seed nor layout, and the trial's name is random: a policy must not look up what is evaluated.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _UNKNOWN = (sdk.ErrorCode.UNKNOWN_MESSAGE_TYPE, sdk.ErrorCode.INVALID_FRAME)
 
 
 def describe_case(settings: EnvSettings) -> Payload:
-    """Return what is told of a case, its name among it; `settings` are those of the environment."""
+    """Return the description of a case, with its name; `settings` are those of the environment."""
     return {
         sdk.Payload.ACTION_CASE_ID: f"{settings.task}/{settings.setting}",
         sdk.Deploy.TASK_NAME: settings.task,
@@ -37,7 +37,7 @@ def describe_case(settings: EnvSettings) -> Payload:
 
 
 def describe_outcome(endings: Sequence[EpisodeOutcome]) -> Payload:
-    """Return what is told of how a trial went: of one episode as it is, of several as a list."""
+    """Return the outcome of a trial: of one episode as a map, of several as a list."""
     results = [{name: getattr(ending, name) for name in _REPORTED} for ending in endings]
     return results[0] if len(results) == 1 else {"results": results}
 
@@ -57,9 +57,9 @@ def begin(client: Client, case: Payload) -> None:
 
 
 def end(client: Client, endings: Sequence[EpisodeOutcome]) -> bool:
-    """Tell the policy how a trial went; return whether the connection can be used for the next one.
+    """Report the outcome to the policy; return whether the connection can be used for the next trial.
 
-    The verdict stands whatever the policy's hook does: what it raises is told to whoever watches.
+    The result stands whatever the policy's hook does: its errors are printed.
     """
     try:
         client.trial_end(describe_outcome(endings))

@@ -1,7 +1,7 @@
-"""A lane plays episodes, one after the other: the environment's side of a run, in whatever process it is put.
+"""A rollout worker runs episodes one after the other: the environment's side of a run, in whatever process.
 
-It has an environment, in a process and a Python of its own, and a connection to a policy server that somebody else
-looks after. What goes wrong in an episode becomes a part of its outcome; what is raised ends the run.
+It has an environment, in a process and a Python of its own, and a connection to a policy server that is managed
+elsewhere. An error of an episode becomes part of its result; an exception ends the run.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ if TYPE_CHECKING:
 
 
 class RolloutWorker:
-    """Plays the jobs that it is given.
+    """Runs the jobs that it is given.
 
     Args:
-        orders: what is played.
-        worker: name of the lane in records.
-        access: how it gets at policy servers.
+        config: what is run.
+        name: of the worker in records.
+        access: how to reach policy servers.
     """
 
     def __init__(self, config: RolloutConfig, name: str, access: ServerAccess | None = None) -> None:
@@ -77,33 +77,33 @@ class RolloutWorker:
         """Make the environment of a task and setting, and import the adapter's loop, before the first job.
 
         Raises:
-            UserError: the environment refuses its configuration, or cannot be played.
+            UserError: the environment refuses its configuration, or cannot run.
         """
         self._load_adapter_loop()
         self._switch_scene(task, setting)
 
-    def play(self, job: RolloutJob, url: str) -> RolloutResult:
-        """Play an attempt at an episode.
+    def run_job(self, job: RolloutJob, url: str) -> RolloutResult:
+        """Run an attempt at an episode.
 
         Args:
             job: the attempt.
             url: of the policy server.
 
         Raises:
-            UserError: nothing can be played: the environment refuses its configuration, or the policy does not fit.
+            UserError: nothing can run: the environment refuses its configuration, or the policy does not fit.
         """
-        return self.play_batch([job], url)[0]
+        return self.run_jobs([job], url)[0]
 
-    def play_batch(self, jobs: Sequence[RolloutJob], url: str) -> list[RolloutResult]:
-        """Play one attempt at each of some episodes, at once.
+    def run_jobs(self, jobs: Sequence[RolloutJob], url: str) -> list[RolloutResult]:
+        """Run one attempt at each of several episodes in one batch.
 
         Args:
-            jobs: attempts at episodes of one task and setting, as many as there are environments, or fewer: the other
-                environments play seeds that nobody asked for.
+            jobs: attempts at episodes of one task and setting, at most one for each environment; the other environments
+                run further seeds.
             url: of the policy server.
 
         Raises:
-            UserError: nothing can be played, as for `play`.
+            UserError: nothing can run, as for `run_job`.
         """
         self._load_adapter_loop()
         started, clock = now(), time.perf_counter()
@@ -130,7 +130,7 @@ class RolloutWorker:
         self._close_scene()
 
     def _load_adapter_loop(self) -> None:
-        """Import the adapter's evaluation loop, where it is what plays.
+        """Import the adapter's evaluation loop, if that is what runs.
 
         Raises:
             NotFoundError: there is no such loop.
@@ -144,11 +144,11 @@ class RolloutWorker:
             raise UserError(str(error), code=ExitCode.NOT_RUN) from None
 
     def _make_adapter_loop(self) -> AdapterLoop:
-        """Return the evaluation loop of the adapter, which is imported when it is to play.
+        """Return the evaluation loop of the adapter, which is imported on demand.
 
         Raises:
             NotFoundError: there is none.
-            UserError: it cannot be kept within bounds.
+            UserError: it cannot be isolated.
         """
         policy = Path(self._config.policy)
         with contextlib.ExitStack() as opened:
@@ -165,7 +165,7 @@ class RolloutWorker:
             scene.env.close()
 
     def _run_jobs(self, jobs: Sequence[RolloutJob], url: str) -> tuple[TelemetryWrapper | None, list[EpisodeOutcome]]:
-        """Return who looked on, if it came to that, and what is recorded of each outcome."""
+        """Return the telemetry, if the rollout began, and the outcome of each job."""
         watch = None
         try:
             scene = self._scene_for(jobs[0])
@@ -189,10 +189,10 @@ class RolloutWorker:
             return watch, [failures.infrastructure_error(str(error))] * len(jobs)
 
     def _run_trial(self, watch: TelemetryWrapper, client: Client, jobs: Sequence[RolloutJob]) -> list[EpisodeOutcome]:
-        """Announce a trial, judge it, and tell the policy how it went.
+        """Announce a trial, run it, and report the outcome to the policy.
 
         Raises:
-            InfrastructureError: the infrastructure broke it off.
+            InfrastructureError: the trial ended with one.
         """
         case = trial.describe_case(self._settings(jobs[0].task, jobs[0].setting))
         endings = self._run_loop(watch, client, len(jobs), case)
@@ -211,7 +211,7 @@ class RolloutWorker:
         try:
             trial.begin(client, case)
             if self._adapter_loop is not None:
-                self._adapter_loop.play(watch, rollout.listened(watch, client), batch=batch)
+                self._adapter_loop.run_trial(watch, rollout.listened(watch, client), batch=batch)
             elif batch:
                 rollout.run_batch(watch, client, horizon=config.horizon)
             else:
@@ -264,10 +264,10 @@ class RolloutWorker:
         config = self._config
         python = interpreter.resolve(Path(config.environment), self._env_manifest.environment, env=config.eval_env)
         settings = self._settings(task, setting)
-        if config.demos is not None and config.demos.privileged:
+        if config.recording is not None and config.recording.privileged:
             if not self._env_manifest.privileged:
                 name = Path(config.environment).name
-                raise UserError(f"--privileged: {name} tells nobody more than a robot sees (`privileged` in env.yml)")
+                raise UserError(f"--privileged: {name} has no privileged observations (`privileged` in env.yml)")
             settings = replace(settings, privileged=True)
         env = environments.start(config.environment, settings.as_config(), workers=config.env_workers, python=python)
         names = list(self._env_manifest.cameras)

@@ -1,7 +1,7 @@
-"""The process of a lane: plays what comes through a channel, and ends with whoever holds the other end.
+"""The process of a rollout worker: runs the jobs of a channel, and ends with the process at its other end.
 
-Messages are pickled, as between processes of one program: orders, name and access first, then pairs of a job and the
-address of a policy server, each answered by an outcome or by what ends the run; None ends the process.
+Messages are pickled, as between processes of one program: configuration, name and access first, then pairs of a job and
+the address of a policy server, each answered by a result or by an error that ends the run; None ends the process.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from xpl_cli.evaluation.rollout.worker import RolloutWorker
 
 
 def main(descriptor: int) -> None:
-    """Play jobs until there is none any more."""
+    """Run jobs until None arrives."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGTERM, _end_in_order)
     channel: Connection[Any, Any] = Connection(descriptor)
@@ -28,7 +28,7 @@ def main(descriptor: int) -> None:
         while (job_and_url := channel.recv()) is not None:
             try:
                 worker = worker or RolloutWorker(*arguments)
-                channel.send(worker.play(*job_and_url))
+                channel.send(worker.run_job(*job_and_url))
             except UserError as error:
                 channel.send(error)
     except EOFError:
@@ -39,15 +39,15 @@ def main(descriptor: int) -> None:
 
 
 def _end_in_order(_number: int, _frame: object) -> NoReturn:
-    """Break off what is being played, so that the environment is closed."""
+    """Stop the running job, so that the environment is closed."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     sys.exit(128 + signal.SIGTERM)
 
 
 def _end_with_parent() -> None:
-    """Wait for the end of standard input, which whoever started this holds open and never writes to."""
+    """Wait for the end of standard input, which the parent process holds open and never writes to."""
     os.read(sys.stdin.fileno(), 1)
-    os._exit(1)  # also in the middle of an episode, of which nobody would hear any more
+    os._exit(1)  # also during an episode, whose result has no reader any more
 
 
 if __name__ == "__main__":

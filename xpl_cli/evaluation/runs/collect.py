@@ -57,7 +57,7 @@ class RecordRequest:
         policy: who plays; the environment's expert by default.
         episodes: how many are kept, of each task.
         seed: where seeds begin.
-        demos: the set.
+        recording: the set.
         size: height and width of images, True for the environment's own, False for none; None is what the policy reads,
             or the environment's own where it reads none.
         horizon: actions of a chunk that are executed, at most; None leaves the loop to the policy.
@@ -69,7 +69,7 @@ class RecordRequest:
     """
 
     environment: str
-    demos: RecordingConfig
+    recording: RecordingConfig
     tasks: str | None = None
     setting: str | None = None
     embodiment: str | None = None
@@ -159,25 +159,25 @@ def collect(request: RecordRequest, progress: Progress) -> DemonstrationSet:
     """
     trajectory_recorder.require_library()
     adapter = _load_player(request)
-    folder = Path(request.demos.folder)
+    folder = Path(request.recording.folder)
     run = folder / RUN
     if (run / records.FILE).exists() and not request.resume:
         raise UserError(
             f"{folder} holds demonstrations already", hint="continue with --resume, or choose another --out"
         )
-    overrides, wishes = _plan_request(request)
+    overrides, plan_request = _plan_request(request)
     environment = environments.find(request.environment)
-    planned = plan.make_plan(adapter, environment, adapter.config(overrides), wishes).plan
+    planned = plan.make_plan(adapter, environment, adapter.config(overrides), plan_request).plan
     bounds = IsolationSettings.strictest(adapter.path.parent, isolate=request.runtime.isolate)
     rollout_config, server_config = evaluate.make_configs(
-        adapter, environment, planned, request.runtime, bounds, demos=request.demos
+        adapter, environment, planned, request.runtime, bounds, recording=request.recording
     )
     cameras = request.size if request.size is not None else rollout_config.settings.cameras or True
     rollout_config = replace(rollout_config, settings=replace(rollout_config.settings, cameras=cameras))
     _restore_surplus(folder)
     began = time.monotonic()
     with records.RecordWriter(run, planned) as writer:
-        keep = request.demos.keep
+        keep = request.recording.keep
         schedule = Schedule(
             writer.run,
             request.films,
@@ -187,9 +187,9 @@ def collect(request: RecordRequest, progress: Progress) -> DemonstrationSet:
         )
         before = sum(map(len, _saved_episodes(writer.run, request)))
         if not schedule.is_done:
-            room = BackendConfig(LOCAL, request.workers)
+            backend_config = BackendConfig(LOCAL, request.workers)
             with contextlib.closing(
-                backends.make_backend(room, rollout_config, server_config, schedule.left)
+                backends.make_backend(backend_config, rollout_config, server_config, schedule.left)
             ) as backend:
                 progress_view = _RecordProgress(writer.run, request, before, progress)
                 runner.run_schedule(writer, backend, schedule, progress_view, ahead=False)
@@ -229,7 +229,7 @@ def _plan_request(request: RecordRequest) -> tuple[Config, PlanRequest]:
         sdk.Deploy.ACTION_TYPE: what.action_type,
         **(request.overrides or {}),
     }
-    wishes = PlanRequest(
+    plan_request = PlanRequest(
         request.tasks or what.task,
         what.setting,
         max(_MIN_SEEDS, _MAX_TRIES * request.episodes),
@@ -237,7 +237,7 @@ def _plan_request(request: RecordRequest) -> tuple[Config, PlanRequest]:
         request.horizon,
         is_practice=True,
     )
-    return overrides, wishes
+    return overrides, plan_request
 
 
 def _stop_rule(requested: int) -> Callable[[Sequence[bool | None]], bool]:
@@ -258,8 +258,8 @@ def _saved_episodes(run: Run, request: RecordRequest) -> list[list[EpisodeRecord
     """
     cells: list[list[EpisodeRecord]] = []
     for cell in run.plan.cells:
-        mine = [line for line in run.finals.values() if line.place == cell.place]
-        cells.append([line for line in mine if trajectory_recorder.is_kept(line, request.demos.keep)])
+        mine = [line for line in run.finals.values() if line.cell_key == cell.cell_key]
+        cells.append([line for line in mine if trajectory_recorder.is_kept(line, request.recording.keep)])
     return cells
 
 
@@ -271,7 +271,7 @@ def _restore_surplus(folder: Path) -> None:
 
 def _summary(run: Run, request: RecordRequest, player: str, seconds: float) -> DemonstrationSet:
     """Put aside what is too much, and return what the set holds."""
-    folder = Path(request.demos.folder)
+    folder = Path(request.recording.folder)
     tasks, files = [], []
     for cell, lines in zip(run.plan.cells, _saved_episodes(run, request), strict=True):
         for line in lines[request.episodes :]:
@@ -282,7 +282,9 @@ def _summary(run: Run, request: RecordRequest, player: str, seconds: float) -> D
         mine = lines[: request.episodes]
         last = mine[-1].index if len(mine) >= request.episodes else None
         tried = [
-            line for line in run.finals.values() if line.place == cell.place and (last is None or line.index <= last)
+            line
+            for line in run.finals.values()
+            if line.cell_key == cell.cell_key and (last is None or line.index <= last)
         ]
         errors = sum(line.failure == INFRASTRUCTURE for line in tried)
         files += [folder / trajectory_recorder.file_name(line.index) for line in mine]
@@ -308,7 +310,7 @@ def _summary(run: Run, request: RecordRequest, player: str, seconds: float) -> D
         embodiment=run.plan.embodiment,
         action_type=run.plan.action_type,
         policy=player,
-        keep=request.demos.keep,
+        keep=request.recording.keep,
         tasks=tasks,
         episodes=sum(task.episodes for task in tasks),
         steps=sum(task.steps for task in tasks),

@@ -46,9 +46,9 @@ class EvalRequest:
         package: the adapter.
         environment: name of the environment package; None on resuming: the record's.
         out: folder of the run.
-        wishes: what of the environment is played; None on resuming: what the record says.
+        plan_request: what of the environment is played; None on resuming: what the record says.
         resume: whether a record that is there is continued.
-        room: where it is played.
+        backend_config: where it is played.
         films: episodes of each cell that are filmed.
         overrides: keys of deploy.yml.
         runtime: of adapter and environment.
@@ -56,16 +56,16 @@ class EvalRequest:
         announced: what it said.
         num_envs: episodes at once, in one batch; None on resuming: the record's, or 1.
         env_workers: processes that share a batch.
-        demos: where episodes are kept as trajectories, too, and how.
+        recording: where episodes are kept as trajectories, too, and how.
         instruction: what the policy is told instead of the instruction, one of `run_mode.INSTRUCTIONS`.
     """
 
     package: Package
     environment: str | None
     out: Path
-    wishes: PlanRequest | None
+    plan_request: PlanRequest | None
     resume: bool = False
-    room: BackendConfig = field(default_factory=BackendConfig)
+    backend_config: BackendConfig = field(default_factory=BackendConfig)
     films: int = 1
     overrides: Config = field(default_factory=dict)
     runtime: Runtime = field(default_factory=Runtime)
@@ -73,7 +73,7 @@ class EvalRequest:
     announced: Announcement | None = None
     num_envs: int | None = None
     env_workers: int = 1
-    demos: RecordingConfig | None = None
+    recording: RecordingConfig | None = None
     instruction: str | None = None
 
 
@@ -84,9 +84,11 @@ def evaluate(request: EvalRequest) -> Run:
         UserError: the request cannot be met, the record is of another run or there although nobody said `resume`, or
             nothing can be played. What was recorded stays.
     """
-    backends.check_backend(request.room)
-    if request.demos is not None and request.room.backend != LOCAL:
-        raise UserError(f"--backend {request.room.backend} plays on other machines, and --record writes on this one")
+    backends.check_backend(request.backend_config)
+    if request.recording is not None and request.backend_config.backend != LOCAL:
+        raise UserError(
+            f"--backend {request.backend_config.backend} plays on other machines, and --record writes on this one"
+        )
     exists = (request.out / records.FILE).exists()
     if exists and not request.resume:
         raise UserError(
@@ -100,7 +102,7 @@ def evaluate(request: EvalRequest) -> Run:
         request.runtime,
         _isolation(request),
         env_workers=request.env_workers,
-        demos=request.demos,
+        recording=request.recording,
     )
     with records.RecordWriter(request.out, planned) as writer:
         run, is_batch = writer.run, rollout_config.num_envs > 1
@@ -120,7 +122,7 @@ def evaluate(request: EvalRequest) -> Run:
 
 def _load_or_make_plan(request: EvalRequest) -> tuple[Path, RunPlan]:
     """Return the folder of the environment, and the plan: the record's where the request leaves it to that."""
-    if request.wishes is None and (request.out / records.FILE).exists():
+    if request.plan_request is None and (request.out / records.FILE).exists():
         recorded = records.read(request.out).plan
         folder = environments.find(request.environment or recorded.environment.name)
         before = run_mode.run_mode_of(recorded)
@@ -132,7 +134,7 @@ def _load_or_make_plan(request: EvalRequest) -> tuple[Path, RunPlan]:
     folder = environments.find(request.environment or environment_for())
     config = request.package.config(request.overrides)
     how = RunMode(request.num_envs or 1, request.announced, request.instruction)
-    planned = plan.make_plan(request.package, folder, config, request.wishes or PlanRequest(), how)
+    planned = plan.make_plan(request.package, folder, config, request.plan_request or PlanRequest(), how)
     for task, reason in planned.left_out.items():
         console.note(f"{task} is left out: {planned.plan.embodiment} cannot play it ({reason})")
     return folder, planned.plan
@@ -159,13 +161,15 @@ def _backend(
     """
     remote = request.remote
     if remote is None and rollout_config.num_envs == 1:
-        return backends.make_backend(request.room, rollout_config, server_config, episodes)
-    if request.room.backend != LOCAL:
-        raise UserError(f"--backend {request.room.backend} starts its own servers, and plays each episode alone")
+        return backends.make_backend(request.backend_config, rollout_config, server_config, episodes)
+    if request.backend_config.backend != LOCAL:
+        raise UserError(
+            f"--backend {request.backend_config.backend} starts its own servers, and plays each episode alone"
+        )
     server, access = policy_server(remote, server_config)
     if rollout_config.num_envs > 1:
         return InProcessBackend(rollout_config, server, access)
-    workers = min(request.room.lanes or 1, max(1, episodes))
+    workers = min(request.backend_config.workers or 1, max(1, episodes))
     return LocalBackend(rollout_config, [(server, access)] * workers)
 
 
@@ -190,7 +194,7 @@ def make_configs(  # noqa: PLR0913 - all that travels with a run
     bounds: IsolationSettings,
     *,
     env_workers: int = 1,
-    demos: RecordingConfig | None = None,
+    recording: RecordingConfig | None = None,
 ) -> tuple[RolloutConfig, ServerConfig]:
     """Return what lanes and servers are told.
 
@@ -201,7 +205,7 @@ def make_configs(  # noqa: PLR0913 - all that travels with a run
         runtime: of adapter and environment.
         bounds: what the adapter is kept from.
         env_workers: processes that share a batch, as far as there is one.
-        demos: where episodes are kept as trajectories, and how.
+        recording: where episodes are kept as trajectories, and how.
 
     Raises:
         UserError: the environment does not have what the plan asks for.
@@ -221,7 +225,7 @@ def make_configs(  # noqa: PLR0913 - all that travels with a run
         num_envs=how.num_envs,
         env_workers=min(env_workers, how.num_envs),
         bounds=bounds,
-        demos=demos,
+        recording=recording,
         instruction=how.instruction,
     )
     server_config = ServerConfig(
@@ -239,7 +243,7 @@ def make_configs(  # noqa: PLR0913 - all that travels with a run
 
 def _isolation(request: EvalRequest) -> IsolationSettings:
     """Return what the adapter is kept from; on a cluster only what was asked for, for each machine has its own."""
-    if request.room.backend != LOCAL:
+    if request.backend_config.backend != LOCAL:
         return IsolationSettings(isolate=request.runtime.isolate)
     return IsolationSettings.strictest(request.package.path.parent, isolate=request.runtime.isolate)
 

@@ -66,7 +66,7 @@ class NewPlan:
 
 
 def make_plan(
-    package: Package, folder: Path, config: Config, wishes: PlanRequest, manner: RunMode | None = None
+    package: Package, folder: Path, config: Config, plan_request: PlanRequest, manner: RunMode | None = None
 ) -> NewPlan:
     """Return the plan of a run.
 
@@ -74,7 +74,7 @@ def make_plan(
         package: the adapter.
         folder: of the environment package.
         config: the adapter's configuration.
-        wishes: what is to be played.
+        plan_request: what is to be played.
         manner: how; the usual one by default.
 
     Raises:
@@ -83,17 +83,17 @@ def make_plan(
     """
     facts = environments.manifest(folder)
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
-    tasks, left_out = tasks_of(facts, wishes.tasks or config.get(sdk.Deploy.TASK_NAME), robot)
-    settings = _names("setting", wishes.settings, facts.settings)
-    cells = [_cell(folder, facts, task, setting, wishes) for task in tasks for setting in settings]
+    tasks, left_out = tasks_of(facts, plan_request.tasks or config.get(sdk.Deploy.TASK_NAME), robot)
+    settings = _names("setting", plan_request.settings, facts.settings)
+    cells = [_cell(folder, facts, task, setting, plan_request) for task in tasks for setting in settings]
     plan = RunPlan(
         policy=_planned_policy(package, spec.VERSION, {**config, **robots.described(robot)}, manner or RunMode()),
         environment=PlannedEnvironment(facts.name, spec.VERSION, package_digest(folder)),
         embodiment=robot,
         action_type=config[sdk.Deploy.ACTION_TYPE],
-        control=Control(wishes.horizon, ATTEMPTS),
+        control=Control(plan_request.horizon, ATTEMPTS),
         cells=cells,
-        until_width=wishes.until_width,
+        until_width=plan_request.until_width,
     )
     return NewPlan(plan.named(), left_out)
 
@@ -164,17 +164,21 @@ def _require_once(what: str, requested: str, names: Sequence[str]) -> None:
         raise UserError(f"--{what} {requested} names one of them twice")
 
 
-def _cell(folder: Path, facts: EnvManifest, task: str, setting: str, wishes: PlanRequest) -> PlannedCell:
-    seeds, frozen = _seeds(folder, task, setting, wishes)
+def _cell(folder: Path, facts: EnvManifest, task: str, setting: str, plan_request: PlanRequest) -> PlannedCell:
+    seeds, frozen = _seeds(folder, task, setting, plan_request)
     return PlannedCell(task, setting, facts.tasks[task].dimension, seeds, frozen)
 
 
-def _seeds(folder: Path, task: str, setting: str, wishes: PlanRequest) -> tuple[list[int], bool]:
+def _seeds(folder: Path, task: str, setting: str, plan_request: PlanRequest) -> tuple[list[int], bool]:
     """Return the seeds of a cell, and whether they are the environment's evaluation seeds."""
-    count = wishes.episodes
-    most = episodes_needed(wishes.until_width) if count is None and wishes.until_width is not None else count or 1
-    first, end = wishes.first, wishes.first + most
-    if wishes.is_practice:
+    count = plan_request.episodes
+    most = (
+        episodes_needed(plan_request.until_width)
+        if count is None and plan_request.until_width is not None
+        else count or 1
+    )
+    first, end = plan_request.first, plan_request.first + most
+    if plan_request.is_practice:
         tests = set(check.seeds(folder, task, setting)) if check.has_seeds(folder) else set()
         return list(itertools.islice((seed for seed in itertools.count(first) if seed not in tests), most)), False
     if not check.has_seeds(folder):

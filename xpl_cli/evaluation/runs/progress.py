@@ -88,7 +88,7 @@ class ProgressTally:
         """Return task, setting, episodes and success of every cell."""
         rows = []
         for cell in self._run.plan.cells:
-            key = cell.place
+            key = cell.cell_key
             rows.append((*key, f"{self._final[key]}/{len(cell.seeds)}", _rate(self._won[key], self._judged[key])))
         return rows
 
@@ -102,7 +102,7 @@ class ProgressTally:
         return ", ".join(parts)
 
     def _count(self, line: EpisodeRecord) -> None:
-        key = line.place
+        key = line.cell_key
         self._final[key] += 1
         if line.success is not None:
             self._judged[key] += 1

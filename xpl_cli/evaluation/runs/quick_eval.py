@@ -67,7 +67,7 @@ class QuickEvalRequest:
         overrides: keys of deploy.yml.
         remote: a server that already runs; one is started otherwise.
         runtime: of adapter and environment.
-        demos: where episodes are kept as trajectories, too, and how.
+        recording: where episodes are kept as trajectories, too, and how.
     """
 
     package: Package
@@ -81,7 +81,7 @@ class QuickEvalRequest:
     overrides: Config = field(default_factory=dict)
     remote: RemoteServer | None = None
     runtime: Runtime = field(default_factory=Runtime)
-    demos: RecordingConfig | None = None
+    recording: RecordingConfig | None = None
 
 
 def num_envs_and_workers(num_envs: int | None, workers: str) -> tuple[int, int]:
@@ -182,7 +182,7 @@ def _plan(
 ) -> RunPlan:
     """Return the plan of what nobody writes down; it has digests where trajectories say who played."""
     policy = environment = ""
-    if request.demos is not None:
+    if request.recording is not None:
         policy, environment = package_digest(request.package.path), package_digest(folder)
     first = int(config[sdk.Deploy.SEED])
     seeds = range(first, first + request.episodes)
@@ -205,7 +205,7 @@ def _backend(request: QuickEvalRequest, folder: Path, planned: RunPlan, progress
         request.runtime,
         IsolationSettings.strictest(request.package.path.parent, isolate=request.runtime.isolate),
         env_workers=request.workers,
-        demos=request.demos,
+        recording=request.recording,
     )
     server, access = suite.policy_server(request.remote, server_config)
 

@@ -63,7 +63,7 @@ def _facts(run: Run) -> Iterator[tuple[str, object]]:
 
 def _cells(first: RunPlan, second: RunPlan) -> Iterator[RunDifference]:
     """Yield what only one of two plans plays."""
-    one, other = ({cell.place: cell for cell in plan.cells} for plan in (first, second))
+    one, other = ({cell.cell_key: cell for cell in plan.cells} for plan in (first, second))
     if one.keys() != other.keys():
         yield RunDifference(
             "tasks that the other lacks", _list_cells(one.keys() - other.keys()), _list_cells(other.keys() - one.keys())
@@ -74,7 +74,7 @@ def _cells(first: RunPlan, second: RunPlan) -> Iterator[RunDifference]:
         ("kind of seeds", _kind, [pair for pair in pairs if pair[0].frozen != pair[1].frozen]),
     ):
         if unlike:
-            where = _cell_name(unlike[0][0].place) + (f" and {len(unlike) - 1} more" if len(unlike) > 1 else "")
+            where = _cell_name(unlike[0][0].cell_key) + (f" and {len(unlike) - 1} more" if len(unlike) > 1 else "")
             yield RunDifference(f"{what} of {where}", *map(describe, unlike[0]))
 
 
