@@ -133,7 +133,7 @@ def serve() -> Iterator[Callable[..., RunningServer]]:
 
             yield start
         # A front end is forked and shows no mark; what it starts does.
-        assert all(server.ended is not None for server in served)
+        assert all(server.exit_code is not None for server in served)
         wait_until(lambda: not processes(mark), "all processes of the server are gone")
     finally:
         del os.environ[MARK]

@@ -119,4 +119,4 @@ def test_a_way_that_keeps_capabilities_is_not_relied_on(tmp_path: Path, monkeypa
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(plan, "apart_by_namespaces", lambda: ["/usr/bin/unshare", "--pid", "--fork", "--mount-proc"])
     with pytest.raises(UserError, match="keeps capabilities"):
-        sandbox.kept_apart(tmp_path)
+        sandbox.pid_isolation(tmp_path)

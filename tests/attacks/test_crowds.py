@@ -44,7 +44,7 @@ def resident(server: RunningServer) -> int:
 def test_unfinished_messages_are_bounded_in_sum(
     write_adapter: Callable[..., Path], serve: Callable[..., RunningServer]
 ) -> None:
-    """Connections without a place hold what one message may; who is honest comes in and is served."""
+    """Connections without a slot hold what one message may; who is honest comes in and is served."""
     server = serve(write_adapter(MODEL))
     size = spec.LIMITS["early_bytes"] // 4
     with contextlib.ExitStack() as stack:
@@ -78,34 +78,34 @@ def test_a_connection_is_counted_by_the_room_that_it_keeps(
 
 
 class Holder:
-    def __init__(self, place: object) -> None:
-        self.place = place
-        self.held = 0
+    def __init__(self, slot: object) -> None:
+        self.slot = slot
+        self.buffered_bytes = 0
         self.is_closed = False
 
     def close(self, code: int, reason: str = "") -> None:
         assert (code, reason) == (1013, "the messages of all connections take too much memory")
 
-    def cut(self) -> None:
+    def abort(self) -> None:
         self.is_closed = True
 
 
 @settings(max_examples=examples(100), deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 60), st.booleans()), max_size=40))
 def test_the_sum_is_kept_and_nobody_goes_who_takes_little(notes: list[tuple[int, int, bool]]) -> None:
-    """Those with a place hold 100 together, those without 40; a part below the average one is safe."""
+    """Those with a slot hold 100 together, those without 40; a part below the average one is safe."""
     crowd, there = MessageMemoryLimiter(100, 40), [Holder(None) for _ in range(6)]
     for number, size, has_place in notes:
         holder = there[number]
         if holder.is_closed:
             crowd.forget(holder)
             holder = there[number] = Holder(None)
-        holder.held, holder.place = size, holder.place or (1 if has_place else None)
-        crowd.holds(holder)
+        holder.buffered_bytes, holder.slot = size, holder.slot or (1 if has_place else None)
+        crowd.update(holder)
         alive = [one for one in there if not one.is_closed]
-        assert sum(one.held for one in alive) <= 100
-        assert sum(one.held for one in alive if one.place is None) <= 40
-    assert all(one.held > 40 // 6 for one in there if one.is_closed)
+        assert sum(one.buffered_bytes for one in alive) <= 100
+        assert sum(one.buffered_bytes for one in alive if one.slot is None) <= 40
+    assert all(one.buffered_bytes > 40 // 6 for one in there if one.is_closed)
 
 
 @pytest.mark.parametrize("name", ["message_id", "evaluation_id", "trial_id", "message_type"])

@@ -153,9 +153,9 @@ anything = st.text(st.characters(codec="latin-1"), max_size=40) | st.text(string
 def test_no_header_ends_in_more_than_a_sentence(hosts: list[str], origins: list[str]) -> None:
     """Whatever the headers hold: a refusal is printable, and only the names that are ours pass."""
     names = AllowedHosts("localhost")
-    for told in (names.refuse_host(hosts), names.refuse_origin(origins)):
+    for told in (names.host_refusal(hosts), names.origin_refusal(origins)):
         assert told is None or told.isprintable()
-    if names.refuse_host(hosts) is None:
+    if names.host_refusal(hosts) is None:
         (host,) = hosts
         assert host.lower().startswith(("localhost", "127.", "[::1]")) or ".localhost" in host.lower()
 

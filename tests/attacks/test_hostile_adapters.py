@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.rules.clock import Clock
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import NotRun, Outcome, exit_code
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
+from xpl_cli.audit.rules.time_limit import TimeLimit
 from xpl_cli.audit.served import hanging
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.isolation import processes, sandbox
@@ -64,7 +64,7 @@ def audit(write_adapter: Write) -> Callable[..., Any]:
         nothing = dict.fromkeys(("at_import", "at_load", "at_answer", "at_reset"), "pass")
         folder = write_adapter(textwrap.dedent(MODEL).format(**nothing | deeds))
         before = {member.pid for member in processes.descendants(os.getpid())}
-        options = Options(gates=(Gate.OFFLINE,), names=names, patience=_PATIENCE, keep_going=keep_going)
+        options = AuditOptions(gates=(Gate.OFFLINE,), names=names, patience=_PATIENCE, keep_going=keep_going)
         report = engine.audit(folder, "policy", options)
         left = [one.command for one in processes.descendants(os.getpid()) if one.pid not in before]
         assert not [command for command in left if str(folder) in command or "launch.py" in command]
@@ -137,7 +137,7 @@ def test_a_model_that_hangs_over_a_question_is_a_finding(audit: Callable[..., An
 def test_a_model_that_kills_whatever_it_may_does_not_end_the_audit(audit: Callable[..., Any], deed: str) -> None:
     """It sees and signals its own processes and no others, a bystander of the same user among them."""
     try:
-        sandbox.kept_apart(Path.cwd())
+        sandbox.pid_isolation(Path.cwd())
     except UserError as error:
         pytest.skip(str(error))
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as bystander:
@@ -179,7 +179,7 @@ def test_time_that_is_over_ends_an_audit(audit: Callable[..., Any], write_adapte
     """Every rule that has not been tried is not run, and says why."""
     del audit
     folder = write_adapter(textwrap.dedent(MODEL).format(at_import="", at_load="pass", at_answer="", at_reset="pass"))
-    options = Options(gates=(Gate.OFFLINE,), clock=Clock("1s", 1e-6))
+    options = AuditOptions(gates=(Gate.OFFLINE,), clock=TimeLimit("1s", 1e-6))
     report = engine.audit(folder, "policy", options)
     assert {result.outcome for result in report.results} == {Outcome.NOT_RUN}
     assert "1s for each package (--time-limit)" in _texts(report)
@@ -188,19 +188,23 @@ def test_time_that_is_over_ends_an_audit(audit: Callable[..., Any], write_adapte
 
 @pytest.mark.parametrize(("text", "seconds"), [("90s", 90.0), ("60m", 3600.0), ("1.5 h", 5400.0), ("20", 20.0)])
 def test_a_time_limit_is_read(text: str, seconds: float) -> None:
-    assert Clock.parse(text).seconds == seconds
+    assert TimeLimit.parse(text).seconds == seconds
 
 
 @pytest.mark.parametrize("text", ["", "soon", "0", "-1h", "5 days", "1e9"])
 def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(UserError, match=r"90s.*60m.*none"):
-        Clock.parse(text)
+        TimeLimit.parse(text)
 
 
 def test_deadlines_of_a_stranger_have_an_end() -> None:
     """None, zero and a thousand years are no deadlines; what is reasonable stays."""
     asked = {"request_timeout_s": None, "max_connect_seconds": 0, "close_timeout_s": 1e12, "handshake_timeout_s": 5}
-    assert hanging.bounds(asked) == {"request_timeout_s": 300.0, "max_connect_seconds": 600.0, "close_timeout_s": 30.0}
+    assert hanging.bounded_timeouts(asked) == {
+        "request_timeout_s": 300.0,
+        "max_connect_seconds": 600.0,
+        "close_timeout_s": 30.0,
+    }
 
 
 @pytest.mark.parametrize("value", [".inf", ".nan", "1.0e+308", "-1", "hello"])
@@ -209,7 +213,7 @@ def test_a_deadline_that_is_none_is_a_check_that_could_not_run(write_adapter: Wr
     folder = write_adapter("class Model: pass")
     deploy = (folder / "deploy.yml").read_text().rstrip().removesuffix("}")
     (folder / "deploy.yml").write_text(f"{deploy}, request_timeout_s: {value}}}\n")
-    report = engine.audit(folder, "policy", Options(gates=(Gate.OFFLINE,), names=("serves",)))
+    report = engine.audit(folder, "policy", AuditOptions(gates=(Gate.OFFLINE,), names=("serves",)))
     (result,) = (result for result in report.results if result.slug == "serves")
     assert result.outcome is Outcome.NOT_RUN
     assert "request_timeout_s: expected" in str(result.reason)
@@ -217,7 +221,7 @@ def test_a_deadline_that_is_none_is_a_check_that_could_not_run(write_adapter: Wr
 
 def test_an_adapter_is_not_waited_for_again_and_again() -> None:
     """After it has hung twice, rules are told so at once."""
-    hangs = hanging.Hangs()
+    hangs = hanging.HangCounter()
     for reason in (None, "it raised", "it gave no sign of life for 30 s"):
         hangs.note(reason)
         hangs.check()
@@ -262,9 +266,9 @@ def test_a_process_that_asks_for_memory_makes_headway() -> None:
         now = time.monotonic()
         life = HangDetector(process.pid, 10.0, now)
         for look in range(1, 4 * LONGER):
-            seen = processes.resident(process.pid)
+            seen = processes.resident_bytes(process.pid)
             process.stdin.write(b"\n")
             process.stdin.flush()
-            while processes.resident(process.pid) < seen + 8_000_000:
+            while processes.resident_bytes(process.pid) < seen + 8_000_000:
                 pass
-            assert life.look(now + 6.0 * look) is None
+            assert life.check(now + 6.0 * look) is None

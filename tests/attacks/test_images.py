@@ -96,7 +96,7 @@ def test_requests_that_wait_do_not_fill_the_memory(server: RunningServer, fifo: 
         answers = [peer.receive() for _ in sent]
     assert [answer.message_id for answer in answers] == sent
     assert {answer.message_type for answer in answers} == {"infer_result"}
-    assert peak(server) - before < 5 * decoding.MOST
+    assert peak(server) - before < 5 * decoding.MAX_UNPACKED_BYTES
 
 
 _SOF = b"\xff\xd8\xff\xc2\0\x0b\x08\x10\0\x10\0\x01\x01\x11\0"

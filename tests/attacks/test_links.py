@@ -103,12 +103,12 @@ anything = st.recursive(
 @given(told=anything, results=st.integers(0, 3), count=st.integers(0, 3))
 def test_a_head_is_understood_or_refused_in_one_sentence(told: Any, results: int, count: int) -> None:
     with contextlib.suppress(worker_answers.WorkerAnswerError):
-        assert len(worker_answers.answers({"answers": told}, [memoryview(b"")] * results, count)) == count
+        assert len(worker_answers.parse_answers({"answers": told}, [memoryview(b"")] * results, count)) == count
     for head in ({"ok": told}, {"error": told}):
         with contextlib.suppress(worker_answers.WorkerAnswerError):
-            assert told is None or isinstance(worker_answers.outcome(head), dict | worker_answers.AdapterException)
+            assert told is None or isinstance(worker_answers.parse_result(head), dict | worker_answers.AdapterException)
     with pytest.raises(worker_answers.WorkerAnswerError, match="expected ok or error"):
-        worker_answers.outcome({"other": told})
+        worker_answers.parse_result({"other": told})
 
 
 def test_a_head_is_small() -> None:

@@ -23,7 +23,7 @@ from tests.support.peer import xpl
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.static import limits
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.errors import ExitCode
@@ -44,7 +44,7 @@ def adapter(scaffold: Path, tmp_path: Path) -> Path:
 
 def static(path: Path, *names: str) -> GateReport:
     """Run the static gate and see that no rule crashed."""
-    report = engine.audit(path, "policy", Options(gates=(Gate.STATIC,), names=names)).gates[0]
+    report = engine.audit(path, "policy", AuditOptions(gates=(Gate.STATIC,), names=names)).gates[0]
     crashes = [f"{result.slug}: {result.reason}" for result in report.results if result.outcome is Outcome.ERROR]
     assert not crashes
     return report
@@ -250,7 +250,7 @@ def test_what_goes_wrong_with_one_package_costs_no_other_its_verdict(
     from xpl_cli.packages.targets import find_target
 
     targets = [find_target(adapter.parent / name) for name in ("Bar", "Foo")]
-    lost, fine = engine.audit_all(targets, Options(gates=(Gate.STATIC,), names=("required-files",)))
+    lost, fine = engine.audit_all(targets, AuditOptions(gates=(Gate.STATIC,), names=("required-files",)))
     assert [result.outcome for result in lost.results] == [Outcome.ERROR]
     assert "RuntimeError: cannot be read" in str(lost.results[0].reason)
     assert [result.outcome for result in fine.results] == [Outcome.PASS]

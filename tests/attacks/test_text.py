@@ -21,13 +21,13 @@ from markdown_it import MarkdownIt
 from tests.support.adapters.rules import made_adapter
 from tests.support.peer import xpl
 from xpl_cli.agents.review import page
-from xpl_cli.agents.review.change import Change, Touched
+from xpl_cli.agents.review.change import BranchChange, ChangedPackage
 from xpl_cli.agents.review.harm import harm
-from xpl_cli.agents.review.review import Remark, Review
-from xpl_cli.audit.formats import Context, render
-from xpl_cli.audit.formats.listing import listed
+from xpl_cli.agents.review.review import Review, ReviewFinding
+from xpl_cli.audit.formats import ReportContext, render
+from xpl_cli.audit.formats.listing import listed_findings
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Finding, Fix, GateReport, Outcome, Result, TargetReport
+from xpl_cli.audit.rules.model import Finding, Fix, GateReport, Outcome, RuleResult, TargetReport
 from xpl_cli.basics import failures, pages, untrusted
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.formats import REPORTS
@@ -66,8 +66,8 @@ def reports(text: str) -> list[TargetReport]:
         evidence={text: text},
         fix=Fix("command", text),
     )
-    failed = Result("XPL102", "parses", "XPL-PKG-4", "must", Outcome.FAIL, (finding,))
-    lost = Result("XPL110", "batch-by-position", "XPL-BAT-1", "must", Outcome.NOT_RUN, reason=text)
+    failed = RuleResult("XPL102", "parses", "XPL-PKG-4", "must", Outcome.FAIL, (finding,))
+    lost = RuleResult("XPL110", "batch-by-position", "XPL-BAT-1", "must", Outcome.NOT_RUN, reason=text)
     gates = [GateReport(name=Gate.STATIC, results=[failed, lost]), GateReport(Gate.OFFLINE, reason=text)]
     return [TargetReport(path=f"policy/{text}".replace("\ud800", ""), name=text, kind="policy", gates=gates)]
 
@@ -76,9 +76,9 @@ def reports(text: str) -> list[TargetReport]:
 @pytest.mark.parametrize("text", EVIL)
 def test_no_format_lets_a_name_steer_its_reader(name: str, text: str, tmp_path: Path) -> None:
     """No control character, no change of direction, no line of its own, and what is parsed parses."""
-    written = render(name, reports(text), Context(here=tmp_path))
+    written = render(name, reports(text), ReportContext(here=tmp_path))
     assert STEERING.search(written) is None
-    harmless = render(name, reports("a" if name not in {"junit", "github"} else "a b"), Context(here=tmp_path))
+    harmless = render(name, reports("a" if name not in {"junit", "github"} else "a b"), ReportContext(here=tmp_path))
     if name in {"text", "github"}:
         assert written.count("\n") == harmless.count("\n")
     if name in {"json", "sarif", "rdjson"}:
@@ -95,11 +95,11 @@ def test_no_format_lets_a_name_steer_its_reader(name: str, text: str, tmp_path: 
 def review(text: str) -> str:
     """Return the comment about a change of a package that says something everywhere."""
     (report,) = reports(text)
-    context = Context(here=Path("/nowhere"))
-    (entry,) = listed([report], context)
-    remark = Remark(entry, (), harm("XPL-PKG-4")[1], None)
+    context = ReportContext(here=Path("/nowhere"))
+    (entry,) = listed_findings([report], context)
+    remark = ReviewFinding(entry, (), harm("XPL-PKG-4")[1], None)
     target = Target(Path("/nowhere") / "policy/x", "policy", report.path)
-    change = Change(text, "0" * 40, (Touched(target, report.path, 1, "added"),), (text,), ())
+    change = BranchChange(text, "0" * 40, (ChangedPackage(target, report.path, 1, "added"),), (text,), ())
     return page.render(Review(change, (report,), (remark,) * 12, None, context))
 
 
@@ -131,7 +131,7 @@ def test_a_sentence_in_markdown_links_and_calls_nowhere(text: str) -> None:
 @given(text=TEXT)
 def test_written_out_text_means_the_same_in_json(text: str) -> None:
     """So that whatever prints JSON may be read on a terminal, and by a program."""
-    written = untrusted.harmless(json.dumps({"a": text}, ensure_ascii=False))
+    written = untrusted.escape_controls(json.dumps({"a": text}, ensure_ascii=False))
     assert STEERING.search(written) is None
     assert json.loads(written)["a"].encode("utf-16", "surrogatepass") == text.encode("utf-16", "surrogatepass")
 

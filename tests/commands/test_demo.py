@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.support.peer import xpl
-from xpl_cli.demo import Demo, Step
+from xpl_cli.demo import Demo, DemoStep
 from xpl_cli.standard import answers
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class Brief(Demo):
     """The route with audits by one rule, in processes that start at once."""
 
-    def _run(self, step: Step) -> None:
+    def _run(self, step: DemoStep) -> None:
         rule = ["--select", "batch-order"] if step.command[0] == "audit" else []
         step.code = xpl(*step.command, *rule, cwd=self.folder).returncode
         self.steps.append(step)
@@ -29,7 +29,7 @@ class Brief(Demo):
 def test_the_route_leads_from_a_green_scaffold_to_a_caught_copy(tmp_path: Path) -> None:
     said: list[str] = []
     demo = Brief(tmp_path, said.append, quiet=True)
-    assert demo.play()
+    assert demo.run()
     assert [step.code for step in demo.steps] == [0, 0, 0, 1]
     assert any("answered" in line for line in said)
 

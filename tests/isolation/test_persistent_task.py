@@ -63,20 +63,20 @@ def loaded(tmp_path: Path) -> Iterator[Any]:
 
 
 def _order(**more: Any) -> dict[str, Any]:
-    shown = {"env_idx": 0, "state": {"arm_joint_state": [0.0] * 7, "ee_joint_state": [0.5]}}
+    observation = {"env_idx": 0, "state": {"arm_joint_state": [0.0] * 7, "ee_joint_state": [0.5]}}
     calls = [{"reset": True}, {"show": [[0, "first"]]}, {"ask": [0]}]
-    return {"blocks": [BLOCK], "observations": {"first": shown}, "calls": calls, "seconds": 60.0, **more}
+    return {"blocks": [BLOCK], "observations": {"first": observation}, "calls": calls, "seconds": 60.0, **more}
 
 
-def test_the_model_stays_and_what_it_was_shown(loaded: Any) -> None:
-    standing = loaded()
-    assert [one.result for one in standing.loaded.answers] == [None]
+def test_the_model_and_its_observations_stay(loaded: Any) -> None:
+    task = loaded()
+    assert [one.result for one in task.loaded.answers] == [None]
     for _ in range(2):
-        first, answer = standing.ask(_order(), 60.0).answers
+        first, answer = task.request(_order(), 60.0).answers
         assert (first.result, first.error) == (None, None)
         # The block reads nothing, so that the model's first answer is remembered.
         assert answer.result[0][0]["ee_joint_state"][0] == pytest.approx(0.01)
-    (_, again) = standing.ask(_order(observations={}), 60.0).answers
+    (_, again) = task.request(_order(observations={}), 60.0).answers
     assert again.error is None
 
 
@@ -86,7 +86,7 @@ def test_what_cannot_be_loaded_says_so(loaded: Any) -> None:
 
 
 def test_a_process_that_ends_gives_no_more_answers(loaded: Any) -> None:
-    standing = loaded(dies=1)
-    done = standing.ask(_order(), 60.0)
-    assert [one.result for one in done.answers] == [None], "the adapter could be asked, and then was gone"
-    assert standing.ask(_order(), 60.0).answers == []
+    task = loaded(dies=1)
+    done = task.request(_order(), 60.0)
+    assert [one.result for one in done.answers] == [None], "the adapter answered once, then its process ended"
+    assert task.request(_order(), 60.0).answers == []

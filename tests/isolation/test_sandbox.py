@@ -20,7 +20,7 @@ from xpl import Client
 from xpl.client import PolicyServerError
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.isolation import plan, processes, sandbox, seccomp
 from xpl_cli.isolation.sandbox import MemoryLimit
@@ -123,8 +123,8 @@ def test_an_adapter_that_eats_memory_is_ended_with_the_reason(write_adapter: Wri
     server = serve(write_adapter(SUBJECT), options=("--memory-limit", "300MB"))
     with pytest.raises(PolicyServerError, match=r"the adapter used \d+ MB, more than the limit of 300 MB"):
         _ask(server, "eat", 600 << 20)
-    wait_until(lambda: server.ended is not None, "the server has ended")
-    assert server.ended == ExitCode.NOT_RUN
+    wait_until(lambda: server.exit_code is not None, "the server has ended")
+    assert server.exit_code == ExitCode.NOT_RUN
     wait_until(lambda: server.last_error is not None, "the log is complete")
     assert "--memory-limit 300MB" in str(server.last_error)
 
@@ -145,8 +145,8 @@ def test_memory_of_children_counts(write_adapter: Write, serve: Serve) -> None:
     """Also of those that left the process group: what counts is that the adapter started them."""
     server = serve(write_adapter(SUBJECT), options=("--memory-limit", "300MB"))
     _ask(server, "fork", ["import os, time; hog = os.urandom(600 << 20); time.sleep(600)", True])
-    wait_until(lambda: server.ended is not None, "the server has ended")
-    assert server.ended == ExitCode.NOT_RUN
+    wait_until(lambda: server.exit_code is not None, "the server has ended")
+    assert server.exit_code == ExitCode.NOT_RUN
 
 
 def test_shared_pages_count_once() -> None:
@@ -159,8 +159,8 @@ def test_shared_pages_count_once() -> None:
     assert process.stdout is not None
     try:
         process.stdout.readline()
-        assert sum(map(processes.resident, processes.with_descendants(process.pid))) > 800 * 10**6
-        assert processes.shared_out_memory(process.pid) < 300 * 10**6
+        assert sum(map(processes.resident_bytes, processes.tree_pids(process.pid))) > 800 * 10**6
+        assert processes.proportional_bytes(process.pid) < 300 * 10**6
     finally:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
@@ -186,8 +186,8 @@ def test_files_in_memory_count_once(way: str) -> None:
     assert process.stdout is not None
     try:
         process.stdout.readline()
-        assert 200 << 20 <= processes.shared_out_memory(process.pid) < 300 << 20
-        assert 200 << 20 <= processes.in_files(processes.with_descendants(process.pid)) < 300 << 20
+        assert 200 << 20 <= processes.proportional_bytes(process.pid) < 300 << 20
+        assert 200 << 20 <= processes.memory_file_bytes(processes.tree_pids(process.pid)) < 300 << 20
     finally:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
@@ -284,7 +284,7 @@ def test_an_isolated_audit_finds_what_writes_into_its_checkout(write_adapter: Wr
     folder = write_adapter(
         SUBJECT.replace("self.obs = obs\n", "self.obs = obs\n            open('left.txt', 'w').close()\n")
     )
-    options = Options(gates=(Gate.OFFLINE,), names=("serves", "repeated-inference"), isolate=True)
+    options = AuditOptions(gates=(Gate.OFFLINE,), names=("serves", "repeated-inference"), isolate=True)
     report = engine.audit(folder, "policy", options)
     reasons = [str(result.reason) for result in report.results]
     assert any("Read-only" in reason for reason in reasons), reasons

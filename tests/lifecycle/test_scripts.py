@@ -24,7 +24,7 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.lifecycle.checkpoints.specification import declared
 from xpl_cli.packages import package
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 from xpl_cli.standard.validate import validate
 
 PAGE = (ROOT / "docs" / "lifecycle.md").read_text(encoding="utf-8")
@@ -40,7 +40,7 @@ with open("told.json", "w") as file:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A fresh adapter with training scripts in Python, and a program that is `xpl`."""
     folder = tmp_path_factory.mktemp("work shop")
-    answers = Answers(**{"name": "Foo", **adapter.defaults()})
+    answers = AdapterAnswers(**{"name": "Foo", **adapter.defaults()})
     adapter.write(adapter.render(answers), folder / "policy" / "Foo")
     for name in ("process_data.py", "train.py"):
         (folder / "policy" / "Foo" / name).write_text(TELLS)

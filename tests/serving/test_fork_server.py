@@ -88,7 +88,7 @@ def test_lists_of_processes_show_which_command_it_is() -> None:
 def test_a_fork_server_that_was_killed_is_replaced() -> None:
     """The next server starts, and the end of an older one is noticed although nobody knows its exit code."""
     old = fork_server.start(WAITS)
-    process = fork_server._nursery(os.getpid())._process
+    process = fork_server._fork_server(os.getpid())._process
     process.kill()
     process.wait()
     assert _told(fork_server.start(["--version"]))[0] == ExitCode.CLEAN

@@ -116,7 +116,7 @@ def start(subject: Path) -> Iterator[Callable[..., Started]]:
 def anew(arguments: list[str], constants: Mapping[str, float]) -> subprocess.Popen[bytes]:
     """Start the tool in an interpreter of its own, where its constants can be changed."""
     changed = "".join(f"{name.replace('__', '.')} = {value}; " for name, value in constants.items())
-    head = "from xpl_cli import main; from xpl_cli.serving import run; from xpl_cli.serving.workers import pool"
+    head = "from xpl_cli import main; from xpl_cli.serving import run; from xpl_cli.serving.workers import worker"
     command = [sys.executable, "-c", f"{head}; {changed}main.run()", *arguments]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
@@ -194,7 +194,7 @@ def told(url: str) -> tuple[int, dict[str, Any]] | None:
 
 def test_whoever_waits_for_the_model_is_told_how_far_it_is(start: Callable[..., Started], fifo: Path) -> None:
     """Both clients, of which one is busy until the other has left, and the log, which reports a slow answer, too."""
-    server = start({"loading": str(fifo)}, run___PROGRESS_S=0.1, pool___REPORT_S=0.1)
+    server = start({"loading": str(fifo)}, run___PROGRESS_S=0.1, worker___REPORT_S=0.1)
     heard: dict[str, list[Any]] = {"blocking": [], "async": []}
     hasty = {"connect_retry_delay_s": 0.02, "max_connect_attempts": 0}
 

@@ -15,18 +15,18 @@ from xpl_cli.serving.workers.job_queue import JobQueue, RequestJob
 READY = b"a packed map"
 
 
-def job(place: WorkerSlot, method: str = "get_action", ready: bool = True) -> RequestJob:
+def job(slot: WorkerSlot, method: str = "get_action", ready: bool = True) -> RequestJob:
     """Return a job; one that is not ready has images to be decoded still."""
-    return RequestJob(codec.Frame("call", "e"), method, place, payload=READY if ready else None)
+    return RequestJob(codec.Frame("call", "e"), method, slot, payload=READY if ready else None)
 
 
-def places(count: int) -> list[WorkerSlot]:
-    """Return the places of several clients of one worker."""
+def slots(count: int) -> list[WorkerSlot]:
+    """Return the slots of several clients of one worker."""
     return [WorkerSlot(0, client) for client in range(count)]
 
 
-def taken(line: JobQueue, now: float = 1.0) -> list[RequestJob]:
-    jobs, wait = line.next(now)
+def taken(queue: JobQueue, now: float = 1.0) -> list[RequestJob]:
+    jobs, wait = queue.next_batch(now)
     assert wait == 0.0
     return jobs
 
@@ -36,77 +36,77 @@ def taken(line: JobQueue, now: float = 1.0) -> list[RequestJob]:
 
 def test_requests_of_one_client_run_in_their_order() -> None:
     """Updates go together with the action that follows: one message to the worker instead of many."""
-    line, place = JobQueue(), WorkerSlot(0, 0)
+    queue, slot = JobQueue(), WorkerSlot(0, 0)
     methods = ["reset", "update_obs", "update_obs_batch", "get_action", "update_obs", "infer", "declared", "update_obs"]
-    jobs = [job(place, method) for method in methods]
+    jobs = [job(slot, method) for method in methods]
     for one in jobs:
-        line.add(one, 1.0)
+        queue.add(one, 1.0)
     runs = []
-    while batch := taken(line):
+    while batch := taken(queue):
         runs.append(batch)
-        line.finished(batch, 1.0)
+        queue.finished(batch, 1.0)
     assert [[one.method for one in batch] for batch in runs] == [
         ["reset"], ["update_obs", "update_obs_batch", "get_action"], ["update_obs", "infer"], ["declared"],
         ["update_obs"],
     ]  # fmt: skip
     assert list(itertools.chain(*runs)) == jobs
-    assert len(line) == 0
-    assert not line.holds(place)
+    assert len(queue) == 0
+    assert not queue.has_jobs_of(slot)
 
 
 def test_a_long_row_of_updates_is_cut() -> None:
     """So that a deadline is never that of a hundred requests."""
-    line, place = JobQueue(), WorkerSlot(0, 0)
+    queue, slot = JobQueue(), WorkerSlot(0, 0)
     for _ in range(40):
-        line.add(job(place, "update_obs"), 1.0)
-    assert [len(taken(line)) for _ in range(4)] == [16, 16, 8, 0]
+        queue.add(job(slot, "update_obs"), 1.0)
+    assert [len(taken(queue)) for _ in range(4)] == [16, 16, 8, 0]
 
 
-def test_a_request_whose_images_are_still_decoded_keeps_its_place() -> None:
-    line, place = JobQueue(), WorkerSlot(0, 0)
-    jobs = [job(place, "update_obs"), job(place, "update_obs", ready=False), job(place)]
+def test_a_request_whose_images_are_still_decoded_keeps_its_position() -> None:
+    queue, slot = JobQueue(), WorkerSlot(0, 0)
+    jobs = [job(slot, "update_obs"), job(slot, "update_obs", ready=False), job(slot)]
     for one in jobs:
-        line.add(one, 1.0)
-    assert taken(line) == jobs[:1]
-    assert taken(line) == []
-    assert line.holds(place)
+        queue.add(one, 1.0)
+    assert taken(queue) == jobs[:1]
+    assert taken(queue) == []
+    assert queue.has_jobs_of(slot)
     jobs[1].payload = READY
-    assert taken(line) == jobs[1:]
+    assert taken(queue) == jobs[1:]
 
 
 def test_a_new_client_comes_after_what_the_last_one_left() -> None:
     """A worker of one client has one row at a time."""
-    line = JobQueue()
+    queue = JobQueue()
     left, new = WorkerSlot(0, 0), WorkerSlot(0, 0)
-    line.add(job(left, "update_obs"), 1.0)
-    line.add(job(new), 1.0)
-    line.add(job(left), 1.0)
-    assert [(one.place, one.method) for one in taken(line)] == [(left, "update_obs"), (left, "get_action")]
-    assert [one.place for one in taken(line)] == [new]
+    queue.add(job(left, "update_obs"), 1.0)
+    queue.add(job(new), 1.0)
+    queue.add(job(left), 1.0)
+    assert [(one.slot, one.method) for one in taken(queue)] == [(left, "update_obs"), (left, "get_action")]
+    assert [one.slot for one in taken(queue)] == [new]
 
 
 def test_a_request_can_be_taken_out() -> None:
-    """Once; what runs already is not in the line any more."""
-    line, place = JobQueue(), WorkerSlot(0, 0)
-    first, second = job(place), job(place)
-    line.add(first, 1.0)
-    line.add(second, 1.0)
-    line.remove(first)
-    line.remove(first)
-    assert len(line) == 1
-    assert taken(line) == [second]
-    line.remove(second)
-    assert not line.holds(place)
+    """Once; what runs already is not in the queue any more."""
+    queue, slot = JobQueue(), WorkerSlot(0, 0)
+    first, second = job(slot), job(slot)
+    queue.add(first, 1.0)
+    queue.add(second, 1.0)
+    queue.remove(first)
+    queue.remove(first)
+    assert len(queue) == 1
+    assert taken(queue) == [second]
+    queue.remove(second)
+    assert not queue.has_jobs_of(slot)
 
 
-def test_a_line_can_be_emptied() -> None:
+def test_a_queue_can_be_emptied() -> None:
     """Its jobs are returned, to be answered by whoever does it."""
-    line = JobQueue(shared=True)
-    jobs = [job(place) for place in places(3)]
+    queue = JobQueue(shared=True)
+    jobs = [job(slot) for slot in slots(3)]
     for one in jobs:
-        line.add(one, 1.0)
-    assert line.clear() == jobs
-    assert taken(line) == []
+        queue.add(one, 1.0)
+    assert queue.clear() == jobs
+    assert taken(queue) == []
 
 
 def test_a_worker_is_sent_what_its_request_needs() -> None:
@@ -129,38 +129,38 @@ def test_a_worker_is_sent_what_its_request_needs() -> None:
 
 def test_clients_that_ask_at_once_run_as_one_batch() -> None:
     """One request of each, in the order in which they came; what only updates is done first."""
-    line = JobQueue(shared=True)
-    first, second, third = places(3)
-    for place, method in [
+    queue = JobQueue(shared=True)
+    first, second, third = slots(3)
+    for slot, method in [
         (third, "get_action"), (first, "update_obs"), (first, "get_action"), (second, "infer"), (third, "get_action"),
     ]:  # fmt: skip
-        line.add(job(place, method), 1.0 + len(line))
-    assert [(one.place, one.method) for one in taken(line, 9.0)] == [(first, "update_obs")]
-    assert [one.place for one in taken(line, 9.0)] == [third, first, second]
-    assert [one.place for one in taken(line, 9.0)] == [third]
+        queue.add(job(slot, method), 1.0 + len(queue))
+    assert [(one.slot, one.method) for one in taken(queue, 9.0)] == [(first, "update_obs")]
+    assert [one.slot for one in taken(queue, 9.0)] == [third, first, second]
+    assert [one.slot for one in taken(queue, 9.0)] == [third]
 
 
 def test_a_batch_is_no_larger_than_the_adapter_says() -> None:
     """Those who waited longest come first, and nobody waits for more."""
-    line = JobQueue(shared=True, most=2)
-    three = places(3)
-    for place in reversed(three):
-        line.add(job(place), 1.0)
-    assert [one.place for one in taken(line)] == three[:0:-1]
-    assert [one.place for one in taken(line)] == three[:1]
+    queue = JobQueue(shared=True, max_batch=2)
+    three = slots(3)
+    for slot in reversed(three):
+        queue.add(job(slot), 1.0)
+    assert [one.slot for one in taken(queue)] == three[:0:-1]
+    assert [one.slot for one in taken(queue)] == three[:1]
 
 
 def test_clients_whose_images_are_decoded_hold_up_nobody_for_long() -> None:
-    line = JobQueue(shared=True)
-    slow, quick = places(2)
+    queue = JobQueue(shared=True)
+    slow, quick = slots(2)
     late = job(slow, ready=False)
     for one in (late, job(slow, "reset"), job(quick)):
-        line.add(one, 1.0)
-    assert [one.place for one in taken(line)] == [quick]
-    assert taken(line) == []
+        queue.add(one, 1.0)
+    assert [one.slot for one in taken(queue)] == [quick]
+    assert taken(queue) == []
     late.payload = READY
-    assert taken(line) == [late]
-    assert [one.method for one in taken(line)] == ["reset"]
+    assert taken(queue) == [late]
+    assert [one.method for one in taken(queue)] == ["reset"]
 
 
 # -- who waits for whom: a clock of our own ----------------------------------------------------------------------------
@@ -173,13 +173,13 @@ class Clients:
     Args:
         pauses: for each client, what it does between an answer and its next request, s.
         model: seconds that a batch of a size takes.
-        most: largest batch.
+        max_batch: largest batch.
         decoding: seconds until a request is ready.
     """
 
     pauses: list[Callable[[], float]]
     model: Callable[[int], float] = lambda size: 0.020 + 0.001 * size
-    most: int | None = None
+    max_batch: int | None = None
     decoding: float = 0.0
     batches: list[list[int]] = field(default_factory=list)
     waits: list[float] = field(default_factory=list)
@@ -187,8 +187,8 @@ class Clients:
     now: float = 100.0
 
     def __post_init__(self) -> None:
-        self.line = JobQueue(shared=True, most=self.most)
-        self.places = places(len(self.pauses))
+        self.queue = JobQueue(shared=True, max_batch=self.max_batch)
+        self.slots = slots(len(self.pauses))
         self.gone: set[int] = set()
         self._busy = False
         self._events: list[tuple[float, int, Callable[[], None]]] = []
@@ -200,7 +200,7 @@ class Clients:
     def run(self, seconds: float, begin: Iterable[int] = ()) -> Clients:
         """Let time pass; clients that begin ask for the first time within 50 ms."""
         for client in begin:
-            self._later(0.05 * client / len(self.places), lambda client=client: self._ask(client))  # type: ignore[misc]
+            self._later(0.05 * client / len(self.slots), lambda client=client: self._ask(client))  # type: ignore[misc]
         end = self.now + seconds
         while self._events and self._events[0][0] <= end:
             self.now, _, action = heapq.heappop(self._events)
@@ -211,8 +211,8 @@ class Clients:
     def _ask(self, client: int) -> None:
         if client in self.gone:
             return
-        one = job(self.places[client], "infer", ready=not self.decoding)
-        self.line.add(one, self.now)
+        one = job(self.slots[client], "infer", ready=not self.decoding)
+        self.queue.add(one, self.now)
         if self.decoding:
             self._later(self.decoding, lambda: self._decoded(one))
         self._pump()
@@ -224,10 +224,10 @@ class Clients:
     def _pump(self) -> None:
         if self._busy:
             return
-        jobs, wait = self.line.next(self.now)
+        jobs, wait = self.queue.next_batch(self.now)
         if jobs:
             self._busy = True
-            self.batches.append(sorted(one.place.client for one in jobs))
+            self.batches.append(sorted(one.slot.client for one in jobs))
             self._later(self.model(len(jobs)), lambda: self._done(jobs))
         elif wait:
             self.waits.append(wait)
@@ -235,10 +235,10 @@ class Clients:
 
     def _done(self, jobs: list[RequestJob]) -> None:
         self._busy = False
-        self.line.finished(jobs, self.now)
+        self.queue.finished(jobs, self.now)
         for one in jobs:
             self.latencies.append(self.now - one.arrived)
-            client = one.place.client
+            client = one.slot.client
             self._later(self.pauses[client](), lambda client=client: self._ask(client))  # type: ignore[misc]
         self._pump()
 
@@ -295,7 +295,7 @@ def test_a_client_that_went_away_is_not_waited_for() -> None:
     assert clients.rate(3.0) > 0.9 * 7 / (0.027 + 0.002)
     assert [0, 1, 2, 4, 5, 6, 7] in clients.batches
     clients.gone.add(5)
-    clients.line.forget(clients.places[5])
+    clients.queue.forget(clients.slots[5])
     clients.run(0.1)
     clients.batches.clear()
     assert clients.rate(3.0) > 0.9 * 6 / (0.026 + 0.002)
@@ -315,7 +315,7 @@ def test_a_client_that_comes_later_joins() -> None:
 
 def test_full_batches_wait_for_nobody() -> None:
     """Where the adapter allows less than there are clients, everyone still gets a turn."""
-    clients = Clients([steady(0.001, client) for client in range(8)], most=4).run(5.0, begin=range(8))
+    clients = Clients([steady(0.001, client) for client in range(8)], max_batch=4).run(5.0, begin=range(8))
     assert max(map(len, clients.batches)) == 4
     counts = [sum(client in batch for batch in clients.batches) for client in range(8)]
     assert max(counts) - min(counts) <= 0.1 * max(counts)

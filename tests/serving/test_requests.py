@@ -97,7 +97,7 @@ def test_an_id_belongs_to_one_type_of_request() -> None:
     """Another type under the same id is a mistake of the client."""
     replay = ReplayCache()
     frame = finished(replay)
-    with pytest.raises(RequestError, match="was used for infer before and for call now") as refused:
+    with pytest.raises(RequestError, match="was used for infer and for call") as refused:
         replay.find(codec.Frame("call", "e", message_id=frame.message_id))
     assert refused.value.reason == spec.ErrorReason.DUPLICATE_ID
 
@@ -150,7 +150,7 @@ def test_another_client_finds_nothing() -> None:
     old = codec.Frame("infer", "e", message_id="1")
     entry = replay.begin(old)
     entry.waiting.append(told.append)
-    replay.forget()
+    replay.clear()
     assert (len(replay), replay.size) == (0, 0)
     new = codec.Frame("infer", "f", message_id="1")
     assert replay.find(new) is None

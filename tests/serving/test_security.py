@@ -289,7 +289,7 @@ def test_connections_that_say_nothing_are_ended(hasty: RunningServer) -> None:
         connections = [stack.enter_context(dial(hasty.url)) for _ in begun]
         for connection, data in zip(connections, begun, strict=True):
             connection.sendall(data)
-        assert silent.closed() == (NO_HELLO, "nothing was said within 2 s")
+        assert silent.closed() == (NO_HELLO, "no message within 2 s")
         for connection in connections:
             with contextlib.suppress(ConnectionResetError):
                 while connection.recv(4096):

@@ -189,7 +189,7 @@ def test_a_worker_that_dies_ends_the_trial_of_its_client_only(
     wait_until(lambda: any(line.startswith("error: Subject: the worker") for line in server.log), "it is logged")
     with pytest.raises(ServerFailedError, match="the worker was ended by signal SIGKILL"):
         lucky.infer({"n": 4})
-    wait_until(lambda: server.ended == ExitCode.NOT_RUN, "the server has ended")
+    wait_until(lambda: server.exit_code == ExitCode.NOT_RUN, "the server has ended")
 
 
 # -- one model for several clients -------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from xpl_cli import main
 from xpl_cli.basics import console, failures
 from xpl_cli.basics.errors import ExitCode, UserError, no_such, one_of
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 from xpl_cli.standard import answers
 
 GIT = shutil.which("git")
@@ -114,7 +114,7 @@ def test_a_document_that_differs_is_noticed() -> None:
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a repository with an adapter, and a checkpoint that it declares."""
     folder = tmp_path_factory.mktemp("work")
-    adapter.write(adapter.render(Answers(**{"name": "Foo", **adapter.defaults()})), folder / "policy/Foo")
+    adapter.write(adapter.render(AdapterAnswers(**{"name": "Foo", **adapter.defaults()})), folder / "policy/Foo")
     weights = folder / "weights.bin"
     weights.write_bytes(b"weights")
     manifest = folder / "policy/Foo/policy.yml"

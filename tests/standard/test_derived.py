@@ -19,7 +19,7 @@ from xpl_cli.audit.rules import registry
 from xpl_cli.derived import compiler
 from xpl_cli.main import app
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 from xpl_cli.standard import robots, schemas, spec
 from xpl_cli.standard.validate import validate
 
@@ -99,4 +99,4 @@ def test_schemas_can_be_written_into_any_package(tmp_path: Path) -> None:
 
 @cache
 def _render() -> adapter.Files:
-    return adapter.render(Answers(**{"name": "Foo", **adapter.defaults()}))
+    return adapter.render(AdapterAnswers(**{"name": "Foo", **adapter.defaults()}))

@@ -96,17 +96,17 @@ def main(descriptor: str) -> None:
         if not name.endswith("__main__"):
             with contextlib.suppress(ImportError):  # an extra that is not there
                 importlib.import_module(name)
-    become = fork_server._become
+    become = fork_server._run_child
 
     def with_fork_server(channel: socket.socket, order: Mapping[str, Any], descriptors: Sequence[int]) -> NoReturn:
         channel.close()
         if _WITH_SERVERS.intersection(order["arguments"][:1]):
             made = _Forked(descriptors)
             atexit.register(made.close)
-            fork_server._nursery = lambda _pid: made  # type: ignore[assignment]
+            fork_server._fork_server = lambda _pid: made  # type: ignore[assignment]
         become(channel, order, descriptors)
 
-    fork_server._become = with_fork_server
+    fork_server._run_child = with_fork_server
     fork_server.main(int(descriptor))
 
 

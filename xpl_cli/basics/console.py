@@ -15,7 +15,7 @@ from io import StringIO, TextIOWrapper
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.untrusted import harmless, unheard
+from xpl_cli.basics.untrusted import escape_controls, without_workflow_commands
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -69,7 +69,7 @@ def _written_out(error: UnicodeError) -> tuple[str, int]:
 
 def data(text: str) -> None:
     """Write an answer."""
-    painted(harmless(text))
+    painted(escape_controls(text))
 
 
 def painted(text: str) -> None:
@@ -115,7 +115,7 @@ def rich(renderable: RenderableType) -> None:
 
 def note(text: str) -> None:
     """Write a remark to stderr."""
-    sys.stderr.write(f"{unheard(harmless(text))}\n")
+    sys.stderr.write(f"{without_workflow_commands(escape_controls(text))}\n")
     sys.stderr.flush()
 
 

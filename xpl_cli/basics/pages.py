@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from xpl_cli import __version__
 from xpl_cli.basics.content import room
-from xpl_cli.basics.untrusted import harmless
+from xpl_cli.basics.untrusted import escape_controls
 
 
 def render(template: str, *, style: str, script: str | None = None, **values: object) -> str:
@@ -38,13 +38,13 @@ def render(template: str, *, style: str, script: str | None = None, **values: ob
 
 def as_json(value: object) -> Markup:
     """Return JSON that is safe inside a script element: no text in it can end the element."""
-    text = harmless(json.dumps(value, separators=(",", ":"), ensure_ascii=False))
+    text = escape_controls(json.dumps(value, separators=(",", ":"), ensure_ascii=False))
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))  # noqa: S704 - see above
 
 
 def _shown(value: object) -> object:
     """Return what a template shows of a value; what is not markup of ours does not turn the direction of writing."""
-    return harmless(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+    return escape_controls(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def _read(name: str) -> str:

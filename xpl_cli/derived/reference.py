@@ -95,10 +95,10 @@ def _keys(section: Section) -> Iterator[str]:
 
 def _requirements() -> str:
     """Write every requirement with the rules that prove it."""
-    from xpl_cli.audit.rules.registry import own
+    from xpl_cli.audit.rules.registry import builtin_entries
 
     proofs: dict[str, list[Rule]] = {}
-    for rule in (entry.load() for entry in own()):
+    for rule in (entry.load() for entry in builtin_entries()):
         proofs.setdefault(rule.requirement, []).append(rule)
     areas: dict[str, list[tuple[str, ...]]] = {}
     for entry in spec.requirements().values():
@@ -124,13 +124,16 @@ Robots that come with `xpl` (`spec/robots`). A project describes its own in the 
 def _catalogue() -> str:
     """Write what an adapter and its model have to share."""
     from xpl.catalogue.convention import conventions
-    from xpl_cli.model_io import described
+    from xpl_cli.model_io import description
 
     lines = ["# Conventions that an adapter and its model share", "", _CATALOGUE]
     for one in conventions():
         lines += [
             "",
-            *(f"#{line}" if line.startswith("# ") else line for line in described.page(described.described(one))),
+            *(
+                f"#{line}" if line.startswith("# ") else line
+                for line in description.render_markdown(description.describe(one))
+            ),
         ]
     return "\n".join(lines)
 

@@ -44,7 +44,7 @@ class ActivitySnapshot:
         activities = [processes.activity(pid) for pid in members]
         ticks = sum(one.ticks for one in activities)
         moved = sum(one.moved for one in activities)
-        memory = sum(processes.resident(pid) for pid in members)
+        memory = sum(processes.resident_bytes(pid) for pid in members)
         return cls(ticks / _TICKS, moved, memory, members, any(one.stopped for one in activities))
 
 
@@ -60,13 +60,13 @@ class HangDetector:
     def __init__(self, pid: int, patience: float, now: float) -> None:
         self._pid = pid
         self._patience = patience
-        self._seen = ActivitySnapshot.of(processes.with_descendants(pid))
+        self._seen = ActivitySnapshot.of(processes.tree_pids(pid))
         self._looked = self._alive = self._ahead = now
         self.every_s = min(1.0, patience / _LOOKS)
 
-    def look(self, now: float) -> str | None:
+    def check(self, now: float) -> str | None:
         """Look again; return why the work is to be ended, or None as long as there is hope."""
-        seen, before = ActivitySnapshot.of(processes.with_descendants(self._pid)), self._seen
+        seen, before = ActivitySnapshot.of(processes.tree_pids(self._pid)), self._seen
         if (
             abs(seen.moved - before.moved) > _BYTES
             or abs(seen.memory - before.memory) > _MEMORY

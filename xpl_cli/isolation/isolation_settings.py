@@ -35,17 +35,17 @@ class IsolationSettings:
     proven: str | None = None
 
     @classmethod
-    def here(cls, place: Path, *, isolate: bool) -> IsolationSettings:
+    def strictest(cls, folder: Path, *, isolate: bool) -> IsolationSettings:
         """Return the tightest bounds that this machine has, tried once; says so where adapters have to be trusted.
 
         Args:
-            place: a folder above the adapter's.
+            folder: a folder above the adapter's.
             isolate: whether it is to be isolated.
 
         Raises:
             UserError: if it is to be and cannot be; exit code 4.
         """
-        return _here(place, isolate)
+        return _strictest(folder, isolate)
 
     @property
     def name(self) -> str:
@@ -60,7 +60,7 @@ class IsolationSettings:
         return (kept, *way) if self.isolate or self.apart else ()
 
     @contextlib.contextmanager
-    def around(self, checkout: Path) -> Iterator[Isolation | None]:
+    def isolate_adapter(self, checkout: Path) -> Iterator[Isolation | None]:
         """Find the way to do it, for the length of a `with` block; None where nothing is asked for.
 
         Raises:
@@ -69,19 +69,19 @@ class IsolationSettings:
         from xpl_cli.isolation import sandbox  # which is slow to import, and many only say that they ask for nothing
 
         if self.isolate:
-            with sandbox.isolated(checkout, self.proven) as found:
-                yield found
+            with sandbox.isolated(checkout, self.proven) as isolation:
+                yield isolation
         else:
-            yield sandbox.kept_apart(checkout, self.proven) if self.apart else None
+            yield sandbox.pid_isolation(checkout, self.proven) if self.apart else None
 
 
 @cache
-def _here(place: Path, isolate: bool) -> IsolationSettings:  # noqa: FBT001 - what a cache is asked by
+def _strictest(folder: Path, isolate: bool) -> IsolationSettings:  # noqa: FBT001 - what a cache is asked by
     from xpl_cli.basics import console
 
     try:
-        with IsolationSettings(isolate=isolate, apart=not isolate).around(place) as found:
-            return IsolationSettings(isolate, not isolate, None if found is None else found.way)
+        with IsolationSettings(isolate=isolate, apart=not isolate).isolate_adapter(folder) as isolation:
+            return IsolationSettings(isolate, not isolate, None if isolation is None else isolation.method)
     except UserError as error:
         if isolate:
             raise

@@ -63,43 +63,43 @@ class ProcessInfo:
         return self.name
 
     @property
-    def lives(self) -> bool:
+    def is_alive(self) -> bool:
         """Whether it has not ended yet."""
-        found = _member(self.pid)
+        found = _read_process(self.pid)
         return found is not None and found.started == self.started
 
 
 def descendants(pid: int) -> list[ProcessInfo]:
     """Return the processes below one, children of children too, and those of the session that it began."""
-    known = list(_members())
+    known = list(_all_processes())
     # Not those of its group: in a pipeline that is the user's, and its other commands are in it. A session is never
     # joined, only inherited.
     return _below(pid, known, {one.pid for one in known if one.session == pid})
 
 
-def with_descendants(pid: int) -> list[int]:
+def tree_pids(pid: int) -> list[int]:
     """Return the numbers of a process and of those below it."""
     return [pid, *(member.pid for member in descendants(pid))]
 
 
-def behind_launcher(pid: int) -> list[int]:
+def launcher_chain(pid: int) -> list[int]:
     """Return a launcher of a command that is kept apart, the first process of its namespace, and the command.
 
     The list ends with what there is so far: one that has just been started has nothing below it.
     """
-    return first_ones(pid, LAUNCHERS)
+    return first_descendants(pid, LAUNCHERS)
 
 
-def first_ones(pid: int, levels: int) -> list[int]:
+def first_descendants(pid: int, levels: int) -> list[int]:
     """Return a process, the first that it started, the first that this one started, and so on."""
-    known, found = list(_members()), [pid]
-    while len(found) <= levels:
-        children = [member for member in known if member.parent == found[-1]]
+    known, chain = list(_all_processes()), [pid]
+    while len(chain) <= levels:
+        children = [member for member in known if member.parent == chain[-1]]
         if not children:
             break
         # What it adopts later came later.
-        found.append(min(children, key=lambda member: (member.started, member.pid)).pid)
-    return found
+        chain.append(min(children, key=lambda member: (member.started, member.pid)).pid)
+    return chain
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Activity:
 
 def activity(pid: int) -> Activity:
     """Return what a process has done so far; nothing where the system does not tell."""
-    fields = _fields(pid)
+    fields = _stat_fields(pid)
     if fields is None:
         return Activity()
     moved = 0
@@ -123,7 +123,7 @@ def activity(pid: int) -> Activity:
     return Activity(int(fields[1][11]) + int(fields[1][12]), moved, fields[1][0] == _STOPPED)
 
 
-def resident(pid: int) -> int:
+def resident_bytes(pid: int) -> int:
     """Return the resident memory of one process, bytes; 0 where the system does not tell."""
     try:
         return int((_PROC / str(pid) / "statm").read_text(encoding="ascii").split()[1]) * _PAGE
@@ -131,7 +131,7 @@ def resident(pid: int) -> int:
         return 0
 
 
-def private(pid: int) -> int | None:
+def private_bytes(pid: int) -> int | None:
     """Return the memory that a process has for itself, bytes; None where the system does not tell."""
     try:
         status = (_PROC / str(pid) / "status").read_text(encoding="utf-8", errors="replace")
@@ -141,19 +141,19 @@ def private(pid: int) -> int | None:
     return None if line is None else 1024 * int(line.split()[1])
 
 
-def shared_out_memory(pid: int) -> int:
+def proportional_bytes(pid: int) -> int:
     """Return the memory that a process and those below it hold, bytes; a page that they share counts once.
 
     That is what they have mapped, and files that lie in memory; these are often mapped too, so that of both sums the
     larger one counts. Takes the system some milliseconds for a large process.
     """
-    pids = with_descendants(pid)
+    pids = tree_pids(pid)
     sizes = [_proportional(one) for one in pids]
     shared = sum(of_files for _, of_files in sizes)
-    return sum(mapped for mapped, _ in sizes) - shared + max(shared, in_files(pids))
+    return sum(mapped for mapped, _ in sizes) - shared + max(shared, memory_file_bytes(pids))
 
 
-def in_files(pids: Iterable[int]) -> int:
+def memory_file_bytes(pids: Iterable[int]) -> int:
     """Return the bytes of files that lie in memory and that processes have open (`memfd_create`, `/dev/shm`)."""
     return sum({place: size for pid in pids for place, size in _memory_files(pid)}.values())
 
@@ -164,32 +164,32 @@ def adopt_orphans() -> None:
         ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, ctypes.c_ulong(1), *[ctypes.c_ulong(0)] * 3)
 
 
-def end(leader: int) -> None:
+def kill_tree(leader: int) -> None:
     """Kill the leader of a group, its group and the processes below it."""
-    for number in with_descendants(leader):
+    for number in tree_pids(leader):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(number, signal.SIGKILL)
     spawn.end_group(leader)  # all that can be seen where there is no /proc
 
 
-def end_descendants(before: Container[int]) -> list[ProcessInfo]:
+def kill_descendants(before: Container[int]) -> list[ProcessInfo]:
     """Kill the processes below this one, until there are none, and return them.
 
     Args:
         before: numbers of those that this process had when it began, such as the reader of its output, which a shell
             started before it became this process; they and theirs are spared.
     """
-    found: dict[ProcessInfo, None] = {}
+    killed: dict[ProcessInfo, None] = {}
     for _ in range(_ROUNDS):
-        left = _below(os.getpid(), [one for one in _members() if one.pid not in before])
+        left = _below(os.getpid(), [one for one in _all_processes() if one.pid not in before])
         if not left:
             break
-        found.update(dict.fromkeys(_ended(left)))
+        killed.update(dict.fromkeys(_kill(left)))
         time.sleep(_ROUND_S)  # for those whose parent is another one
-    return list(found)
+    return list(killed)
 
 
-def end_adopted(before: Container[int]) -> list[ProcessInfo]:
+def kill_adopted(before: Container[int]) -> list[ProcessInfo]:
     """Kill the processes that this one has got as children, with all below them, and return them.
 
     Args:
@@ -198,10 +198,10 @@ def end_adopted(before: Container[int]) -> list[ProcessInfo]:
     adopted = [one.pid for one in descendants(os.getpid()) if one.parent == os.getpid() and one.pid not in before]
     below = {member.pid: member for pid in adopted for member in descendants(pid)}
     children = {one.pid: one for one in descendants(os.getpid()) if one.pid in adopted}
-    return _ended([*children.values(), *below.values()])
+    return _kill([*children.values(), *below.values()])
 
 
-def _ended(members: list[ProcessInfo]) -> list[ProcessInfo]:
+def _kill(members: list[ProcessInfo]) -> list[ProcessInfo]:
     for member in members:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(member.pid, signal.SIGKILL)
@@ -211,32 +211,32 @@ def _ended(members: list[ProcessInfo]) -> list[ProcessInfo]:
     return members
 
 
-def _below(pid: int, known: Sequence[ProcessInfo], also: Container[int] = ()) -> list[ProcessInfo]:
+def _below(pid: int, candidates: Sequence[ProcessInfo], also: Container[int] = ()) -> list[ProcessInfo]:
     """Return the processes below one and below some others, with these others."""
     inside = {pid}
     while True:
-        found = {one.pid for one in known if one.parent in inside or one.pid in also} | inside
+        found = {one.pid for one in candidates if one.parent in inside or one.pid in also} | inside
         if found == inside:
-            return [one for one in known if one.pid in inside and one.pid != pid]
+            return [one for one in candidates if one.pid in inside and one.pid != pid]
         inside = found
 
 
-def _members() -> Iterator[ProcessInfo]:
+def _all_processes() -> Iterator[ProcessInfo]:
     for name in os.listdir(_PROC) if _PROC.is_dir() else ():  # noqa: PTH208 - many, and often: names are enough
-        member = _member(int(name)) if name.isdecimal() else None
+        member = _read_process(int(name)) if name.isdecimal() else None
         if member is not None:
             yield member
 
 
-def _member(pid: int) -> ProcessInfo | None:
-    found = _fields(pid)
+def _read_process(pid: int) -> ProcessInfo | None:
+    found = _stat_fields(pid)
     if found is None or found[1][0] == _ZOMBIE:
         return None
     name, fields = found
     return ProcessInfo(pid, int(fields[1]), int(fields[2]), int(fields[3]), int(fields[19]), name)
 
 
-def _fields(pid: int) -> tuple[str, list[str]] | None:
+def _stat_fields(pid: int) -> tuple[str, list[str]] | None:
     """Return a process's name and the fields of proc_pid_stat(5) from its state on; None if it is gone."""
     try:
         # Every process of the machine is read, and often: a path takes longer to make than the file to read.
@@ -256,7 +256,7 @@ def _proportional(pid: int) -> tuple[int, int]:
         sizes = dict(line.split()[:2] for line in text.splitlines()[1:])
         return int(sizes["Pss:"]) * 1024, int(sizes.get("Pss_Shmem:", 0)) * 1024
     except (OSError, ValueError, KeyError):
-        return resident(pid), 0
+        return resident_bytes(pid), 0
 
 
 def _memory_files(pid: int) -> Iterator[tuple[tuple[int, int], int]]:

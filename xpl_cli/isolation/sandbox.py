@@ -36,7 +36,7 @@ _SHARE = re.compile(r"(\d{1,18}(?:\.\d+)?)\s*%")
 _CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 _NO_LIMIT = "none"
 
-_KEPT = {"HF_HOME": ".cache/huggingface", "TORCH_HOME": ".cache/torch", "PYTHONUSERBASE": ".local"}
+_HOME_FOLDERS = {"HF_HOME": ".cache/huggingface", "TORCH_HOME": ".cache/torch", "PYTHONUSERBASE": ".local"}
 """What is found below the home folder, readable as before, although isolated adapters have another home folder."""
 _PROOF_S = 20.0
 _PROOF = Path(__file__).with_name("proof.py")
@@ -72,7 +72,7 @@ class MemoryLimit:
     """
 
     size: int
-    asked: str
+    text: str
 
     @classmethod
     def parse(cls, text: str) -> Self | None:
@@ -91,7 +91,7 @@ class MemoryLimit:
             raise UserError(f"--memory-limit takes a size such as 8GB, a share such as 80%, or none; got {told}")
         return cls(size, asked)
 
-    async def hold(self, process: WatchedProcess) -> None:
+    async def enforce(self, process: WatchedProcess) -> None:
         """Watch a worker until it ends, and end it with a clear reason when it holds more."""
         import asyncio  # slow to import, and whoever only reads a limit needs none of it
 
@@ -99,11 +99,11 @@ class MemoryLimit:
             if process.died.done():
                 return
             if look % _LOOKS_PER_SEARCH == 0:  # on a machine with thousands of processes a search takes its time
-                pids = await asyncio.to_thread(processes.with_descendants, process.pid)
-                files = await asyncio.to_thread(processes.in_files, pids)
+                pids = await asyncio.to_thread(processes.tree_pids, process.pid)
+                files = await asyncio.to_thread(processes.memory_file_bytes, pids)
             # A page that processes share counts twice at first sight, and is worth a closer look only if that matters.
-            if files + sum(map(processes.resident, pids)) > self.size:
-                used = await asyncio.to_thread(processes.shared_out_memory, process.pid)
+            if files + sum(map(processes.resident_bytes, pids)) > self.size:
+                used = await asyncio.to_thread(processes.proportional_bytes, process.pid)
                 if used > self.size:
                     process.kill(self._exceeded(used))
                     return
@@ -111,7 +111,7 @@ class MemoryLimit:
 
     def _exceeded(self, used: int) -> str:
         limit = told_size(self.size)
-        return f"the adapter used {told_size(used)}, more than the limit of {limit} (--memory-limit {self.asked})"
+        return f"the adapter used {told_size(used)}, more than the limit of {limit} (--memory-limit {self.text})"
 
 
 def machine_memory() -> int:
@@ -133,7 +133,7 @@ class Isolation:
         folder: what it may write to, where it is isolated; None where only processes are kept apart.
     """
 
-    way: str
+    method: str
     prefix: tuple[str, ...]
     folder: Path | None
 
@@ -142,7 +142,7 @@ class Isolation:
         if self.folder is None:
             return dict(outside)
         home = Path(outside.get("HOME", "/"))
-        kept = {name: str(home / place) for name, place in _KEPT.items() if (home / place).is_dir()}
+        kept = {name: str(home / place) for name, place in _HOME_FOLDERS.items() if (home / place).is_dir()}
         inside = {"HOME": self.folder / "home", "TMPDIR": self.folder / "tmp", "XDG_CACHE_HOME": self.folder / "cache"}
         for path in inside.values():
             path.mkdir(exist_ok=True)
@@ -173,7 +173,7 @@ def isolated(checkout: Path, proven: str | None = None) -> Iterator[Isolation]:
         folder = Path(name).resolve() / "own"
         folder.mkdir()
         prefix = plan.isolated(program, checkout=checkout.resolve(), folder=folder)
-        reason = None if proven == BUBBLEWRAP else _disproof(prefix, checkout.resolve(), folder)
+        reason = None if proven == BUBBLEWRAP else _broken_promise(prefix, checkout.resolve(), folder)
         if reason is not None:
             raise UserError(
                 f"isolation was asked for and bubblewrap cannot arrange it here: {reason}",
@@ -183,7 +183,7 @@ def isolated(checkout: Path, proven: str | None = None) -> Iterator[Isolation]:
         yield Isolation(BUBBLEWRAP, tuple(prefix), folder)
 
 
-def kept_apart(checkout: Path, proven: str | None = None) -> Isolation:
+def pid_isolation(checkout: Path, proven: str | None = None) -> Isolation:
     """Find a way to run an adapter where it sees and signals no process but its own.
 
     Args:
@@ -199,7 +199,7 @@ def kept_apart(checkout: Path, proven: str | None = None) -> Isolation:
     ways |= {} if bubblewrap is None else {BUBBLEWRAP: plan.apart_by_bubblewrap(bubblewrap)}
     refused = []
     for way, prefix in ways.items():
-        reason = None if way == proven else _told(_tried([*prefix, *proof], checkout))
+        reason = None if way == proven else _failure_reason(_run_probe([*prefix, *proof], checkout))
         if reason is None:
             return Isolation(way, tuple(prefix), None)
         refused.append(f"{way}: {reason}")
@@ -237,11 +237,11 @@ for path in ("/sys", "/proc/sys"):
 """
 
 
-def _disproof(prefix: Sequence[str], checkout: Path, folder: Path) -> str | None:
+def _broken_promise(prefix: Sequence[str], checkout: Path, folder: Path) -> str | None:
     """Try to break out behind a prefix; return which promise does not hold, or None if all do."""
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
-        tempfile.NamedTemporaryFile(prefix="xpl-hidden-", dir=_met_at()) as hidden,
+        tempfile.NamedTemporaryFile(prefix="xpl-hidden-", dir=_shared_folder()) as hidden,
     ):
         expected = {
             "checkout": str(checkout),
@@ -253,15 +253,15 @@ def _disproof(prefix: Sequence[str], checkout: Path, folder: Path) -> str | None
         }
         # The text and not the file: what is hidden inside may hide the file too.
         program = [sys.executable, "-I", "-S", "-c", _PROOF.read_text(encoding="utf-8"), json.dumps(expected)]
-        return _told(_tried([*prefix, *program], checkout))
+        return _failure_reason(_run_probe([*prefix, *program], checkout))
 
 
-def _met_at() -> str | None:
+def _shared_folder() -> str | None:
     """Return a folder where programs of this machine meet, if it may be written to."""
     return next((path for path in plan.MASKED if os.access(path, os.W_OK)), None)
 
 
-def _tried(command: Sequence[str], checkout: Path) -> subprocess.CompletedProcess[str] | str:
+def _run_probe(command: Sequence[str], checkout: Path) -> subprocess.CompletedProcess[str] | str:
     run = partial(subprocess.run, capture_output=True, text=True, check=False, timeout=_PROOF_S, cwd=checkout)
     try:
         return run(command, stdin=subprocess.DEVNULL, start_new_session=True)
@@ -269,7 +269,7 @@ def _tried(command: Sequence[str], checkout: Path) -> subprocess.CompletedProces
         return str(error)
 
 
-def _told(done: subprocess.CompletedProcess[str] | str) -> str | None:
+def _failure_reason(done: subprocess.CompletedProcess[str] | str) -> str | None:
     if isinstance(done, str):
         return done
     if done.returncode == 0:

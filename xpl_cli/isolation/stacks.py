@@ -15,7 +15,7 @@ _FRAME = re.compile(r'\s*File "(?P<file>.+)", line (?P<line>\d+) in (?P<name>.+)
 _THREAD = re.compile(r"(Current t|T)hread 0x[0-9a-f]+")
 
 
-def where(log: Iterable[str], folder: Path) -> str | None:
+def innermost_frame(log: Iterable[str], folder: Path) -> str | None:
     """Return where an adapter stood when it printed its stacks last: file, line and function; None if it did not.
 
     Args:

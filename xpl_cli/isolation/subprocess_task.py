@@ -26,7 +26,7 @@ from xpl.worker.errand import ERROR, LENGTH
 from xpl_cli.isolation import processes
 from xpl_cli.isolation.hang_detector import HangDetector
 from xpl_cli.isolation.isolation_settings import IsolationSettings
-from xpl_cli.isolation.stacks import STACKS_S, where
+from xpl_cli.isolation.stacks import STACKS_S, innermost_frame
 
 _EVERY_S: Final = 0.1
 _MOST_BYTES: Final = 1 << 30
@@ -51,7 +51,7 @@ class TaskSettings:
     bounds: IsolationSettings = field(default_factory=IsolationSettings)
     patience: float = 30.0
     limit_s: float = 600.0
-    heard: Callable[[int], None] | None = None
+    on_answer: Callable[[int], None] | None = None
 
 
 @dataclass(frozen=True)
@@ -71,14 +71,14 @@ class TaskAnswer:
     unreal: bool = False
 
     @classmethod
-    def read(cls, told: object) -> Self:
+    def parse(cls, entry: object) -> Self:
         """Read what a process wrote, which may be anything."""
-        if not isinstance(told, dict) or not {ERROR, sdk.Payload.RESULT} & told.keys():
+        if not isinstance(entry, dict) or not {ERROR, sdk.Payload.RESULT} & entry.keys():
             return cls(error="no answer")
-        if ERROR not in told:
-            return cls(told[sdk.Payload.RESULT])
-        trace = told.get("trace")
-        return cls(None, str(told[ERROR]), None if trace is None else str(trace), bool(told.get("unreal")))
+        if ERROR not in entry:
+            return cls(entry[sdk.Payload.RESULT])
+        trace = entry.get("trace")
+        return cls(None, str(entry[ERROR]), None if trace is None else str(trace), bool(entry.get("unreal")))
 
 
 @dataclass(frozen=True)
@@ -93,35 +93,35 @@ class TaskResult:
 
     answers: list[TaskAnswer]
     problem: str | None
-    last: str
+    last_line: str
 
     @property
-    def ended(self) -> str:
+    def failure(self) -> str:
         """How the process ended, for who misses answers."""
-        return self.problem or f"ended without an answer: {self.last:.200}"
+        return self.problem or f"ended without an answer: {self.last_line:.200}"
 
 
-def run(module: str, order: Mapping[str, object], place: TaskSettings) -> TaskResult:
+def run(module: str, request: Mapping[str, object], settings: TaskSettings) -> TaskResult:
     """Run an errand to its end.
 
     Args:
         module: of the SDK, such as `xpl.worker.inprocess`.
-        order: what it is told: maps, lists, texts, numbers and arrays.
-        place: where.
+        request: what it is told: maps, lists, texts, numbers and arrays.
+        settings: where.
     """
-    with _room(place) as (prefix, folder, environment):
-        errand = _TaskProcess(_command(module, order, place, prefix, folder), place, environment, folder / "log")
-        with errand.running():
-            return errand.done(folder / "answers", place.limit_s)
+    with _workspace(settings) as (prefix, folder, environment):
+        task = _TaskProcess(_command(module, request, settings, prefix, folder), settings, environment, folder / "log")
+        with task.running():
+            return task.wait_answers(folder / "answers", settings.limit_s)
 
 
 def _command(
-    module: str, order: Mapping[str, object], place: TaskSettings, prefix: tuple[str, ...], folder: Path
+    module: str, request: Mapping[str, object], settings: TaskSettings, prefix: tuple[str, ...], folder: Path
 ) -> list[str]:
     """Write an order into a folder, and return the command that does it and writes its answers there."""
-    (folder / "asked").write_bytes(b"".join(packed.encode(order)))
+    (folder / "asked").write_bytes(b"".join(packed.encode(request)))
     start = SDK_START + f"from {module} import main; main(*sys.argv[2:])"
-    return spawn.command(place.python, start, str(folder / "asked"), str(folder / "answers"), prefix=prefix)
+    return spawn.command(settings.python, start, str(folder / "asked"), str(folder / "answers"), prefix=prefix)
 
 
 class PersistentTask:
@@ -129,31 +129,31 @@ class PersistentTask:
 
     Args:
         module: of the SDK.
-        order: what it loads.
-        place: where; its limit is that of loading.
+        request: what it loads.
+        settings: where; its limit is that of loading.
 
     Attributes:
         loaded: what came of loading.
     """
 
-    def __init__(self, module: str, order: Mapping[str, object], place: TaskSettings) -> None:
-        self._place, self._asked = place, 0
+    def __init__(self, module: str, request: Mapping[str, object], settings: TaskSettings) -> None:
+        self._settings, self._requests = settings, 0
         with contextlib.ExitStack() as opened:
-            prefix, self._folder, environment = opened.enter_context(_room(place))
-            command = _command(module, order, place, prefix, self._folder)
-            self._run = _TaskProcess(command, place, environment, self._folder / "log")
+            prefix, self._folder, environment = opened.enter_context(_workspace(settings))
+            command = _command(module, request, settings, prefix, self._folder)
+            self._run = _TaskProcess(command, settings, environment, self._folder / "log")
             opened.enter_context(self._run.running(subprocess.PIPE))
-            self.loaded = self._run.done(self._folder / "answers", place.limit_s)
+            self.loaded = self._run.wait_answers(self._folder / "answers", settings.limit_s)
             self._opened = opened.pop_all()
 
-    def ask(self, order: Mapping[str, object], limit_s: float) -> TaskResult:
+    def request(self, content: Mapping[str, object], limit_s: float) -> TaskResult:
         """Return the answers to an order; none if the errand ended before."""
-        self._asked += 1
-        (self._folder / f"asked.{self._asked}").write_bytes(b"".join(packed.encode(order)))
-        self._run.say(f"{self._asked}\n")
-        done = self._run.done(self._folder / f"answers.{self._asked}", limit_s)
+        self._requests += 1
+        (self._folder / f"asked.{self._requests}").write_bytes(b"".join(packed.encode(content)))
+        self._run.write_line(f"{self._requests}\n")
+        done = self._run.wait_answers(self._folder / f"answers.{self._requests}", limit_s)
         for name in ("asked", "answers"):
-            (self._folder / f"{name}.{self._asked}").unlink(missing_ok=True)
+            (self._folder / f"{name}.{self._requests}").unlink(missing_ok=True)
         return done
 
     def close(self) -> None:
@@ -161,54 +161,54 @@ class PersistentTask:
         self._opened.close()
 
 
-def _read(told: Path) -> list[TaskAnswer]:
+def _read_answers(path: Path) -> list[TaskAnswer]:
     """Return the answers that are complete.
 
     Raises:
         PackingError: if one is none.
     """
-    found: list[TaskAnswer] = []
-    if told.is_file() and told.stat().st_size > _MOST_BYTES:
+    answers: list[TaskAnswer] = []
+    if path.is_file() and path.stat().st_size > _MOST_BYTES:
         raise packed.PackingError(f"its answers take more than {_MOST_BYTES} bytes")
-    data = memoryview(told.read_bytes() if told.is_file() else b"")
+    data = memoryview(path.read_bytes() if path.is_file() else b"")
     while len(data) >= LENGTH.size:
         (length,) = LENGTH.unpack_from(data)
         data = data[LENGTH.size :]
         if length > len(data) or not length:  # which is the end of a standing errand's answers
             break
-        found.append(TaskAnswer.read(packed.decode(data[:length])))
+        answers.append(TaskAnswer.parse(packed.decode(data[:length])))
         data = data[length:]
-    return found
+    return answers
 
 
 @contextlib.contextmanager
-def _room(place: TaskSettings) -> Iterator[tuple[tuple[str, ...], Path, dict[str, str]]]:
+def _workspace(settings: TaskSettings) -> Iterator[tuple[tuple[str, ...], Path, dict[str, str]]]:
     """Yield what is put before a command, a folder that it may write to, and its environment; as a server has them."""
     environment = spawn.variables()
     with (
-        place.bounds.around(place.checkout) as kept,
-        tempfile.TemporaryDirectory(prefix="xpl-") as own,
+        settings.bounds.isolate_adapter(settings.checkout) as isolation,
+        tempfile.TemporaryDirectory(prefix="xpl-") as folder,
     ):
-        if kept is None:
-            yield (), Path(own), environment
+        if isolation is None:
+            yield (), Path(folder), environment
         else:
-            yield kept.prefix, kept.folder or Path(own), kept.environment(environment)
+            yield isolation.prefix, isolation.folder or Path(folder), isolation.environment(environment)
 
 
-def _counted(told: Path) -> tuple[int, bool]:
+def _count_answers(path: Path) -> tuple[int, bool]:
     """Return how many answers a file has, as far as their lengths say, and whether it says that these are all."""
-    count = place = 0
-    if not told.is_file():
+    count = offset = 0
+    if not path.is_file():
         return 0, False
-    with told.open("rb") as stream:
+    with path.open("rb") as stream:
         while len(head := stream.read(LENGTH.size)) == LENGTH.size:
             (length,) = LENGTH.unpack(head)
-            place += LENGTH.size + length
+            offset += LENGTH.size + length
             if not length:
                 return count, True
-            if place > _MOST_BYTES:  # no length of an answer: whatever runs there may have written it
+            if offset > _MOST_BYTES:  # no length of an answer: whatever runs there may have written it
                 break
-            stream.seek(place)
+            stream.seek(offset)
             count += 1
     return count, False
 
@@ -216,8 +216,8 @@ def _counted(told: Path) -> tuple[int, bool]:
 class _TaskProcess:
     """A command in a group of its own."""
 
-    def __init__(self, command: list[str], place: TaskSettings, environment: dict[str, str], log: Path) -> None:
-        self._command, self._place, self._environment, self._log = command, place, environment, log
+    def __init__(self, command: list[str], settings: TaskSettings, environment: dict[str, str], log: Path) -> None:
+        self._command, self._settings, self._environment, self._log = command, settings, environment, log
 
     @contextlib.contextmanager
     def running(self, stdin: int = subprocess.DEVNULL) -> Iterator[None]:
@@ -228,7 +228,7 @@ class _TaskProcess:
         with self._log.open("wb") as output:
             process = subprocess.Popen(
                 self._command,
-                cwd=self._place.checkout,
+                cwd=self._settings.checkout,
                 stdin=stdin,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -244,62 +244,62 @@ class _TaskProcess:
             if process.stdin is not None:
                 with contextlib.suppress(OSError):
                     process.stdin.close()
-            processes.end_adopted(before)
+            processes.kill_adopted(before)
 
-    def say(self, line: str) -> None:
+    def write_line(self, line: str) -> None:
         """Write a line to its standard input; who waits for an answer will see if it is not there any more."""
         assert self._process.stdin is not None  # noqa: S101 - it was started so
         with contextlib.suppress(OSError):
             self._process.stdin.write(line.encode())
             self._process.stdin.flush()
 
-    def done(self, told: Path, limit_s: float) -> TaskResult:
+    def wait_answers(self, path: Path, limit_s: float) -> TaskResult:
         """Return the answers that it writes to a file until it ends, or says that these are all."""
-        problem = self._waited(told, limit_s)
+        problem = self._wait(path, limit_s)
         try:
-            return TaskResult(_read(told), problem, self.last)
+            return TaskResult(_read_answers(path), problem, self.last_line)
         except packed.PackingError as error:
-            return TaskResult([], f"wrote what is no answer: {error}", self.last)
+            return TaskResult([], f"wrote what is no answer: {error}", self.last_line)
 
     @property
-    def last(self) -> str:
+    def last_line(self) -> str:
         """The last line that it printed."""
         return next((line.strip() for line in reversed(self._lines()) if line.strip()), "it printed nothing")
 
-    def _waited(self, told: Path, limit_s: float) -> str | None:
+    def _wait(self, path: Path, limit_s: float) -> str | None:
         """Return why the process was ended before it ended itself or its answers, or None."""
-        process, heard = self._process, 0
+        process, reported = self._process, 0
         began, size, life = time.monotonic(), -1, None
         while True:
             now = time.monotonic()
-            written = told.stat().st_size if told.is_file() else 0
+            written = path.stat().st_size if path.is_file() else 0
             if life is None or written != size:  # another answer: patience begins anew
-                size, life = written, HangDetector(process.pid, self._place.patience, now)
-                count, is_all = _counted(told)
-                if count > heard and self._place.heard is not None:
-                    self._place.heard(count)
-                heard = count
+                size, life = written, HangDetector(process.pid, self._settings.patience, now)
+                count, is_all = _count_answers(path)
+                if count > reported and self._settings.on_answer is not None:
+                    self._settings.on_answer(count)
+                reported = count
                 if is_all:
                     return None
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(min(life.every_s, _EVERY_S))
                 return None
-            why = life.look(time.monotonic())
+            why = life.check(time.monotonic())
             if why is None and written > _MOST_BYTES:
                 why = f"wrote answers of more than {_MOST_BYTES} bytes"
             if why is None and time.monotonic() - began > limit_s:
                 why = f"did not answer within {time.monotonic() - began:.0f} s"
             if why is not None:
-                return self._where(process, why)
+                return self._end_with_stacks(process, why)
 
-    def _where(self, process: subprocess.Popen[bytes], why: str) -> str:
+    def _end_with_stacks(self, process: subprocess.Popen[bytes], why: str) -> str:
         """Have the process print its stacks, and return why it is ended and where it stood."""
-        inner = processes.behind_launcher(process.pid)[-1] if self._place.bounds.flags else process.pid
+        inner = processes.launcher_chain(process.pid)[-1] if self._settings.bounds.flags else process.pid
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(inner, signal.SIGUSR1)
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(STACKS_S)
-        stood = where(self._lines(), self._place.checkout.resolve())
+        stood = innermost_frame(self._lines(), self._settings.checkout.resolve())
         return why if stood is None else f"{why}; it stood at {stood}"
 
     def _lines(self) -> list[str]:

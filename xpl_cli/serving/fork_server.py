@@ -65,11 +65,11 @@ class ForkedServer:
         returncode: its exit code, None as long as it runs.
     """
 
-    def __init__(self, nursery: ForkServer, pid: int, streams: Sequence[IO[bytes]], life: int) -> None:
+    def __init__(self, fork_server: ForkServer, pid: int, streams: Sequence[IO[bytes]], life: int) -> None:
         self.pid = pid
         self.stdin, self.stdout, self.stderr = streams
         self.returncode: int | None = None
-        self._nursery = nursery
+        self._fork_server = fork_server
         self._life = life
         self._lock = threading.Lock()
 
@@ -92,7 +92,7 @@ class ForkedServer:
                 if not _is_readable(self._life, left):
                     raise subprocess.TimeoutExpired(["xpl"], timeout or 0.0)
                 os.close(self._life)
-                self.returncode = self._nursery.status(self.pid)
+                self.returncode = self._fork_server.status(self.pid)
             return self.returncode
 
     def send_signal(self, number: int) -> None:
@@ -134,7 +134,7 @@ class ForkServer:
         Raises:
             OSError, EOFError: if the nursery is gone.
         """
-        order = {
+        request = {
             "arguments": list(arguments),
             "cwd": str(Path.cwd()),
             "environment": dict(os.environ),
@@ -145,7 +145,7 @@ class ForkServer:
         theirs = [stdin, *(write for _, write in outputs)]
         ours = [to_stdin, *(read for read, _ in outputs)]
         try:
-            pid = int(self._ask(order, theirs)["pid"])
+            pid = int(self._exchange(request, theirs)["pid"])
         except BaseException:
             for descriptor in ours:
                 os.close(descriptor)
@@ -159,7 +159,7 @@ class ForkServer:
     def status(self, pid: int) -> int:
         """Return the exit code of a process that has ended."""
         try:
-            return int(self._ask({"status": pid})["code"])
+            return int(self._exchange({"status": pid})["code"])
         except (OSError, EOFError):
             return _UNKNOWN
 
@@ -168,20 +168,20 @@ class ForkServer:
         self._channel.close()
         self._process.wait()
 
-    def _ask(self, order: Head, descriptors: Sequence[int] = ()) -> Head:
+    def _exchange(self, request: Head, descriptors: Sequence[int] = ()) -> Head:
         with self._lock:
-            self._link.send(order)
+            self._link.send(request)
             if descriptors:
-                _received(self._link)  # nobody reads on meanwhile: descriptors are lost to who reads their byte alone
+                _receive(self._link)  # nobody reads on meanwhile: descriptors are lost to who reads their byte alone
                 socket.send_fds(self._channel, [b"\0"], list(descriptors))
-            return _received(self._link)
+            return _receive(self._link)
 
 
 _LOCK = threading.Lock()
 
 
 @functools.cache
-def _nursery(_pid: int) -> ForkServer:
+def _fork_server(_pid: int) -> ForkServer:
     """Return the nursery of this very process; a process that was forked from it makes its own."""
     made = ForkServer()
     atexit.register(made.close)
@@ -191,7 +191,7 @@ def _nursery(_pid: int) -> ForkServer:
 def warm() -> None:
     """Start the nursery now, in the environment as it is, rather than with the first order."""
     with _LOCK:
-        _nursery(os.getpid())
+        _fork_server(os.getpid())
 
 
 def start(arguments: Sequence[str]) -> ForkedServer:
@@ -201,13 +201,13 @@ def start(arguments: Sequence[str]) -> ForkedServer:
         OSError: if no process can be had.
     """
     with _LOCK:
-        nursery = _nursery(os.getpid())
+        nursery = _fork_server(os.getpid())
     try:
         return nursery.start(arguments)
     except (OSError, EOFError):  # something has killed it: another one, once
         with _LOCK:
-            _nursery.cache_clear()
-            nursery = _nursery(os.getpid())
+            _fork_server.cache_clear()
+            nursery = _fork_server(os.getpid())
         return nursery.start(arguments)
 
 
@@ -225,23 +225,23 @@ def main(descriptor: int) -> None:
     tool = Channel(channel)
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
-            order = _received(tool)
-            if "status" in order:
-                _, status = os.waitpid(order["status"], 0)
+            request = _receive(tool)
+            if "status" in request:
+                _, status = os.waitpid(request["status"], 0)
                 answer = {"code": os.waitstatus_to_exitcode(status)}
             else:
                 tool.send({"wants": _STREAMS + 1})
                 _, descriptors, _, _ = socket.recv_fds(channel, 1, _STREAMS + 1)
                 pid = os.fork()
                 if pid == 0:
-                    _become(channel, order, descriptors)
+                    _run_child(channel, request, descriptors)
                 for received in descriptors:
                     os.close(received)
                 answer = {"pid": pid}
             tool.send(answer)
 
 
-def _become(channel: socket.socket, order: Head, descriptors: Sequence[int]) -> NoReturn:
+def _run_child(channel: socket.socket, request: Head, descriptors: Sequence[int]) -> NoReturn:
     """Turn this process, which was just forked, into the command."""
     channel.close()
     os.setsid()
@@ -250,16 +250,16 @@ def _become(channel: socket.socket, order: Head, descriptors: Sequence[int]) -> 
         os.close(received)
     os.set_inheritable(descriptors[_STREAMS], False)  # noqa: FBT003 - positional only
     os.environ.clear()
-    os.environ.update(order["environment"])
-    os.chdir(order["cwd"])
-    for number, limits in order["limits"]:
+    os.environ.update(request["environment"])
+    os.chdir(request["cwd"])
+    for number, limits in request["limits"]:
         with contextlib.suppress(OSError, ValueError):  # a hard limit above ours
             resource.setrlimit(number, tuple(limits))
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.argv = ["xpl", *order["arguments"]]
+    sys.argv = ["xpl", *request["arguments"]]
     with contextlib.suppress(OSError):  # its command line is still the nursery's; this is what `ps` and `top` show
         Path("/proc/self/comm").write_text(" ".join(sys.argv[:2]), encoding="utf-8")
-    _end(_run())
+    _exit(_run())
 
 
 def _run() -> int:
@@ -277,7 +277,7 @@ def _run() -> int:
     return 0
 
 
-def _end(code: int) -> NoReturn:
+def _exit(code: int) -> NoReturn:
     """End in order, as the interpreter does, but leave the memory to the system.
 
     To take apart what was inherited, one by one, means to copy it first, and takes longer than a short command.
@@ -290,7 +290,7 @@ def _end(code: int) -> NoReturn:
     os._exit(code)
 
 
-def _received(channel: Channel) -> Head:
+def _receive(channel: Channel) -> Head:
     """Return the next message.
 
     Raises:

@@ -18,7 +18,7 @@ from xpl_cli.serving.entry import connection_limiter
 from xpl_cli.serving.entry.admission import BEARER, Admission
 from xpl_cli.serving.entry.memory_limiter import MessageMemoryLimiter
 from xpl_cli.serving.hello import capabilities, hello_answer, share_memory
-from xpl_cli.serving.request_handler import RequestHandler, acknowledged, fault, refusal
+from xpl_cli.serving.request_handler import RequestHandler, encode_answer, encode_error, server_fault
 from xpl_cli.serving.requests import RequestError
 from xpl_cli.serving.server_log import RateLimitedLog, log
 from xpl_cli.serving.slots import SlotPool, WorkerSlot
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from xpl_cli.serving.workers.process import WorkerProcess
 
 
-_FRAMES = 100
+_MAX_MALFORMED_PER_MINUTE = 100
 """Frames that cannot be read, of which each is in the log, in a minute."""
 
 
@@ -67,7 +67,7 @@ class FrontEndSettings:
     request_timeout: float | None
     grace: float
     policy: Announcement
-    names: AllowedHosts
+    allowed_hosts: AllowedHosts
     token: str | None = None
     tls: ssl.SSLContext | None = None
     debug: bool = False
@@ -104,29 +104,31 @@ class FrontEnd:
     """
 
     def __init__(
-        self, processes: list[WorkerProcess], settings: FrontEndSettings, observer: RequestMonitor | None = None
+        self, processes: list[WorkerProcess], settings: FrontEndSettings, monitor: RequestMonitor | None = None
     ) -> None:
         self._settings = settings
         self._changed = asyncio.Event()
-        self._desk = RequestHandler(
-            debug=settings.debug, observer=observer, on_change=self._changed.set, renew=settings.renew
+        self._request_handler = RequestHandler(
+            debug=settings.debug, monitor=monitor, on_change=self._changed.set, renew=settings.renew
         )
-        self._observer = observer
+        self._monitor = monitor
         self._instance = uuid.uuid4().hex
         self._loop = asyncio.get_running_loop()
         # In the order in which they came.
         self._connections: dict[Connection, None] = {}
-        self._most, half_open = connection_limiter.connection_limits()
-        self._door = connection_limiter.ConnectionLimiter(half_open)
-        self._refused = RateLimitedLog("refused a frame", most=_FRAMES)
-        self._dropped = RateLimitedLog("dropped a connection that had said nothing: there are more than can be served")
-        self._crowd = MessageMemoryLimiter()
-        self._waiting: list[tuple[Connection, codec.Frame]] = []
-        self._places = SlotPool(len(processes), 1, settings.grace)
+        self._max_connections, half_open = connection_limiter.connection_limits()
+        self._connection_limiter = connection_limiter.ConnectionLimiter(half_open)
+        self._malformed_log = RateLimitedLog("refused a frame", max_per_minute=_MAX_MALFORMED_PER_MINUTE)
+        self._dropped_log = RateLimitedLog(
+            "dropped a connection that had said nothing: there are more than can be served"
+        )
+        self._memory_limiter = MessageMemoryLimiter()
+        self._waiting_hellos: list[tuple[Connection, codec.Frame]] = []
+        self._slot_pool = SlotPool(len(processes), 1, settings.grace)
         self._started = time.monotonic()
         self.state: str = spec.ServerState.LOADING
         self.workers = {
-            number: ModelWorker(number, process, settings.request_timeout, self._desk, self._worker_failed)
+            number: ModelWorker(number, process, settings.request_timeout, self._request_handler, self._worker_failed)
             for number, process in enumerate(processes)
         }
         self.failed: asyncio.Future[str] = self._loop.create_future()
@@ -141,10 +143,12 @@ class FrontEnd:
         """
         settings = self._settings
         entrance = entrance or Endpoint(settings.port, Connection)
-        metrics = None if self._observer is None else self._observer.page
-        admission = Admission(settings.token, settings.names, self.health, metrics, self._make_room, entrance.scheme)
+        metrics = None if self._monitor is None else self._monitor.page
+        admission = Admission(
+            settings.token, settings.allowed_hosts, self.health, metrics, self._drop_silent, entrance.scheme
+        )
         trouble = RateLimitedLog("a connection failed")
-        self._loop.set_exception_handler(lambda _, context: trouble.note(_told(context)))
+        self._loop.set_exception_handler(lambda _, context: trouble.log(_describe_failure(context)))
 
         def admit(request: WSUpgradeRequest) -> Any:
             return admission.refusal(request) or entrance.connection(self, settings.timing)
@@ -157,28 +161,28 @@ class FrontEnd:
                 websocket_handshake_timeout=settings.handshake_timeout,
                 max_frame_size=spec.LIMITS["frame_bytes"],
             )
-            for listening in self._door.bind(settings.host, entrance.port)
+            for listening in self._connection_limiter.bind(settings.host, entrance.port)
         ]
 
-    def _make_room(self) -> bool:
+    def _drop_silent(self) -> bool:
         """Tell whether one more connection is possible; the oldest that has said nothing makes room."""
-        if len(self._connections) < self._most:
+        if len(self._connections) < self._max_connections:
             return True
         silent = next((connection for connection in self._connections if connection.is_silent), None)
         if silent is None:
             return False
-        self._dropped.note()
+        self._dropped_log.log()
         del self._connections[silent]
-        silent.cut()
+        silent.abort()
         return True
 
     def ready(self) -> None:
         """Say that the models are loaded, and answer the hellos that waited for that."""
-        shared = all(worker.line.shared for worker in self.workers.values())
+        shared = all(worker.queue.shared for worker in self.workers.values())
         clients = spec.LIMITS["clients"] if shared else 1
-        self._places = SlotPool(len(self.workers), clients, self._settings.grace)
+        self._slot_pool = SlotPool(len(self.workers), clients, self._settings.grace)
         self.state = spec.ServerState.READY
-        waiting, self._waiting = self._waiting, []
+        waiting, self._waiting_hellos = self._waiting_hellos, []
         for connection, frame in waiting:
             if connection.is_open:
                 self._hello(connection, frame)
@@ -189,20 +193,20 @@ class FrontEnd:
             {
                 "process": worker.process.adapter_pid(),
                 "busy_s": round(worker.busy_for(), 3),
-                "waiting": len(worker.line),
+                "waiting": len(worker.queue),
                 "memory_bytes": worker.process.memory(),
             }
             for worker in self.workers.values()
         ]
         return {
-            "places": len(self._places),
-            "taken": self._places.taken(),
+            "places": len(self._slot_pool),
+            "taken": self._slot_pool.in_use(),
             "connections": len(self._connections),
             "workers": workers,
-            **self._state(),
+            **self._state_report(),
         }
 
-    def _state(self) -> Health:
+    def _state_report(self) -> Health:
         """Return what health, heartbeats and hello tell alike: the state, and how far loading is."""
         progress = {spec.Payload.PROGRESS: self.progress()} if self.state == spec.ServerState.LOADING else {}
         return {spec.Payload.STATE: self.state, **progress}
@@ -223,7 +227,7 @@ class FrontEnd:
             log(f"waiting up to {seconds:g} s for the requests that run; interrupt again to end now")
             await self._until(lambda: not self._is_busy(), seconds)
 
-    async def dismiss(self, code: int, reason: str) -> None:
+    async def close_connections(self, code: int, reason: str) -> None:
         """Close every connection and tell why."""
         for connection in list(self._connections):
             connection.close(code, reason)
@@ -242,50 +246,52 @@ class FrontEnd:
 
     # -- what connections tell -----------------------------------------------------------------------------------------
 
-    def connected(self, connection: Connection) -> None:
+    def connection_opened(self, connection: Connection) -> None:
         """Count a connection."""
         self._connections[connection] = None
-        self._door.note_upgrade(connection.descriptor)
+        self._connection_limiter.note_upgrade(connection.descriptor)
 
-    def holds(self, connection: Connection) -> None:
+    def memory_changed(self, connection: Connection) -> None:
         """Count the memory of a connection's messages."""
-        self._crowd.holds(connection)
+        self._memory_limiter.update(connection)
 
-    def disconnected(self, connection: Connection, *, clean: bool) -> None:
+    def connection_closed(self, connection: Connection, *, clean: bool) -> None:
         """Take the connection's place back, and the memory that it shared once nothing in the line uses it."""
         self._connections.pop(connection, None)
-        self._crowd.forget(connection)
+        self._memory_limiter.forget(connection)
         self._changed.set()
-        self._leave(connection, clean=clean)
-        place, number = connection.place, connection.segment_number
+        self._release_slot(connection, clean=clean)
+        place, number = connection.slot, connection.segment_number
         worker = None if place is None else self.workers.get(place.worker)
         if place is not None and number is not None and worker is not None:
             # What still waits for the worker may lie there.
-            worker.after(place, lambda: worker.errand({"op": "unmap", "segment": number}, lambda _: None))
+            worker.call_when_done(
+                place, lambda: worker.send_control({"op": "unmap", "segment": number}, lambda _: None)
+            )
 
-    def _leave(self, connection: Connection, *, clean: bool) -> None:
-        place = self._places.leave(connection, clean=clean)
+    def _release_slot(self, connection: Connection, *, clean: bool) -> None:
+        place = self._slot_pool.release(connection, clean=clean)
         if place is not None and place.worker in self.workers:
-            self.workers[place.worker].line.forget(place)
+            self.workers[place.worker].queue.forget(place)
 
-    def received(self, connection: Connection, data: bytes | memoryview) -> None:
+    def handle_message(self, connection: Connection, data: bytes | memoryview) -> None:
         """Answer a message, now or when a worker has."""
         try:
             frame = codec.decode(data)
         except codec.WireError as error:
-            self._refused.note(str(error))
+            self._malformed_log.log(str(error))
             if error.message_id is not None:
                 known = {spec.Frame.EVALUATION_ID: "", **error.identifiers}
                 refused = RequestError(spec.ErrorCode.INVALID_FRAME, str(error), spec.ErrorReason.UNREADABLE)
-                connection.send(refusal(codec.Frame(spec.Message.ERROR, **known), refused))
+                connection.send(encode_error(codec.Frame(spec.Message.ERROR, **known), refused))
             return
-        self.asked(connection, frame, len(data))
+        self.handle_request(connection, frame, len(data))
 
-    def asked(self, connection: Connection, frame: codec.Frame, size: int) -> None:
+    def handle_request(self, connection: Connection, frame: codec.Frame, size: int) -> None:
         """Answer a request of so many bytes, now or when a worker has."""
         kind = frame.message_type
         if kind == spec.Message.CLOSE:
-            self._leave(connection, clean=True)
+            self._release_slot(connection, clean=True)
             connection.close(1000)
             return
         connection.expect_answer(size)
@@ -299,32 +305,32 @@ class FrontEnd:
     # -- answers that need no worker -----------------------------------------------------------------------------------
 
     def _heartbeat(self, connection: Connection, frame: codec.Frame) -> None:
-        connection.answer(acknowledged(frame, {spec.Payload.OK: True, **self._state()}))
+        connection.answer(encode_answer(frame, {spec.Payload.OK: True, **self._state_report()}))
 
     def _hello(self, connection: Connection, frame: codec.Frame) -> None:
         """Greet a client, or say why not; one that does not know about loading is greeted once the models are there."""
         try:
             answer = self._greeting(connection, frame)
         except RequestError as error:
-            connection.answer(refusal(frame, error))
+            connection.answer(encode_error(frame, error))
         except Exception as error:  # noqa: BLE001 - one bad hello must cost nobody else anything
-            connection.answer(refusal(frame, fault(error)))
+            connection.answer(encode_error(frame, server_fault(error)))
         else:
             if answer is not None:
-                connection.answer(acknowledged(frame, answer))
+                connection.answer(encode_answer(frame, answer))
 
     def _greeting(self, connection: Connection, frame: codec.Frame) -> Payload | None:
         """Return the answer to hello: while the models load without a place, or None for who waits for them."""
         asked = capabilities(frame)
         answer = hello_answer(self._settings.policy, self.state, frame, guarded=self._settings.token is not None)
-        connection.packs = bool(asked.get(spec.Capability.PACKED))
-        connection.counts = bool(asked.get(spec.Capability.SEQUENCE))
+        connection.reads_packed = bool(asked.get(spec.Capability.PACKED))
+        connection.numbers_requests = bool(asked.get(spec.Capability.SEQUENCE))
         if self.state == spec.ServerState.LOADING:
             if not asked.get(spec.Capability.LOADING):
-                self._waiting.append((connection, frame))
+                self._waiting_hellos.append((connection, frame))
                 return None
-            return {**answer, spec.Payload.SERVER_INSTANCE_ID: self._instance, **self._state()}
-        place = self._place(connection, frame)
+            return {**answer, spec.Payload.SERVER_INSTANCE_ID: self._instance, **self._state_report()}
+        place = self._assign_slot(connection, frame)
         answer[spec.Payload.SERVER_INSTANCE_ID] = f"{self._instance}-{place.tenancy}"
         # Not with TLS: it says that the client is elsewhere, or that what it sends is to be seen by nobody.
         wanted = None if self._settings.tls is not None else asked.get(spec.Capability.SHARED_MEMORY)
@@ -336,13 +342,13 @@ class FrontEnd:
     def _request(self, connection: Connection, frame: codec.Frame, size: int) -> None:
         """Hand a request to the desk, if there is a place for it."""
         try:
-            place = self._place_for(connection, frame)
+            place = self._slot_for_request(connection, frame)
         except RequestError as error:
-            self._desk.refuse(connection, None, frame, None, error)
+            self._request_handler.refuse(connection, None, frame, None, error)
         else:
-            self._desk.take(connection, place, self.workers[place.worker], frame, size)
+            self._request_handler.handle(connection, place, self.workers[place.worker], frame, size)
 
-    def _place_for(self, connection: Connection, frame: codec.Frame) -> WorkerSlot:
+    def _slot_for_request(self, connection: Connection, frame: codec.Frame) -> WorkerSlot:
         """Return the place that a request is about.
 
         Raises:
@@ -352,7 +358,7 @@ class FrontEnd:
             raise _not_a_request(frame.message_type)
         if self.state == spec.ServerState.LOADING:
             raise RequestError(spec.ErrorCode.INTERNAL, "the model is still loading", spec.ErrorReason.LOADING)
-        place = self._place(connection, frame)
+        place = self._assign_slot(connection, frame)
         if self.state == spec.ServerState.DRAINING and place.replay.find(frame) is None:
             text = "the policy server is shutting down"
             raise RequestError(spec.ErrorCode.INTERNAL, text, spec.ErrorReason.SHUTTING_DOWN)
@@ -360,13 +366,15 @@ class FrontEnd:
 
     # -- places and workers --------------------------------------------------------------------------------------------
 
-    def _place(self, connection: Connection, frame: codec.Frame) -> WorkerSlot:
-        place = self._places.of(connection)
+    def _assign_slot(self, connection: Connection, frame: codec.Frame) -> WorkerSlot:
+        place = self._slot_pool.slot_of(connection)
         if place is not None:
             return place
         session = capabilities(frame).get(spec.Capability.SESSION) if frame.message_type == spec.Message.HELLO else None
-        place, lost = self._places.take(connection, frame.evaluation_id, session if isinstance(session, str) else None)
-        connection.place = place
+        place, lost = self._slot_pool.assign(
+            connection, frame.evaluation_id, session if isinstance(session, str) else None
+        )
+        connection.slot = place
         if isinstance(lost, Connection):
             lost.close(spec.CLOSE_CODES["replaced"], "the same client came back over another connection")
         return place
@@ -374,7 +382,7 @@ class FrontEnd:
     def _worker_failed(self, worker: ModelWorker, reason: str) -> None:
         """Go on with the others; the clients of this one are told, and no longer served."""
         self.workers.pop(worker.number, None)
-        for connection in self._places.close(worker.number):
+        for connection in self._slot_pool.remove_worker(worker.number):
             if isinstance(connection, Connection):
                 connection.close(spec.CLOSE_CODES["server_failed"], reason)
         if not self.workers or self.state == spec.ServerState.LOADING:
@@ -385,7 +393,7 @@ class FrontEnd:
         self._loop.create_task(worker.process.stop(grace=1.0))
 
 
-def _told(context: dict[str, Any]) -> str:
+def _describe_failure(context: dict[str, Any]) -> str:
     error = context.get("exception")
     return str(context.get("message")) + ("" if error is None else f" ({type(error).__name__}: {error})")
 

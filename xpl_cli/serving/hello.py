@@ -37,7 +37,7 @@ def capabilities(frame: codec.Frame) -> Announcement:
     if given is None:
         return {}
     if not isinstance(given, dict):
-        raise _invalid(spec.Payload.CAPABILITIES, f"must be a map, got {type(given).__name__}")
+        raise _invalid_hello(spec.Payload.CAPABILITIES, f"must be a map, got {type(given).__name__}")
     inside, entries = list(given.values()), 0
     while inside:
         value = inside.pop()
@@ -48,15 +48,15 @@ def capabilities(frame: codec.Frame) -> Announcement:
             inside.extend(value)
         elif type(value) not in _PLAIN:
             kind = type(value).__name__
-            raise _invalid(spec.Payload.CAPABILITIES, f"must hold text, numbers, lists, maps, got {kind}")
+            raise _invalid_hello(spec.Payload.CAPABILITIES, f"must hold text, numbers, lists, maps, got {kind}")
         elif isinstance(value, str | bytes) and len(value) > spec.LIMITS["identifier"]:
-            raise _invalid(spec.Payload.CAPABILITIES, f"may hold texts of {spec.LIMITS['identifier']} characters")
+            raise _invalid_hello(spec.Payload.CAPABILITIES, f"may hold texts of {spec.LIMITS['identifier']} characters")
         if entries + len(inside) > _ENTRIES:
-            raise _invalid(spec.Payload.CAPABILITIES, f"may have {_ENTRIES} entries")
+            raise _invalid_hello(spec.Payload.CAPABILITIES, f"may have {_ENTRIES} entries")
     return given
 
 
-def _invalid(part: str, problem: str, *differences: dict[str, Any]) -> RequestError:
+def _invalid_hello(part: str, problem: str, *differences: dict[str, Any]) -> RequestError:
     text = f"{part} of hello {problem}"
     return RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.MISMATCH, differences=list(differences))
 
@@ -78,7 +78,7 @@ def hello_answer(policy: Announcement, state: str, frame: codec.Frame, *, guarde
         offered = agreement.validate_announcement(frame.payload.get(spec.Payload.ENVIRONMENT))
     except agreement.AnnouncementError as error:
         told = {"field": error.field, "policy": None, "environment": None, "message": str(error)}
-        raise _invalid(spec.Payload.ENVIRONMENT, f"cannot be understood: {error}", told) from None
+        raise _invalid_hello(spec.Payload.ENVIRONMENT, f"cannot be understood: {error}", told) from None
     if offered.get(agreement.REAL_TIME) and not guarded:
         text = "the environment runs in real time, and this server asks for no token: start it with --token-file"
         difference = {"field": agreement.REAL_TIME, "policy": None, "environment": True, "message": text}
@@ -120,13 +120,13 @@ def share_memory(connection: Connection, worker: ModelWorker, asked: Any) -> Pay
     if not asked or not connection.is_local or not worker.shares_memory:
         return None
     if connection.segment is None:
-        return _offer(connection)
+        return _offer_segment(connection)
     if connection.segment_number is None and isinstance(asked, dict):
-        return _prove(connection, connection.segment, worker, asked.get("proof"))
+        return _verify_proof(connection, connection.segment, worker, asked.get("proof"))
     return None
 
 
-def _offer(connection: Connection) -> Payload | None:
+def _offer_segment(connection: Connection) -> Payload | None:
     try:
         connection.segment = Segment()
     except SegmentError as error:
@@ -135,7 +135,7 @@ def _offer(connection: Connection) -> Payload | None:
     return {"path": str(connection.segment.path), "size": connection.segment.size}
 
 
-def _prove(connection: Connection, segment: Segment, worker: ModelWorker, proof: Any) -> Payload | None:
+def _verify_proof(connection: Connection, segment: Segment, worker: ModelWorker, proof: Any) -> Payload | None:
     if proof != segment.token.hex():
         segment.close()
         return None
@@ -151,8 +151,8 @@ def _prove(connection: Connection, segment: Segment, worker: ModelWorker, proof:
             worker.shares_memory = False
             connection.close(_TRY_AGAIN, "the worker cannot share memory")
         elif not connection.is_open:
-            worker.errand({"op": "unmap", "segment": number}, lambda _: None)
+            worker.send_control({"op": "unmap", "segment": number}, lambda _: None)
 
     # An errand: done before anything that this client asks for, but not waited for, because the model may be at work.
-    worker.errand({"op": "map", "segment": number, "path": str(segment.path), "size": segment.size}, mapped)
+    worker.send_control({"op": "map", "segment": number, "path": str(segment.path), "size": segment.size}, mapped)
     return {"proof": shown}

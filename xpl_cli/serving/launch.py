@@ -46,9 +46,9 @@ class MissingRequirement:
     name: str
 
     @classmethod
-    def read(cls, told: object) -> Self | None:
+    def parse(cls, entry: object) -> Self | None:
         """Read what a worker said of it; None if it said nothing."""
-        return cls(str(told["kind"]), str(told["name"])) if isinstance(told, dict) and told else None
+        return cls(str(entry["kind"]), str(entry["name"])) if isinstance(entry, dict) and entry else None
 
 
 class ServerStartError(UserError):
@@ -90,7 +90,7 @@ class RunningServer:
     process: ForkedServer | None = None
 
     @property
-    def ended(self) -> int | None:
+    def exit_code(self) -> int | None:
         """Exit code, None as long as it runs."""
         return None if self.process is None else self.process.poll()
 
@@ -139,10 +139,10 @@ def running_server(  # noqa: PLR0913 - what `xpl serve` takes
         command += [option, value] if value is not None else []
     command += options
     with contextlib.ExitStack() as starting:
-        command += starting.enter_context(_told(token))
+        command += starting.enter_context(_token_options(token))
         process = fork_server.start(command)
         server = RunningServer(url="", pid=process.pid, process=process, token=token)
-        reader = threading.Thread(target=_collect, args=(process.stderr, server.log, echo), daemon=True)
+        reader = threading.Thread(target=_copy_log, args=(process.stderr, server.log, echo), daemon=True)
         reader.start()
         try:
             _wait_ready(server, process, load_timeout, reader)
@@ -159,7 +159,7 @@ def running_server(  # noqa: PLR0913 - what `xpl serve` takes
 
 
 @contextlib.contextmanager
-def _told(token: str | None) -> Iterator[tuple[str, ...]]:
+def _token_options(token: str | None) -> Iterator[tuple[str, ...]]:
     """Yield the options that tell a server its token: it lies in a file that nobody else may read."""
     if token is None:
         yield ()
@@ -180,16 +180,16 @@ def _wait_ready(server: RunningServer, process: ForkedServer, timeout: float, re
         if not selector.select(timeout):
             raise ServerStartError(f"the model was not ready within {timeout:g} s", list(server.log))
     line = process.stdout.readline()
-    told = json_text.parse(line) if line else {}
-    if "url" not in told:
+    message = json_text.parse(line) if line else {}
+    if "url" not in message:
         process.wait()
         reader.join()
         reason = server.last_error or "it printed nothing"
-        raise ServerStartError(reason, list(server.log), MissingRequirement.read(told.get("lacks")))
-    server.url, server.also = told["url"], dict(told.get("also", {}))
+        raise ServerStartError(reason, list(server.log), MissingRequirement.parse(message.get("lacks")))
+    server.url, server.also = message["url"], dict(message.get("also", {}))
 
 
-def _collect(stream: IO[bytes], log: collections.deque[str], echo: bool) -> None:  # noqa: FBT001 - private
+def _copy_log(stream: IO[bytes], log: collections.deque[str], echo: bool) -> None:  # noqa: FBT001 - private
     while raw := stream.readline(LINE_BYTES):
         text = raw.decode(errors="replace").rstrip("\n")
         log.append(text)

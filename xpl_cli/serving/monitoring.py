@@ -1,4 +1,4 @@
-"""What operators may watch: metrics for Prometheus and a trace of every request. Both are off unless asked for."""
+"""Monitoring: metrics for Prometheus and a trace of every request. Both are off by default."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ if TYPE_CHECKING:
     from xpl_cli.serving.workers.job_queue import RequestJob
 
 Health = dict[str, Any]
-"""What `/healthz` says: the state, places, connections and workers (docs/serving.md)."""
+"""Answer of `/healthz`: the state, slots, connections and workers (docs/serving.md)."""
 
 _METHODS = frozenset((*spec.CONTRACT_METHODS, *spec.HOOKS, spec.Method.INFER))
 _OTHER = "other"
-"""What a client made up is counted under this name: each label is kept for as long as the server lives."""
+"""Label for names that a client made up: each label stays in memory for as long as the server runs."""
 _SECONDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0)
 
 
 class RequestMonitor:
-    """Is told about every request.
+    """Counts, times and traces requests.
 
     Args:
         metrics: count and time requests.
-        trace: where each request is written as one line of JSON, or None.
+        trace: file that gets one JSON line per request, or None.
 
     Attributes:
-        page: returns the metrics in Prometheus' text format; None if they are off.
+        page: returns the metrics in Prometheus' text format; None if metrics are off.
     """
 
     def __init__(self, *, metrics: bool, trace: IO[str] | None) -> None:
@@ -40,23 +40,23 @@ class RequestMonitor:
         self._trace = trace
         self.page: Callable[[], bytes] | None = None if self._metrics is None else self._metrics.page
 
-    def watch(self, health: Callable[[], Health]) -> None:
-        """Have the metrics show the server's state."""
+    def export_health(self, health: Callable[[], Health]) -> None:
+        """Export the server's state as metrics."""
         if self._metrics is not None:
-            self._metrics.watch(health)
+            self._metrics.export_health(health)
 
-    def answered(self, job: RequestJob, finished: float, size: int, outcome: str) -> None:
-        """Take note of a request that a worker answered.
+    def record_answer(self, job: RequestJob, finished: float, size: int, outcome: str) -> None:
+        """Record a request that a worker answered.
 
         Args:
             job: the request.
-            finished: when the worker had answered, s on the monotonic clock.
+            finished: when the worker answered, s on the monotonic clock.
             size: bytes of the answer.
             outcome: `ok` or the error code.
         """
         sent = time.monotonic()
         if self._metrics is not None:
-            self._metrics.answered(job, finished, size, outcome)
+            self._metrics.record_answer(job, finished, size, outcome)
         if self._trace is not None:
             frame = job.frame
             started = job.started or finished
@@ -67,8 +67,8 @@ class RequestMonitor:
                 spec.Frame.EVALUATION_ID: frame.evaluation_id,
                 spec.Frame.TRIAL_ID: frame.trial_id,
                 spec.Frame.STEP: frame.step,
-                "worker": job.place.worker,
-                "client": job.place.client,
+                "worker": job.slot.worker,
+                "client": job.slot.client,
                 "outcome": outcome,
                 "bytes_in": job.size,
                 "bytes_out": size,
@@ -81,10 +81,10 @@ class RequestMonitor:
             }
             self._write(line)
 
-    def refused(self, frame: codec.Frame, code: str) -> None:
-        """Take note of a request that no worker was asked."""
+    def record_refusal(self, frame: codec.Frame, code: str) -> None:
+        """Record a request that the server refused without asking a worker."""
         if self._metrics is not None:
-            self._metrics.refused(frame.message_type, code)
+            self._metrics.record_refusal(frame.message_type, code)
         if self._trace is not None:
             line = {
                 spec.Frame.MESSAGE_ID: frame.message_id,
@@ -94,13 +94,13 @@ class RequestMonitor:
             self._write(line)
 
     def _write(self, line: Mapping[str, object]) -> None:
-        """Write a line of the trace; a disk that is full ends the trace, and nothing else."""
+        """Write a line of the trace; an error, such as a full disk, ends the trace only."""
         try:
             if self._trace is not None:
                 self._trace.write(json.dumps(line) + "\n")
                 self._trace.flush()
         except (OSError, ValueError) as error:
-            log(f"the trace ends here, because it cannot be written: {error}")
+            log(f"the trace ends here: it cannot be written: {error}")
             self._trace = None
 
 
@@ -113,7 +113,7 @@ class _PrometheusMetrics:
         self._requests = Counter(
             "xpl_requests", "requests by method and outcome", ["method", "outcome"], registry=registry
         )
-        self._wait = Histogram("xpl_wait_seconds", "time in the line", ["method"], registry=registry, buckets=_SECONDS)
+        self._wait = Histogram("xpl_wait_seconds", "time in the queue", ["method"], registry=registry, buckets=_SECONDS)
         self._model = Histogram(
             "xpl_model_seconds", "time at the worker", ["method"], registry=registry, buckets=_SECONDS
         )
@@ -136,7 +136,7 @@ class _PrometheusMetrics:
 
         return generate_latest(self._registry)
 
-    def watch(self, health: Callable[[], Health]) -> None:
+    def export_health(self, health: Callable[[], Health]) -> None:
         def over(key: str, of: Callable[[list[float]], float]) -> float:
             return of([float(worker[key]) for worker in health()["workers"]] or [0.0])
 
@@ -152,7 +152,7 @@ class _PrometheusMetrics:
         for name, source in sources.items():
             self._states[name].set_function(source)
 
-    def answered(self, job: RequestJob, finished: float, size: int, outcome: str) -> None:
+    def record_answer(self, job: RequestJob, finished: float, size: int, outcome: str) -> None:
         made_up = outcome == spec.ErrorCode.INVALID_FRAME and job.method not in _METHODS
         method = _OTHER if made_up else job.method
         self._requests.labels(method, outcome).inc()
@@ -162,7 +162,7 @@ class _PrometheusMetrics:
         self._bytes.labels("in").inc(job.size)
         self._bytes.labels("out").inc(size)
 
-    def refused(self, kind: str, code: str) -> None:
+    def record_refusal(self, kind: str, code: str) -> None:
         self._requests.labels(kind if kind in spec.ANSWERS else _OTHER, code).inc()
 
 

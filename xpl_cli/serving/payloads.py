@@ -1,4 +1,4 @@
-"""Payloads of clients that do not pack: made into what a worker reads."""
+"""Convert the payloads of clients that do not pack them into the form that a worker reads."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 
 def has_images(payload: Payload) -> bool:
-    """Tell whether an observation in a payload has encoded images: an adapter never decodes."""
+    """Tell whether an observation in a payload has encoded images, which the server decodes for the adapter."""
     return any(images.has_encoded(payload.get(name)) for name in (spec.Payload.OBSERVATION, spec.Payload.OBS))
 
 
-def without_images(payload: Payload) -> Payload:
+def decode_images(payload: Payload) -> Payload:
     """Return a payload with its encoded images decoded. Slow: runs in a thread.
 
     Raises:
         RequestError: `invalid_frame` if one is damaged.
     """
     try:
-        return {name: _decoded(value) for name, value in payload.items()}
+        return {name: _decode_images(value) for name, value in payload.items()}
     except ObservationError as error:
         raise RequestError(spec.ErrorCode.INVALID_FRAME, str(error)) from None
 
@@ -35,9 +35,9 @@ def pack(payload: Payload) -> bytes:
     """Return a payload in the form that a worker reads.
 
     Raises:
-        RequestError: `invalid_frame` if it holds what cannot travel.
+        RequestError: `invalid_frame` if it holds a value that cannot be serialised.
     """
-    # The number is between client and front end: the hooks of an adapter get all other entries.
+    # The sequence number concerns client and front end only; the adapter's hooks get all other entries.
     entries = {name: value for name, value in payload.items() if name != spec.Payload.SEQUENCE}
     try:
         return b"".join(packed.encode(entries))
@@ -45,7 +45,7 @@ def pack(payload: Payload) -> bytes:
         raise RequestError(spec.ErrorCode.INVALID_FRAME, str(error)) from None
 
 
-def _decoded(value: Any) -> Any:
+def _decode_images(value: Any) -> Any:
     return (
         [images.decode_observation(item) for item in value]
         if isinstance(value, list)

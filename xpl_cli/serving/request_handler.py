@@ -1,4 +1,4 @@
-"""What becomes of a request: it joins a worker's line, gets the answer that was given before, or is refused."""
+"""Request handling: a request joins a worker's queue, gets its cached answer, or is refused."""
 
 from __future__ import annotations
 
@@ -28,65 +28,65 @@ if TYPE_CHECKING:
 
 _BEFORE_AN_EPISODE = frozenset((spec.Method.RESET, *spec.HOOKS))
 _TIMED = frozenset((spec.Message.INFER, spec.Message.CALL))
-_NOTHING = pack({})
-_ERRORS = 100
-"""Exceptions of the adapter, of which each is in the log, in a minute: a client can have it raise again and again."""
-_AT_ONCE = 1 << 15
-"""Bytes of an answer that is unpacked at once, for a client that does not unpack itself; a thread does larger ones."""
+_EMPTY_PAYLOAD = pack({})
+_MAX_ERRORS_PER_MINUTE = 100
+"""Log at most so many exceptions of the adapter per minute; a client can make it raise again and again."""
+_MAX_INLINE_BYTES = 1 << 15
+"""Larger answers are unpacked in a thread, for clients that do not read packed answers."""
 
 
 class RequestHandler:
-    """Takes requests in and gives answers out.
+    """Submits requests to workers and sends the answers.
 
     Args:
         debug: show tracebacks to clients.
-        observer: told about every request, or None.
-        on_change: told whenever an answer was given.
-        renew: build the model anew for every client, not only reset it.
+        monitor: records every request; None without metrics and trace.
+        on_change: called after every answer.
+        renew: load the model again for every client, instead of only resetting it.
     """
 
     def __init__(
-        self, *, debug: bool, observer: RequestMonitor | None, on_change: Callable[[], None], renew: bool = False
+        self, *, debug: bool, monitor: RequestMonitor | None, on_change: Callable[[], None], renew: bool = False
     ) -> None:
         self._debug = debug
         self._renew = renew
-        self._observer = observer
+        self._monitor = monitor
         self._on_change = on_change
         self._decoder = ImageDecoder()
-        self._errors = RateLimitedLog("the adapter raised", most=_ERRORS)
+        self._errors = RateLimitedLog("the adapter raised", max_per_minute=_MAX_ERRORS_PER_MINUTE)
 
     # -- in ------------------------------------------------------------------------------------------------------------
 
-    def take(
-        self, connection: Connection, place: WorkerSlot, worker: ModelWorker, frame: codec.Frame, size: int
+    def handle(
+        self, connection: Connection, slot: WorkerSlot, worker: ModelWorker, frame: codec.Frame, size: int
     ) -> None:
-        """Decide at once what becomes of a request, so that requests run in the order in which they came.
+        """Submit a request, answer it from the cache, or refuse it; requests of a client run in their order.
 
         Args:
-            connection: who asks.
-            place: where it sits.
-            worker: who serves that place.
+            connection: the client's connection.
+            slot: the client's slot.
+            worker: the worker of that slot.
             frame: the request.
-            size: its bytes.
+            size: bytes of the request.
         """
         entry: ReplayEntry | None = None
         try:
-            entry = place.replay.find(frame)
+            entry = slot.replay.find(frame)
             if entry is None:
-                if connection.counts:
-                    _count(place, frame)
-                entry = place.replay.begin(frame)
+                if connection.numbers_requests:
+                    _check_sequence(slot, frame)
+                entry = slot.replay.begin(frame)
                 entry.waiting.append(connection.answer)
-                self._begin(
+                self._submit(
                     worker,
                     RequestJob(
                         frame,
                         method_of(frame),
-                        place,
+                        slot,
                         payload=packed_payload(frame),
                         segment=connection.segment_number,
                         entry=entry,
-                        packs=connection.packs,
+                        packs=connection.reads_packed,
                         size=size,
                         received=time.monotonic(),
                     ),
@@ -96,163 +96,167 @@ class RequestHandler:
             else:
                 connection.answer(entry.answer)
         except RequestError as error:
-            self.refuse(connection, place, frame, entry, error)
-        except Exception as error:  # noqa: BLE001 - a fault of ours must not leave the client waiting
-            self.refuse(connection, place, frame, entry, fault(error))
+            self.refuse(connection, slot, frame, entry, error)
+        except Exception as error:  # noqa: BLE001 - a fault of the server must not leave the client waiting
+            self.refuse(connection, slot, frame, entry, server_fault(error))
 
     def refuse(
         self,
         connection: Connection,
-        place: WorkerSlot | None,
+        slot: WorkerSlot | None,
         frame: codec.Frame,
         entry: ReplayEntry | None,
         error: RequestError,
     ) -> None:
-        """Answer a request that no worker was asked."""
-        data = refusal(frame, error)
-        if self._observer is not None:
-            self._observer.refused(frame, error.code)
-        if entry is not None and entry.answer is None and place is not None:
-            place.replay.finish(frame.message_id, entry, data)
+        """Answer a request with an error, without asking a worker."""
+        data = encode_error(frame, error)
+        if self._monitor is not None:
+            self._monitor.record_refusal(frame, error.code)
+        if entry is not None and entry.answer is None and slot is not None:
+            slot.replay.finish(frame.message_id, entry, data)
         else:
             connection.answer(data)
 
-    def _begin(self, worker: ModelWorker, job: RequestJob) -> None:
-        place, frame = job.place, job.frame
-        if job.method not in _BEFORE_AN_EPISODE and not place.begun and frame.step > 0:
+    def _submit(self, worker: ModelWorker, job: RequestJob) -> None:
+        slot, frame = job.slot, job.frame
+        if job.method not in _BEFORE_AN_EPISODE and not slot.begun and frame.step > 0:
             raise RequestError(
                 failure_code(frame),
                 f"{job.method} at step {frame.step}, but this server has seen no reset of this client: the episode's "
                 "state is elsewhere; reset and begin anew",
                 spec.ErrorReason.NO_EPISODE,
             )
-        if place.stale and self._renew:
-            worker.renew()
-        elif place.stale and job.method != spec.Method.RESET:
-            # The client that had this place before left its episode there.
-            worker.submit(RequestJob(codec.Frame(spec.Message.RESET, ""), spec.Method.RESET, place, payload=_NOTHING))
-        place.stale = False
-        place.begun = place.begun or job.method not in spec.HOOKS
+        if slot.stale and self._renew:
+            worker.rebuild_model()
+        elif slot.stale and job.method != spec.Method.RESET:
+            # The client that had this slot before left its episode's state there.
+            worker.submit(
+                RequestJob(codec.Frame(spec.Message.RESET, ""), spec.Method.RESET, slot, payload=_EMPTY_PAYLOAD)
+            )
+        slot.stale = False
+        slot.begun = slot.begun or job.method not in spec.HOOKS
         if job.payload is None and has_images(frame.payload):
-            worker.submit(job)  # holds its place in the line while the images are decoded
-            self._decoder.decode(job, lambda done: self._decoded(worker, job, done))
+            worker.submit(job)  # keeps its position in the queue while the images are decoded
+            self._decoder.decode(job, lambda done: self._submit_decoded(worker, job, done))
             return
         if job.payload is None:
-            job.takes(pack(frame.payload))
+            job.set_payload(pack(frame.payload))
         worker.submit(job)
 
-    def _decoded(self, worker: ModelWorker, job: RequestJob, done: asyncio.Future[Payload]) -> None:
-        """Go on with a request whose images were decoded, or refuse one whose images are damaged."""
+    def _submit_decoded(self, worker: ModelWorker, job: RequestJob, done: asyncio.Future[Payload]) -> None:
+        """Submit a request whose images were decoded, or refuse it if they are damaged."""
         try:
-            job.takes(pack(done.result()))
+            job.set_payload(pack(done.result()))
         except RequestError as error:
-            worker.line.remove(job)
-            self.refused(job, error)
-        except Exception as error:  # noqa: BLE001 - a fault of ours must not leave the client waiting
-            worker.line.remove(job)
-            self.refused(job, fault(error))
-        worker.pump()
+            worker.queue.remove(job)
+            self.job_refused(job, error)
+        except Exception as error:  # noqa: BLE001 - a fault of the server must not leave the client waiting
+            worker.queue.remove(job)
+            self.job_refused(job, server_fault(error))
+        worker.send_next()
 
-    # -- out: what a worker tells --------------------------------------------------------------------------------------
+    # -- out: answers of a worker --------------------------------------------------------------------------------------
 
-    def answered(self, job: RequestJob, result: memoryview) -> None:
-        """Send what the worker answered."""
+    def job_answered(self, job: RequestJob, result: memoryview) -> None:
+        """Send the worker's answer to a request."""
         finished = time.monotonic()
-        if len(result) > _AT_ONCE and not _passes(job, result):
-            making = asyncio.get_running_loop().run_in_executor(None, _encoded, job, result, finished)
-            making.add_done_callback(lambda done: self._made(job, done.result, finished))
+        if len(result) > _MAX_INLINE_BYTES and not _can_pass_on(job, result):
+            making = asyncio.get_running_loop().run_in_executor(None, _encode_result, job, result, finished)
+            making.add_done_callback(lambda done: self._send_encoded(job, done.result, finished))
         else:
-            self._made(job, lambda: _encoded(job, result, finished), finished)
+            self._send_encoded(job, lambda: _encode_result(job, result, finished), finished)
 
-    def _made(self, job: RequestJob, answer: Callable[[], bytes], finished: float) -> None:
+    def _send_encoded(self, job: RequestJob, answer: Callable[[], bytes], finished: float) -> None:
         try:
             data = answer()
         except (codec.WireError, packed.PackingError) as error:
-            self.refused(job, RequestError(spec.ErrorCode.INTERNAL, str(error)))
-        except Exception as error:  # noqa: BLE001 - a fault of ours must not leave the client waiting
-            self.refused(job, fault(error))
+            self.job_refused(job, RequestError(spec.ErrorCode.INTERNAL, str(error)))
+        except Exception as error:  # noqa: BLE001 - a fault of the server must not leave the client waiting
+            self.job_refused(job, server_fault(error))
         else:
             self._finish(job, data, "ok", finished)
 
-    def raised(self, job: RequestJob, error: AdapterException) -> None:
-        """Send what the adapter raised: one sentence, and the traceback only to the log."""
-        # What the machine lacks, or what stands in for the model: no fault of the adapter.
+    def job_raised(self, job: RequestJob, error: AdapterException) -> None:
+        """Send an exception of the adapter as one sentence; the traceback goes to the log only."""
+        # What the machine lacks, or the shadow model cannot do: no fault of the adapter.
         lacks: Payload = {"lacks": error.lacks} if error.lacks else {}
         if error.unserialisable:
-            self._errors.note(error.message)
+            self._errors.log(error.message)
             refused = RequestError(spec.ErrorCode.INTERNAL, f"the result cannot be sent: {error.message}", **lacks)
         elif error.refused:
             refused = RequestError(spec.ErrorCode.INVALID_FRAME, error.message)
         else:
-            self._errors.note(error.kind, error.traceback)
-            shown = error.traceback if self._debug else f"{error.kind}: {error.message}"
-            refused = RequestError(failure_code(job.frame), shown, **lacks)
-        self.refused(job, refused)
+            self._errors.log(error.kind, error.traceback)
+            text = error.traceback if self._debug else f"{error.kind}: {error.message}"
+            refused = RequestError(failure_code(job.frame), text, **lacks)
+        self.job_refused(job, refused)
 
-    def refused(self, job: RequestJob, error: RequestError) -> None:
-        """Send why a request was not done."""
+    def job_refused(self, job: RequestJob, error: RequestError) -> None:
+        """Send why a request did not run."""
         if job.entry is None:
             log(f"reset for a new client failed: {error}")
-        self._finish(job, refusal(job.frame, error), error.code, time.monotonic())
+        self._finish(job, encode_error(job.frame, error), error.code, time.monotonic())
 
-    def failed(self, job: RequestJob, error: Exception) -> None:
-        """Send that the answer to a request could not be given, unless one was."""
-        problem = fault(error)
+    def job_failed(self, job: RequestJob, error: Exception) -> None:
+        """Send a server fault for a request that has no answer yet."""
+        problem = server_fault(error)
         self._decoder.release(job)
         if job.entry is not None and job.entry.answer is None:
-            job.place.replay.finish(job.frame.message_id, job.entry, refusal(job.frame, problem))
+            job.slot.replay.finish(job.frame.message_id, job.entry, encode_error(job.frame, problem))
 
     def _finish(self, job: RequestJob, data: bytes, outcome: str, finished: float) -> None:
         self._decoder.release(job)
         if job.entry is None:
             return
-        job.place.replay.finish(job.frame.message_id, job.entry, data)
+        job.slot.replay.finish(job.frame.message_id, job.entry, data)
         self._on_change()
-        if self._observer is not None:
-            self._observer.answered(job, finished, len(data), outcome)
+        if self._monitor is not None:
+            self._monitor.record_answer(job, finished, len(data), outcome)
 
 
-def _passes(job: RequestJob, result: memoryview) -> bool:
-    """Tell whether an answer is passed on as the worker packed it; what is no packed value is not."""
+def _can_pass_on(job: RequestJob, result: memoryview) -> bool:
+    """Tell whether an answer can be passed on as the worker packed it."""
     with contextlib.suppress(packed.PackingError):
         return job.packs and packed.lengths(result)[0] <= spec.LIMITS["packed_header"]
     return False
 
 
-def acknowledged(frame: codec.Frame, payload: Payload) -> bytes:
+def encode_answer(frame: codec.Frame, payload: Payload) -> bytes:
     """Return the frame that answers a request."""
     return codec.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload))
 
 
-def refusal(frame: codec.Frame, error: RequestError) -> bytes:
-    """Return the error frame that answers a request; there is always one."""
+def encode_error(frame: codec.Frame, error: RequestError) -> bytes:
+    """Return the error frame that answers a request."""
     return codec.encode(frame.answer(spec.Message.ERROR, error.payload()))
 
 
-def fault(error: Exception) -> RequestError:
+def server_fault(error: Exception) -> RequestError:
     """Return the error answer for a fault of the server itself."""
-    told = telling.describe(error)
-    log_lines(told["traceback"])
-    return RequestError(spec.ErrorCode.INTERNAL, f"fault of the server: {told['type']}: {told['message']}")
+    description = telling.describe(error)
+    log_lines(description["traceback"])
+    return RequestError(
+        spec.ErrorCode.INTERNAL, f"fault of the server: {description['type']}: {description['message']}"
+    )
 
 
-def _encoded(job: RequestJob, result: memoryview, finished: float) -> bytes:
+def _encode_result(job: RequestJob, result: memoryview, finished: float) -> bytes:
     frame = job.frame
     payload: Payload = {} if frame.message_type == spec.Message.INFER else {spec.Payload.OK: True}
     if frame.message_type in _TIMED:
         payload[spec.Payload.LATENCY_MS] = 1000.0 * (finished - job.arrived)
-    if _passes(job, result):
+    if _can_pass_on(job, result):
         return codec.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload), [result])
-    return acknowledged(frame, {**payload, **packed.decode(result)})
+    return encode_answer(frame, {**payload, **packed.decode(result)})
 
 
-def _count(place: WorkerSlot, frame: codec.Frame) -> None:
-    """Check that no request is missing, or came a second time under another id."""
+def _check_sequence(slot: WorkerSlot, frame: codec.Frame) -> None:
+    """Check that no request is missing or was sent twice under different ids."""
     number = frame.payload.get(spec.Payload.SEQUENCE)
-    if type(number) is not int or number != place.sequence:
+    if type(number) is not int or number != slot.sequence:
         raise RequestError(
             spec.ErrorCode.INTERNAL,
-            f"expected request {place.sequence}, got {number!r:.40}: one is missing, or came under two ids",
+            f"expected request {slot.sequence}, got {number!r:.40}: one is missing, or came under two ids",
             spec.ErrorReason.OUT_OF_ORDER,
         )
-    place.sequence += 1
+    slot.sequence += 1

@@ -1,4 +1,4 @@
-"""What the front end decides about a frame, free of I/O: what it asks for, and whether that was answered before."""
+"""Requests without I/O: the method that a frame calls, its error answer, and the cache of answers for repeats."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class RequestError(Exception):
     Args:
         code: one of the wire's error codes.
         message: one sentence.
-        reason: a finer word than the code.
-        details: what else a client may want to know.
+        reason: a subtype of the code.
+        details: further entries for the client.
     """
 
     def __init__(self, code: str, message: str, reason: str | None = None, **details: Any) -> None:
@@ -54,10 +54,10 @@ _PRIVATE = frozenset((spec.Method.INFER, spec.Method.RESET_ENVS))
 
 
 def method_of(frame: codec.Frame) -> str:
-    """Return the method that a reset, infer, call, prepare_case or trial_end frame is about.
+    """Return the method that a reset, infer, call, prepare_case or trial_end frame calls.
 
     Raises:
-        RequestError: `invalid_frame` if it names none that may be called.
+        RequestError: `invalid_frame` if it names no public method.
     """
     known = _METHODS.get(frame.message_type)
     if known is not None:
@@ -79,10 +79,10 @@ def failure_code(frame: codec.Frame) -> str:
 
 
 def packed_payload(frame: codec.Frame) -> bytes | None:
-    """Return the packed entries of a request, or None if it has none; they are read in the worker.
+    """Return the packed entries of a request, or None if it has none; the worker decodes them.
 
     Raises:
-        RequestError: `invalid_frame` if they are none, or their header is over the limit.
+        RequestError: `invalid_frame` if they are damaged, or their header is over the limit.
     """
     data = frame.payload.get(spec.Payload.PACKED)
     if data is None:
@@ -102,15 +102,15 @@ def packed_payload(frame: codec.Frame) -> bytes | None:
 
 @dataclass
 class ReplayEntry:
-    """A request that was begun.
+    """A request that runs or was answered.
 
     Attributes:
         kind: its message type.
-        answer: the bytes of its answer, once there are some.
-        waiting: who is told when there are.
+        answer: the bytes of its answer; None while it runs.
+        waiting: callbacks that get the answer.
     """
 
-    kind: str
+    message_type: str
     answer: bytes | None = None
     waiting: list[Callable[[bytes], None]] = field(default_factory=list)
 
@@ -132,33 +132,33 @@ class ReplayCache:
             RequestError: `invalid_frame` if the id was used for another type of request.
         """
         known = self._entries.get(frame.message_id)
-        if known is not None and known.kind != frame.message_type:
-            text = f"message id {frame.message_id} was used for {known.kind} before and for {frame.message_type} now"
+        if known is not None and known.message_type != frame.message_type:
+            text = f"message id {frame.message_id} was used for {known.message_type} and for {frame.message_type}"
             raise RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.DUPLICATE_ID)
         return known
 
     def begin(self, frame: codec.Frame) -> ReplayEntry:
-        """Remember a request that runs now."""
+        """Add a request that starts now."""
         entry = self._entries[frame.message_id] = ReplayEntry(frame.message_type)
         return entry
 
     def finish(self, message_id: str, entry: ReplayEntry, answer: bytes) -> None:
-        """Keep an answer within the limits, and tell who waits for it."""
+        """Store an answer within the limits, and pass it to the waiting callbacks."""
         entry.answer = answer
-        if self._entries.get(message_id) is entry:  # not forgotten in the meantime
+        if self._entries.get(message_id) is entry:  # not evicted in the meantime
             self.size += len(answer)
             self._shrink(entry)
         waiting, entry.waiting = entry.waiting, []
         for tell in waiting:
             tell(answer)
 
-    def forget(self) -> None:
-        """Forget all answers: ids are unique for one client only, and some clients merely count."""
+    def clear(self) -> None:
+        """Remove all answers: message ids are unique within one client only, and some clients merely count."""
         self._entries.clear()
         self.size = 0
 
     def _shrink(self, newest: ReplayEntry) -> None:
-        """Forget the oldest answers beyond the limits, but neither the newest nor what still runs."""
+        """Evict the oldest answers beyond the limits, but neither the newest nor requests that still run."""
         while self._is_full():
             finished = (
                 name for name, entry in self._entries.items() if entry.answer is not None and entry is not newest

@@ -113,15 +113,17 @@ def run_server(package: Package, overrides: Config, options: ServeOptions) -> No
     config = package.config(overrides)
     package.require_declared(config)
     settings = _settings(package, config, options)
-    others = extra_endpoints(options.also, config, package.manifest, settings.policy)
+    endpoints = extra_endpoints(options.also, config, package.manifest, settings.policy)
     try:
         python = interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=options.env)
     except UserError as error:
-        _failed(package, str(error), {"kind": "environment", "name": "; ".join(filter(None, (str(error), error.hint)))})
+        _announce_failure(
+            package, str(error), {"kind": "environment", "name": "; ".join(filter(None, (str(error), error.hint)))}
+        )
         raise
-    with _trace(options.trace) as trace, options.bounds.around(package.path) as isolation:
+    with _open_trace(options.trace) as trace, options.bounds.isolate_adapter(package.path) as isolation:
         observer = RequestMonitor(metrics=options.metrics, trace=trace) if options.metrics or trace else None
-        run = _ServerRun(package, config, settings, options, python, observer, isolation, others)
+        run = _ServerRun(package, config, settings, options, python, observer, isolation, endpoints)
         reason = asyncio.run(_serve(run))
     if reason is not None:
         raise UserError(f"{package.name}: {reason}", code=ExitCode.NOT_RUN)
@@ -155,7 +157,7 @@ def _settings(package: Package, config: Config, options: ServeOptions) -> FrontE
             **agreement.policy_announcement(package.manifest, config),
             **({"shadow": True} if options.shadow else {}),
         },
-        names=AllowedHosts(host, options.allow_hosts, options.allow_origins),
+        allowed_hosts=AllowedHosts(host, options.allow_hosts, options.allow_origins),
         token=token,
         tls=server_tls_context(options.tls_cert, options.tls_key),
         debug=options.debug,
@@ -164,7 +166,7 @@ def _settings(package: Package, config: Config, options: ServeOptions) -> FrontE
 
 
 @contextlib.contextmanager
-def _trace(path: Path | None) -> Iterator[IO[str] | None]:
+def _open_trace(path: Path | None) -> Iterator[IO[str] | None]:
     if path is None:
         yield None
         return
@@ -183,16 +185,16 @@ class _ShutdownSignals:
     """Whether someone wants the server to end: the first time in order, the second time at once."""
 
     def __init__(self) -> None:
-        self.asked = asyncio.Event()
-        self.insisted = asyncio.Event()
+        self.requested = asyncio.Event()
+        self.forced = asyncio.Event()
 
-    def ask(self) -> None:
-        (self.insisted if self.asked.is_set() else self.asked).set()
+    def request(self) -> None:
+        (self.forced if self.requested.is_set() else self.requested).set()
 
     def listen(self, *, until_stdin_ends: bool) -> None:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, self.ask)
+            loop.add_signal_handler(number, self.request)
         if until_stdin_ends:
             try:
                 loop.add_reader(sys.stdin.fileno(), self._read_stdin)
@@ -205,8 +207,8 @@ class _ShutdownSignals:
     def _read_stdin(self) -> None:
         """End when whoever started this server is gone: the last holder of the other end of standard input."""
         if not os.read(sys.stdin.fileno(), 1024):
-            self.asked.set()
-            self.insisted.set()
+            self.requested.set()
+            self.forced.set()
             asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
 
 
@@ -217,9 +219,9 @@ class _ServerRun:
     settings: FrontEndSettings
     options: ServeOptions
     python: str
-    observer: RequestMonitor | None
+    monitor: RequestMonitor | None
     isolation: Isolation | None
-    entrances: Mapping[str, Endpoint]
+    endpoints: Mapping[str, Endpoint]
 
 
 async def _serve(run: _ServerRun) -> str | None:
@@ -233,17 +235,17 @@ async def _serve(run: _ServerRun) -> str | None:
     try:
         for number in range(run.options.workers):
             workers.append(await _start(run, number))  # noqa: PERF401 - those before one that fails are ended
-        front_end = FrontEnd(workers, run.settings, run.observer)
+        front_end = FrontEnd(workers, run.settings, run.monitor)
         for worker in front_end.workers.values():
             # What clients share with it lies where an isolated worker sees nothing of the machine.
             worker.shares_memory = run.isolation is None or run.isolation.folder is None
             if run.options.patience is not None:
-                worker.process.until_it_ends(hang_watch.hold(worker, run.options.patience))
-        if run.observer is not None:
-            run.observer.watch(front_end.health)
+                worker.process.add_watch(hang_watch.watch_worker(worker, run.options.patience))
+        if run.monitor is not None:
+            run.monitor.export_health(front_end.health)
         with contextlib.ExitStack() as listening:
             servers: dict[str, list[asyncio.Server]] = {}
-            for name, entrance in {_MAIN: None, **run.entrances}.items():
+            for name, entrance in {_MAIN: None, **run.endpoints}.items():
                 try:
                     servers[name] = await front_end.listen(entrance)
                 except OSError as error:
@@ -253,7 +255,7 @@ async def _serve(run: _ServerRun) -> str | None:
             return await _until_ended(run, front_end, servers, ending)
     finally:
         await asyncio.gather(*(process.stop(grace=1.0) for process in workers))
-        for stray in processes.end_descendants(before):
+        for stray in processes.kill_descendants(before):
             if run.isolation is None:  # where processes are kept apart, the system ends them
                 log(f"ended process {stray.pid} ({stray.name}), which had left the adapter's process group")
 
@@ -268,25 +270,25 @@ async def _start(run: _ServerRun, number: int) -> WorkerProcess:
         isolation=run.isolation,
     )
     if options.memory_limit is not None:
-        process.until_it_ends(options.memory_limit.hold(process))
+        process.add_watch(options.memory_limit.enforce(process))
     return process
 
 
 async def _until_ended(
     run: _ServerRun, front_end: FrontEnd, servers: Mapping[str, list[asyncio.Server]], ending: _ShutdownSignals
 ) -> str | None:
-    asked = asyncio.create_task(ending.asked.wait())
+    asked = asyncio.create_task(ending.requested.wait())
     loading = asyncio.create_task(_load(run, front_end))
-    await _first(loading, asked)
+    await _wait_first(loading, asked)
     if asked.done():
         loading.cancel()
         await asyncio.wait({loading})
-        await _dismiss(front_end, ending, _GOING_AWAY, "the policy server was stopped")
+        await _close_connections(front_end, ending, _GOING_AWAY, "the policy server was stopped")
         return None
     problem = loading.result()
     if problem is not None:
-        _failed(run.package, str(problem), problem.lacks)
-        await _dismiss(front_end, ending, spec.CLOSE_CODES["server_failed"], str(problem))
+        _announce_failure(run.package, str(problem), problem.lacks)
+        await _close_connections(front_end, ending, spec.CLOSE_CODES["server_failed"], str(problem))
         return str(problem)
     # What there is now stays: looking through it again and again would make some requests slow.
     gc.collect()
@@ -304,15 +306,17 @@ async def _until_ended(
         **({"shadow": True} if run.options.shadow else {}),
     }
     _announce(ready, shlex.join(["xpl", "eval", str(run.package.path), "--connect", str(ready["url"])]))
-    await _first(asked, front_end.failed)
+    await _wait_first(asked, front_end.failed)
     if front_end.failed.done():
         reason = front_end.failed.result()
-        await _dismiss(front_end, ending, spec.CLOSE_CODES["server_failed"], reason)
+        await _close_connections(front_end, ending, spec.CLOSE_CODES["server_failed"], reason)
         return reason
     for listening in servers.values():
         _close(listening)
-    await _first(asyncio.create_task(front_end.drain(run.settings.grace)), asyncio.create_task(ending.insisted.wait()))
-    await _dismiss(front_end, ending, _GOING_AWAY, "the policy server was stopped")
+    await _wait_first(
+        asyncio.create_task(front_end.drain(run.settings.grace)), asyncio.create_task(ending.forced.wait())
+    )
+    await _close_connections(front_end, ending, _GOING_AWAY, "the policy server was stopped")
     return None
 
 
@@ -321,7 +325,7 @@ def _close(servers: list[asyncio.Server]) -> None:
         server.close()
 
 
-def _failed(package: Package, reason: str, lacks: Mapping[str, str] | None) -> None:
+def _announce_failure(package: Package, reason: str, lacks: Mapping[str, str] | None) -> None:
     _announce({"event": "failed", "policy": package.name, "reason": reason, "lacks": lacks}, "xpl doctor")
 
 
@@ -330,12 +334,14 @@ def _announce(event: Mapping[str, object], following: str) -> None:
     console.data(json.dumps({**event, "schema": SCHEMA, "next": [following]}))
 
 
-async def _dismiss(front_end: FrontEnd, ending: _ShutdownSignals, code: int, reason: str) -> None:
+async def _close_connections(front_end: FrontEnd, ending: _ShutdownSignals, code: int, reason: str) -> None:
     """Close every connection; who insists does not wait for the other sides to close theirs."""
-    await _first(asyncio.create_task(front_end.dismiss(code, reason)), asyncio.create_task(ending.insisted.wait()))
+    await _wait_first(
+        asyncio.create_task(front_end.close_connections(code, reason)), asyncio.create_task(ending.forced.wait())
+    )
 
 
-async def _first(*futures: asyncio.Future[Any]) -> None:
+async def _wait_first(*futures: asyncio.Future[Any]) -> None:
     """Wait until one of them is done."""
     await asyncio.wait(futures, return_when=asyncio.FIRST_COMPLETED)
 
@@ -351,7 +357,7 @@ async def _load(run: _ServerRun, front_end: FrontEnd) -> ModelLoadError | None:
         for worker in front_end.workers.values()
     ]
     with progress() as said:
-        telling = asyncio.create_task(_tell(front_end, package.name, said.step))
+        telling = asyncio.create_task(_report_progress(front_end, package.name, said.step))
         try:
             done, running = await asyncio.wait(loads, timeout=limit, return_when=asyncio.FIRST_EXCEPTION)
         finally:
@@ -371,11 +377,11 @@ async def _load(run: _ServerRun, front_end: FrontEnd) -> ModelLoadError | None:
     return None
 
 
-async def _tell(front_end: FrontEnd, name: str, say: Callable[[str], None]) -> None:
+async def _report_progress(front_end: FrontEnd, name: str, say: Callable[[str], None]) -> None:
     while True:
         await asyncio.sleep(1.0 if sys.stderr.isatty() else _PROGRESS_S)
-        told = front_end.progress()
-        say(f"[server] loading {name}: {told['seconds']:.0f} s, {told['memory_bytes'] / 2**20:.0f} MiB in memory")
+        loading = front_end.progress()
+        say(f"[server] loading {name}: {loading['seconds']:.0f} s, {loading['memory_bytes'] / 2**20:.0f} MiB in memory")
 
 
 def _url(server: asyncio.Server, settings: FrontEndSettings) -> str:

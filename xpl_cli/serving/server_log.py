@@ -1,4 +1,4 @@
-"""The server's log, which is standard error: each entry begins with `[server]`, whatever strangers had it say."""
+"""The server's log on standard error: each entry begins with `[server]`, also where it holds untrusted text."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_LONGEST = 1 << 16
-"""Characters of an entry: whoever makes the server complain decides neither how often nor at what length."""
-_QUIET_S = 60.0
+_MAX_CHARACTERS = 1 << 16
+"""Longest entry: a client that causes log entries controls neither their number nor their length."""
+_WINDOW_S = 60.0
 
 
 def log(text: str) -> None:
-    """Write an entry of one line; line breaks and escape sequences in it are written out."""
-    _write(_visible(text[:_LONGEST]))
+    """Write an entry of one line; line breaks and escape sequences in it are escaped."""
+    _write(_escape_unprintable(text[:_MAX_CHARACTERS]))
 
 
 def log_lines(text: str) -> None:
-    """Write an entry of several lines, such as a traceback; those that follow the first are marked as such."""
-    _write("\n[server] | ".join(map(_visible, text[:_LONGEST].rstrip("\n").split("\n"))))
+    """Write an entry of several lines, such as a traceback; each further line begins with `[server] |`."""
+    _write("\n[server] | ".join(map(_escape_unprintable, text[:_MAX_CHARACTERS].rstrip("\n").split("\n"))))
 
 
 def _write(text: str) -> None:
-    with contextlib.suppress(OSError, ValueError):  # a full disk, or a reader that is gone: no reason to end
+    with contextlib.suppress(OSError, ValueError):  # a full disk or a closed pipe does not end the server
         sys.stderr.write(f"[server] {text}\n")
         sys.stderr.flush()
 
 
-def _visible(text: str) -> str:
-    r"""Return a text on one line, with everything that is not printed written out, such as `\n`, `\x1b` or `\u202e`.
+def _escape_unprintable(text: str) -> str:
+    r"""Return a text on one line, with everything unprintable escaped, such as `\n`, `\x1b` or `\u202e`.
 
     Control characters, line separators, marks of writing direction, characters without width and lone surrogates count.
     """
@@ -42,32 +42,32 @@ def _visible(text: str) -> str:
 
 
 class RateLimitedLog:
-    """Says once what happens many times: at once, and then a minute later how often since.
+    """Log of a repeated event: at most so many entries per minute; the rest is counted.
 
     Args:
-        text: what happens.
-        most: how often it is said in a minute.
+        text: the event.
+        max_per_minute: entries per minute.
         clock: the time, s.
     """
 
-    def __init__(self, text: str, most: int = 1, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, text: str, max_per_minute: int = 1, clock: Callable[[], float] = time.monotonic) -> None:
         self._text = text
-        self._most = most
+        self._max_per_minute = max_per_minute
         self._clock = clock
-        self._begun = -_QUIET_S
-        self._told = 0
-        self._untold = 0
+        self._window_start = -_WINDOW_S
+        self._logged = 0
+        self._suppressed = 0
 
-    def note(self, detail: str = "", lines: str = "") -> None:
-        """Take note of one more; further lines, such as a traceback, are told with it."""
+    def log(self, detail: str = "", lines: str = "") -> None:
+        """Log the event once more, with further lines such as a traceback; count it if the limit is reached."""
         now = self._clock()
-        if now - self._begun >= _QUIET_S:
-            self._begun, self._told = now, 0
-        if self._told >= self._most:
-            self._untold += 1
+        if now - self._window_start >= _WINDOW_S:
+            self._window_start, self._logged = now, 0
+        if self._logged >= self._max_per_minute:
+            self._suppressed += 1
             return
-        more = f" ({self._untold} more since this was last said)" if self._untold else ""
+        more = f" ({self._suppressed} more since the last entry)" if self._suppressed else ""
         log(self._text + (f": {detail}" if detail else "") + more)
         if lines:
             log_lines(lines)
-        self._told, self._untold = self._told + 1, 0
+        self._logged, self._suppressed = self._logged + 1, 0

@@ -1,4 +1,4 @@
-"""Who may use which worker, free of I/O: every connection has a place of its own, or is told to come back."""
+"""Which client uses which worker, without I/O: every connection gets a slot of its own, or a `busy` error."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class WorkerSlot:
-    """A worker, or a range of environments in a shared one.
+    """What one client has of a worker: all of it, or its own range of environments in a shared one.
 
     Attributes:
         worker: number of the worker.
         client: number of the client within it.
-        holder: the connection that has the place, or None.
-        evaluation: evaluation_id of its client, kept for a while after a cut.
+        holder: the client's connection, or None.
+        evaluation: evaluation_id of its client, kept for the grace period after a lost connection.
         session: the client's secret, if it has one.
-        free_at: until when the place waits for that client, on the monotonic clock.
-        tenancy: number of its client; another one means that the episode's state is gone.
+        free_at: until when the slot is reserved for that client, s on the monotonic clock.
+        tenancy: number of the client's tenancy; another one means that the episode's state is gone.
         begun: its client's episode began here.
-        stale: something of an earlier episode is still there.
-        replay: answers to the client's requests.
+        stale: the worker still has state of an earlier episode.
+        replay: cached answers to the client's requests.
         sequence: number of the next pipelined update.
     """
 
     worker: int
     client: int
-    holder: Hashable | None = None
+    connection: Hashable | None = None
     evaluation: str | None = None
     session: str | None = None
-    free_at: float = 0.0
+    reserved_until: float = 0.0
     tenancy: int = 0
     begun: bool = False
     stale: bool = False
@@ -46,85 +46,85 @@ class WorkerSlot:
 
 
 class SlotPool:
-    """Gives places to connections.
+    """Assigns slots to connections.
 
     Args:
         workers: number of workers.
         clients: clients that may use one worker at the same time.
-        grace: seconds that a place waits for a client whose connection was cut.
+        grace: how long a slot is reserved for a client whose connection was lost, s.
         clock: the time, in seconds.
     """
 
     def __init__(self, workers: int, clients: int, grace: float, clock: Callable[[], float] = time.monotonic) -> None:
         # By client first, so that clients spread over the workers.
-        self._places = [WorkerSlot(worker, client) for client in range(clients) for worker in range(workers)]
+        self._slots = [WorkerSlot(worker, client) for client in range(clients) for worker in range(workers)]
         self._grace = grace
         self._clock = clock
         self._tenancies = 0
-        self._held: dict[Hashable, WorkerSlot] = {}
+        self._slot_by_connection: dict[Hashable, WorkerSlot] = {}
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._slots)
 
-    def taken(self) -> int:
-        """Return how many places are in use, those that wait for their client included."""
-        return sum(not self._is_free(place) for place in self._places)
+    def in_use(self) -> int:
+        """Return how many slots are in use, reserved ones included."""
+        return sum(not self._is_free(slot) for slot in self._slots)
 
-    def of(self, connection: Hashable) -> WorkerSlot | None:
-        """Return the place of a connection, if it has one."""
-        return self._held.get(connection)
+    def slot_of(self, connection: Hashable) -> WorkerSlot | None:
+        """Return the slot of a connection, if it has one."""
+        return self._slot_by_connection.get(connection)
 
-    def take(
+    def assign(
         self, connection: Hashable, evaluation: str, session: str | None = None
     ) -> tuple[WorkerSlot, Hashable | None]:
-        """Return a place for a connection, and the lost connection whose place it takes over, if any.
+        """Return a slot for a connection, and the lost connection whose slot it takes over, if any.
 
-        A client comes back to its own place: by its secret even while the old connection seems alive, and by its
-        evaluation_id once that is gone. Another client gets a new tenancy, and the place is marked as stale.
+        A client gets its own slot again: by its secret even while the old connection seems alive, and by its
+        evaluation_id once that is gone. Another client gets a new tenancy, and the slot is marked as stale.
 
         Raises:
-            RequestError: `busy` if there is none.
+            RequestError: `busy` if no slot is free.
         """
-        for place in self._places:
-            known = place.evaluation == evaluation and place.session == session
-            if known and (place.holder is None or session is not None):
-                lost, place.holder = place.holder, connection
-                self._held.pop(lost, None)
-                self._held[connection] = place
-                return place, lost
-        free = [place for place in self._places if self._is_free(place)]
+        for slot in self._slots:
+            is_same_client = slot.evaluation == evaluation and slot.session == session
+            if is_same_client and (slot.connection is None or session is not None):
+                lost, slot.connection = slot.connection, connection
+                self._slot_by_connection.pop(lost, None)
+                self._slot_by_connection[connection] = slot
+                return slot, lost
+        free = [slot for slot in self._slots if self._is_free(slot)]
         if not free:
             raise RequestError(
                 spec.ErrorCode.INTERNAL, "the policy server is in use by another client", spec.ErrorReason.BUSY
             )
-        busy = collections.Counter(place.worker for place in self._places if not self._is_free(place))
-        # Where the fewest others are, and there the one that was given away longest ago.
-        place = min(free, key=lambda place: (busy[place.worker], place.tenancy))
+        busy = collections.Counter(slot.worker for slot in self._slots if not self._is_free(slot))
+        # The worker with the fewest clients, and there the slot that was assigned longest ago.
+        slot = min(free, key=lambda slot: (busy[slot.worker], slot.tenancy))
         self._tenancies += 1
-        place.holder, place.evaluation, place.session, place.tenancy = connection, evaluation, session, self._tenancies
-        place.stale, place.begun, place.sequence = place.stale or place.begun, False, 0
-        place.replay.forget()
-        self._held[connection] = place
-        return place, None
+        slot.connection, slot.evaluation, slot.session, slot.tenancy = connection, evaluation, session, self._tenancies
+        slot.stale, slot.begun, slot.sequence = slot.stale or slot.begun, False, 0
+        slot.replay.clear()
+        self._slot_by_connection[connection] = slot
+        return slot, None
 
-    def leave(self, connection: Hashable, *, clean: bool) -> WorkerSlot | None:
-        """Take a place back and return it; after a cut its client has the grace period to come back."""
-        place = self._held.pop(connection, None)
-        if place is None:
+    def release(self, connection: Hashable, *, clean: bool) -> WorkerSlot | None:
+        """Release a slot and return it; after a lost connection its client has the grace period to come back."""
+        slot = self._slot_by_connection.pop(connection, None)
+        if slot is None:
             return None
-        place.holder = None
-        place.free_at = self._clock() + (0.0 if clean else self._grace)
-        if clean:  # whoever comes back after a goodbye begins anew
-            place.evaluation = place.session = None
-        return place
+        slot.connection = None
+        slot.reserved_until = self._clock() + (0.0 if clean else self._grace)
+        if clean:  # a client that comes back after closing in order begins anew
+            slot.evaluation = slot.session = None
+        return slot
 
-    def close(self, worker: int) -> list[Hashable]:
-        """Take all places of a worker away, and return the connections that had them."""
-        lost = [place.holder for place in self._places if place.worker == worker and place.holder is not None]
-        self._places = [place for place in self._places if place.worker != worker]
+    def remove_worker(self, worker: int) -> list[Hashable]:
+        """Remove all slots of a worker, and return the connections that had them."""
+        lost = [slot.connection for slot in self._slots if slot.worker == worker and slot.connection is not None]
+        self._slots = [slot for slot in self._slots if slot.worker != worker]
         for connection in lost:
-            del self._held[connection]
+            del self._slot_by_connection[connection]
         return lost
 
-    def _is_free(self, place: WorkerSlot) -> bool:
-        return place.holder is None and self._clock() >= place.free_at
+    def _is_free(self, slot: WorkerSlot) -> bool:
+        return slot.connection is None and self._clock() >= slot.reserved_until

@@ -54,11 +54,11 @@ def extra_endpoints(
             raise UserError(f"--also takes the name of a wire, or NAME:PORT; got {one!r}")
         if name in found:
             raise UserError(f"--also was given twice for {name}: a wire has one port")
-        found[name] = _entrance(name, int(number or 0), {**config, "manifest": manifest.data}, policy)
+        found[name] = _endpoint(name, int(number or 0), {**config, "manifest": manifest.data}, policy)
     return found
 
 
-def _entrance(name: str, port: int, config: Config, policy: Announcement) -> Endpoint:
+def _endpoint(name: str, port: int, config: Config, policy: Announcement) -> Endpoint:
     wire = wires.find(name)
     if wire is None or wire.codec is None:
         others = [other for other in wires.names() if other != wires.XPL]
@@ -89,8 +89,8 @@ class CodecConnection(Connection):
         self._greeting = greeting
         self._evaluation = uuid.uuid4().hex
         self._step = 0
-        self._asked = 0
-        self._told = 0
+        self._requests = 0
+        self._replies = 0
         self._ready = False
         self._early: list[Message] = []
         self._answers: dict[int, Message] = {}
@@ -98,8 +98,8 @@ class CodecConnection(Connection):
     def on_ws_connected(self, transport: WSTransport) -> None:
         """Say hello for the peer; that it says nothing before it has something to ask is how it is."""
         super().on_ws_connected(transport)
-        self._wait_on()
-        self._ask(spec.Message.HELLO, spec.Message.HELLO, {})
+        self._cancel_silence_timer()
+        self._request(spec.Message.HELLO, spec.Message.HELLO, {})
 
     def on_ws_disconnected(self, transport: WSTransport) -> None:
         """Give the place back: this peer has no way to come back to its episode."""
@@ -110,64 +110,64 @@ class CodecConnection(Connection):
         """Send what the front end answers, in the form of the wire."""
         frame = frames.decode(data)
         if frame.message_id.isdecimal():  # to what the peer asked
-            self._answers[int(frame.message_id)] = self._translated(frame)
-            self._tell()
+            self._answers[int(frame.message_id)] = self._translate(frame)
+            self._send_answers()
             return
-        self._settle()
+        self._mark_answered()
         if frame.message_type == spec.ANSWERS[spec.Message.HELLO]:
-            self._ask(spec.Message.RESET, spec.Message.RESET, {})
+            self._request(spec.Message.RESET, spec.Message.RESET, {})
         elif frame.message_type == spec.ANSWERS[spec.Message.RESET]:
             self._begin()
         else:
             reason = (frame.payload.get(spec.Payload.DETAILS) or {}).get("reason")
-            self.close(_TRY_AGAIN if reason == spec.ErrorReason.BUSY else _REFUSED, _sentence(frame))
+            self.close(_TRY_AGAIN if reason == spec.ErrorReason.BUSY else _REFUSED, _error_text(frame))
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
     def _begin(self) -> None:
         """Greet the peer, and take what it has asked already."""
-        self._heard()
+        self._note_first_message()
         self._ready = True
         if self._greeting is not None:
             self._send(self._greeting)
         early, self._early = self._early, []
         for data in early:
-            self._settle()
-            self._take(data)
+            self._mark_answered()
+            self._handle_data(data)
 
-    def _whole(self, data: bytes | memoryview) -> None:
-        self._take(bytes(data))
+    def _handle_binary(self, data: bytes | memoryview) -> None:
+        self._handle_data(bytes(data))
 
-    def _text(self, data: bytes) -> None:
-        self._take(data.decode(errors="replace"))
+    def _handle_text(self, data: bytes) -> None:
+        self._handle_data(data.decode(errors="replace"))
 
-    def _take(self, data: Message) -> None:
+    def _handle_data(self, data: Message) -> None:
         """Ask the front end, or say what is wrong with a request when its turn has come."""
         if not self._ready:
             self.expect_answer(len(data))
             self._early.append(data)
             return
-        number = self._asked = self._asked + 1
+        number = self._requests = self._requests + 1
         try:
             request = self._codec.decode_request(data)
         except Exception as error:  # noqa: BLE001 - a codec may come from anywhere, and so may what it reads
             self.expect_answer(len(data))
             self._answers[number] = self._codec.encode_reply(Failure(f"{type(error).__name__}: {error}"))
-            self._tell()
+            self._send_answers()
             return
         if isinstance(request, Reset):
             self._step = 0
-            self._ask(spec.Message.RESET, str(number), {}, len(data))
+            self._request(spec.Message.RESET, str(number), {}, len(data))
         else:
-            self._ask(spec.Message.INFER, str(number), {spec.Payload.OBSERVATION: request.observation}, len(data))
+            self._request(spec.Message.INFER, str(number), {spec.Payload.OBSERVATION: request.observation}, len(data))
             self._step += 1
 
-    def _ask(self, kind: str, identity: str, payload: Payload, size: int = 0) -> None:
-        self._owner.asked(self, frames.Frame(kind, self._evaluation, payload, identity, step=self._step), size)
+    def _request(self, kind: str, identity: str, payload: Payload, size: int = 0) -> None:
+        self._owner.handle_request(self, frames.Frame(kind, self._evaluation, payload, identity, step=self._step), size)
 
-    def _translated(self, frame: frames.Frame) -> Message:
+    def _translate(self, frame: frames.Frame) -> Message:
         if frame.message_type == spec.Message.ERROR:
-            return self._codec.encode_reply(Failure(_sentence(frame)))
+            return self._codec.encode_reply(Failure(_error_text(frame)))
         try:
             if frame.message_type == spec.ANSWERS[spec.Message.RESET]:
                 return self._codec.encode_reply(ResetDone())
@@ -176,11 +176,11 @@ class CodecConnection(Connection):
         except Exception as error:  # noqa: BLE001 - whatever the policy returned, and whoever wrote the codec
             return self._codec.encode_reply(Failure(f"the policy's answer has no form on this wire: {error}"))
 
-    def _tell(self) -> None:
+    def _send_answers(self) -> None:
         """Send what is there in the order of the requests: nothing else says which answer is which."""
-        while (answer := self._answers.pop(self._told + 1, None)) is not None:
-            self._told += 1
-            self._settle()
+        while (answer := self._answers.pop(self._replies + 1, None)) is not None:
+            self._replies += 1
+            self._mark_answered()
             self._send(answer)
 
     def _send(self, data: Message) -> None:
@@ -190,5 +190,5 @@ class CodecConnection(Connection):
         self._transport.send(kind, data.encode() if isinstance(data, str) else data)
 
 
-def _sentence(frame: frames.Frame) -> str:
+def _error_text(frame: frames.Frame) -> str:
     return f"{frame.payload.get(spec.Payload.CODE)}: {frame.payload.get(spec.Payload.MESSAGE)}"

@@ -61,9 +61,9 @@ def schema(name: str) -> dict[str, Any]:
     """Return the JSON Schema `<name>.schema.json`."""
     parsed: dict[str, Any] = json_text.parse((folder() / f"{name}.schema.json").read_bytes())
     if name == "model_io" and registry.entries(registry.CONVENTIONS):
-        from xpl.catalogue.convention import others  # which needs numpy
+        from xpl.catalogue.convention import installed  # which needs numpy
 
-        for one in others():
+        for one in installed():
             parsed["$defs"]["convention"]["oneOf"].append({"const": one.name, "description": one.about})
             for definition, properties in one.schema.items():
                 parsed["$defs"][definition]["properties"].update(properties)

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.audit.formats import sample
-from xpl_cli.audit.formats import Context, render
+from xpl_cli.audit.formats import ReportContext, render
 from xpl_cli.audit.formats.github import CAP, command
 from xpl_cli.audit.formats.junit import render as junit
 from xpl_cli.audit.formats.linehash import line_hashes
@@ -23,14 +23,14 @@ from xpl_cli.audit.formats.rdjson import byte_column
 from xpl_cli.audit.formats.sarif import artifact
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, Result, TargetReport
-from xpl_cli.basics.untrusted import harmless, in_xml
+from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, RuleResult, TargetReport
+from xpl_cli.basics.untrusted import escape_controls, in_xml
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), min_size=1)
 
 
 @pytest.fixture
-def context(tmp_path: Path) -> Context:
+def context(tmp_path: Path) -> ReportContext:
     """A checkout that holds the files of the sample."""
     return sample.repository(tmp_path)
 
@@ -38,7 +38,7 @@ def context(tmp_path: Path) -> Context:
 # -- SARIF -------------------------------------------------------------------------------------------------------------
 
 
-def test_sarif_is_what_code_scanning_reads(context: Context) -> None:
+def test_sarif_is_what_code_scanning_reads(context: ReportContext) -> None:
     """The schema holds, and results refer to their rules; MUST is an error, and what was waived no alert."""
     document = json.loads(render("sarif", sample.reports(), context))
     assert sample.problems(document, "sarif") == []
@@ -51,12 +51,12 @@ def test_sarif_is_what_code_scanning_reads(context: Context) -> None:
     assert len(run["invocations"][0]["toolExecutionNotifications"]) == 3
 
 
-def test_every_real_rule_fits_into_sarif(context: Context) -> None:
+def test_every_real_rule_fits_into_sarif(context: ReportContext) -> None:
     """Code scanning refuses descriptions that are too long."""
     rules = registry.rules()
-    results = [Result(rule.code, rule.slug, rule.requirement, rule.severity, Outcome.PASS) for rule in rules]
+    results = [RuleResult(rule.code, rule.slug, rule.requirement, rule.severity, Outcome.PASS) for rule in rules]
     report = TargetReport("policy/Foo", "Foo", "policy", [GateReport(Gate.STATIC, results)])
-    document = json.loads(render("sarif", [report], Context(context.here)))
+    document = json.loads(render("sarif", [report], ReportContext(context.here)))
     assert sample.problems(document, "sarif") == []
     described = document["runs"][0]["tool"]["driver"]["rules"]
     assert [rule["id"] for rule in described if "help" in rule] == [rule.code for rule in rules]
@@ -127,7 +127,7 @@ def _plain(text: str, more: str = "") -> str:
     return text.replace("%25", "%")
 
 
-def test_github_commands_are_read_back(context: Context) -> None:
+def test_github_commands_are_read_back(context: ReportContext) -> None:
     """Places stand in the repository; columns only where a finding has one line."""
     commands = [read_command(line) for line in render("github", sample.reports(), context).splitlines()]
     assert [problem for entry in commands for problem in sample.problems(entry, "github")] == []
@@ -147,12 +147,12 @@ def test_a_github_command_is_one_line_and_loses_nothing(message: str, title: str
     line = command("error", message, file=file, title=title)
     assert "\n" not in line
     assert "\r" not in line
-    properties = {"file": harmless(file), "title": harmless(title)}
-    assert read_command(line) == {"kind": "error", "message": harmless(message), "properties": properties}
+    properties = {"file": escape_controls(file), "title": escape_controls(title)}
+    assert read_command(line) == {"kind": "error", "message": escape_controls(message), "properties": properties}
 
 
 @pytest.mark.parametrize("count", [1, CAP, CAP + 1, 25])
-def test_github_gets_ten_of_a_kind_and_is_told_of_the_rest(count: int, context: Context) -> None:
+def test_github_gets_ten_of_a_kind_and_is_told_of_the_rest(count: int, context: ReportContext) -> None:
     """GitHub would drop them without a word."""
     reports = sample.one_target(
         *(Finding(f"fault {number}", path="model.py", line=number + 1) for number in range(count))
@@ -170,7 +170,7 @@ def test_github_gets_ten_of_a_kind_and_is_told_of_the_rest(count: int, context: 
 # -- rdjson ------------------------------------------------------------------------------------------------------------
 
 
-def test_rdjson_counts_bytes_and_its_suggestion_mends_the_file(context: Context) -> None:
+def test_rdjson_counts_bytes_and_its_suggestion_mends_the_file(context: ReportContext) -> None:
     """The columns are those of the file's bytes: replacing the range gives the line that was meant."""
     document = json.loads(render("rdjson", sample.reports(), context))
     assert sample.problems(document, "rdjson") == []
@@ -184,7 +184,7 @@ def test_rdjson_counts_bytes_and_its_suggestion_mends_the_file(context: Context)
     assert suggestion["text"] == "self.alle if env_idx_list is None else env_idx_list"
 
 
-def test_several_edits_of_a_finding_are_one_suggestion(context: Context) -> None:
+def test_several_edits_of_a_finding_are_one_suggestion(context: ReportContext) -> None:
     """A reviewer accepts one replacement at a time; half a fix is none."""
     edits = (Edit("model.py", 5, 16, 5, 17, "("), Edit("model.py", 4, 9, 4, 14, "größte"))
     found = Finding("this", path="model.py", line=4, column=9, fix=Fix("safe_edit", "rename", edits))
@@ -194,7 +194,7 @@ def test_several_edits_of_a_finding_are_one_suggestion(context: Context) -> None
     assert suggestion["range"] == {"start": {"line": 4, "column": 9}, "end": {"line": 5, "column": 17}}
 
 
-def test_edits_of_other_files_are_no_suggestion(context: Context) -> None:
+def test_edits_of_other_files_are_no_suggestion(context: ReportContext) -> None:
     """A suggestion stands where its diagnostic stands."""
     edits = (Edit("deploy.yml", 1, 1, 1, 2, "x"),)
     found = Finding("this", path="model.py", line=4, column=9, fix=Fix("safe_edit", "rename", edits))
@@ -210,7 +210,7 @@ def test_a_byte_column_cuts_between_characters(line: str, column: int) -> None:
     assert line.encode()[: found - 1].decode() == line[: column - 1]
 
 
-def test_without_the_file_a_range_has_lines_only(context: Context) -> None:
+def test_without_the_file_a_range_has_lines_only(context: ReportContext) -> None:
     """A column in characters would be taken for one in bytes."""
     found = Finding("this", path="gone.py", line=4, column=9, end_line=5, end_column=2)
     document = json.loads(render("rdjson", sample.one_target(found), context))
@@ -230,7 +230,7 @@ def tree(element: ET.Element) -> dict[str, Any]:
     }
 
 
-def test_junit_counts_what_it_lists_and_what_was_not_proved_is_an_error(context: Context) -> None:
+def test_junit_counts_what_it_lists_and_what_was_not_proved_is_an_error(context: ReportContext) -> None:
     """The totals are those of the cases; `not_run` is never skipped."""
     root = ET.fromstring(render("junit", sample.reports(), context))  # noqa: S314 - our own
     assert sample.problems(tree(root), "junit") == []
@@ -245,6 +245,6 @@ def test_junit_counts_what_it_lists_and_what_was_not_proved_is_an_error(context:
 def test_junit_is_xml_whatever_a_finding_says(text: str) -> None:
     """Characters that XML cannot hold are written out or replaced; all others arrive."""
     found = Finding(text, path=f"x{text}")
-    root = ET.fromstring(junit(sample.one_target(found), Context(Path("/nowhere"))))  # noqa: S314 - our own
+    root = ET.fromstring(junit(sample.one_target(found), ReportContext(Path("/nowhere"))))  # noqa: S314 - our own
     (failure,) = root.iter("failure")
     assert failure.attrib["message"] == in_xml(text)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from xpl import Embodiment
     from xpl.contract import Action, Announcement, ObservationDict, Result
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
 
 STEPS = 12
 """Control steps of one trial: enough to move, few enough for every pull request."""
@@ -131,7 +131,7 @@ class Stage:
             narrow what is tried.
     """
 
-    def __init__(self, path: Path, options: Options) -> None:
+    def __init__(self, path: Path, options: AuditOptions) -> None:
         self.path = path
         self.manifest = environments.manifest(path)
         self._options = options
@@ -238,7 +238,7 @@ class Stage:
         """
         given = {"cameras": False, **self._options.overrides, **config}
         asked = {**given, "task": offer.task, "embodiment": offer.embodiment, sdk.Deploy.ACTION_TYPE: offer.action_type}
-        self._options.clock.check()
+        self._options.time_limit.check()
         process = self._started() if fresh else self._shared()
         try:
             about = _ask(process, MAKE, {"client": str(self._client()), "config": asked}, MAKE_S)
@@ -295,7 +295,7 @@ class Stage:
         """What keeps the environment within bounds, as the options ask for it."""
         options = self._options
         try:
-            kept = self._open.enter_context(options.bounds.around(self.path))
+            kept = self._open.enter_context(options.bounds.isolate_adapter(self.path))
         except UserError as error:
             raise NotRun(str(error)) from None
         return {} if kept is None else {"prefix": kept.prefix, "environment": kept.environment(os.environ)}

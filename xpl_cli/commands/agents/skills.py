@@ -48,10 +48,10 @@ def get(
 ) -> None:
     """Print the text of a skill as it belongs to this version; works offline, and whether it is installed or not."""
     from xpl_cli import __version__
-    from xpl_cli.agents.skills.bundle import chosen
+    from xpl_cli.agents.skills.bundle import select_bundles
     from xpl_cli.basics import console
 
-    (bundle,) = chosen([name])
+    (bundle,) = select_bundles([name])
     following = [] if full or not bundle.references else [f"xpl skills get {name} --full"]
     if as_json:
         told = {"schema": "xpl.skills-get/1", "version": __version__, "name": name, "description": bundle.description}
@@ -82,24 +82,26 @@ def install(
 ) -> None:
     """Put the skills where Cursor, Claude Code and Codex find them. What is not ours is left as it is."""
     from xpl_cli import __version__
-    from xpl_cli.agents.skills import instructions, places
-    from xpl_cli.agents.skills.bundle import chosen
-    from xpl_cli.agents.skills.placing import Installation
+    from xpl_cli.agents.skills import instructions, locations
+    from xpl_cli.agents.skills.bundle import select_bundles
+    from xpl_cli.agents.skills.installation import Installation
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError, one_of
 
-    known = [agent.name for agent in places.AGENTS]
+    known = [agent.name for agent in locations.AGENTS]
     for agent in agents:
         one_of("--agent", agent, known)
     if user and project:
         raise UserError("--user and --dir exclude each other")
     if project and not project.is_dir():
         raise UserError(f"{project} is no folder", code=ExitCode.NOT_FOUND)
-    scope: places.Scope = "user" if user else "project"
-    base = places.base(scope, project)
-    wanted = chosen(names)
+    scope: locations.Scope = "user" if user else "project"
+    base = locations.base(scope, project)
+    wanted = select_bundles(names)
     try:
-        done = Installation(base, scope, copy=copy, overwrite=overwrite, dry_run=dry_run).put(wanted, agents or known)
+        done = Installation(base, scope, copy=copy, overwrite=overwrite, dry_run=dry_run).install(
+            wanted, agents or known
+        )
         if not user and not bare:
             done += instructions.put(base, dry_run=dry_run)
     except OSError as error:
@@ -126,13 +128,13 @@ def check(project: Path | None = _DIR, as_json: bool = JSON) -> None:
     from dataclasses import asdict
 
     from xpl_cli import __version__
-    from xpl_cli.agents.skills import places
-    from xpl_cli.agents.skills.check import Check
+    from xpl_cli.agents.skills import locations
+    from xpl_cli.agents.skills.check import SkillCheck
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, NotFoundError
 
-    base = places.base("project", project)
-    looked = Check(base, Path.home())
+    base = locations.base("project", project)
+    looked = SkillCheck(base, Path.home())
     if not looked.installed():
         raise NotFoundError(f"no skill of xpl is installed in {base} or for the user", hint="run `xpl skills install`")
     found, listings = looked.findings(), looked.listings()

@@ -10,7 +10,7 @@ import typer
 from xpl_cli.commands.options import JSON
 
 if TYPE_CHECKING:
-    from xpl_cli.scaffold.update import Plan
+    from xpl_cli.scaffold.update import UpdatePlan
 
 _SCHEMA = "xpl.update/1"
 
@@ -80,12 +80,12 @@ def _require_recorded(folder: Path, policy: Path) -> None:
         )
 
 
-def _state(plan: Plan, *, dry_run: bool) -> str:
+def _state(plan: UpdatePlan, *, dry_run: bool) -> str:
     state = "conflicts" if plan.conflicts else "updated" if plan.steps else "unchanged"
     return f"would be {state}" if dry_run and state == "updated" else state
 
 
-def _document(plan: Plan, policy: Path, *, dry_run: bool, following: list[str]) -> dict[str, Any]:
+def _document(plan: UpdatePlan, policy: Path, *, dry_run: bool, following: list[str]) -> dict[str, Any]:
     return {
         "schema": _SCHEMA,
         "path": str(policy),
@@ -99,7 +99,7 @@ def _document(plan: Plan, policy: Path, *, dry_run: bool, following: list[str]) 
     }
 
 
-def _text(plan: Plan, policy: Path, *, dry_run: bool, following: list[str]) -> str:
+def _text(plan: UpdatePlan, policy: Path, *, dry_run: bool, following: list[str]) -> str:
     if not plan.steps:
         return f"{policy}: is as its template has it, nothing to do"
     lines = [f"{policy}: {'would be updated, nothing is written' if dry_run else 'updated'}"]

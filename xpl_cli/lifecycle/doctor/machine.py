@@ -134,7 +134,7 @@ def isolation() -> Check:
     mend = f"{sandbox.INSTALL}; it needs unprivileged user namespaces"
     try:
         with tempfile.TemporaryDirectory(prefix="xpl-doctor-") as folder, sandbox.isolated(Path(folder)) as isolation_:
-            return Check("isolation", Status.OK, f"{isolation_.way}, proven by trying", serves)
+            return Check("isolation", Status.OK, f"{isolation_.method}, proven by trying", serves)
     except UserError as error:
         return Check("isolation", Status.ABSENT, str(error), serves, mend)
 

@@ -43,7 +43,7 @@ class Admission:
     """
 
     token: str | None
-    names: AllowedHosts
+    allowed_hosts: AllowedHosts
     health: Callable[[], Health]
     metrics: Callable[[], bytes] | None
     make_room: Callable[[], bool]
@@ -58,22 +58,22 @@ class Admission:
             return _page(HTTPStatus.BAD_REQUEST, "the request cannot be read\n", {})
 
     def _refusal(self, request: WSUpgradeRequest) -> WSUpgradeResponseWithListener | None:
-        return self._stranger(request.headers) or self._asked_for(request)
+        return self._check_authorisation(request.headers) or self._check_request(request)
 
-    def _stranger(self, headers: CIMultiDict[str]) -> WSUpgradeResponseWithListener | None:
-        if self.token is not None and not self._knows(headers.getall("Authorization", [])):
+    def _check_authorisation(self, headers: CIMultiDict[str]) -> WSUpgradeResponseWithListener | None:
+        if self.token is not None and not self._has_token(headers.getall("Authorization", [])):
             return _page(HTTPStatus.UNAUTHORIZED, "a bearer token is needed\n", {"WWW-Authenticate": "Bearer"})
-        foreign = self.names.refuse_origin(headers.getall("Origin", []))
+        foreign = self.allowed_hosts.origin_refusal(headers.getall("Origin", []))
         # Who shows the token may call this server what it likes: a page of a stranger cannot show it.
         if foreign is None and self.token is None:
-            foreign = self.names.refuse_host(headers.getall("Host", []))
+            foreign = self.allowed_hosts.host_refusal(headers.getall("Host", []))
         if foreign is not None:
             return _page(HTTPStatus.FORBIDDEN, foreign + "\n", {})
         if not all(value.isascii() for value in headers.values()):
             return _page(HTTPStatus.BAD_REQUEST, "headers must be ASCII\n", {})
         return None
 
-    def _asked_for(self, request: WSUpgradeRequest) -> WSUpgradeResponseWithListener | None:
+    def _check_request(self, request: WSUpgradeRequest) -> WSUpgradeResponseWithListener | None:
         path = os.fsdecode(request.path).partition("?")[0]
         if path == _HEALTH:
             state = self.health()
@@ -88,7 +88,7 @@ class Admission:
             return _page(HTTPStatus.NOT_FOUND, f"there is {_HEALTH}, and a policy server for WebSocket clients\n", {})
         return None
 
-    def _knows(self, shown: list[str]) -> bool:
+    def _has_token(self, shown: list[str]) -> bool:
         if len(shown) != 1:  # of two, a proxy in between may have looked at the other one
             return False
         scheme, _, token = shown[0].partition(" ")

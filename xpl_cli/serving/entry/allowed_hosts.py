@@ -39,20 +39,20 @@ class AllowedHosts:
         UserError: for a name that is none, or a page that is none.
     """
 
-    bound: str
+    listen_host: str
     hosts: Sequence[str] = ()
     origins: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         """Check what a user gave."""
         for name in self.hosts:
-            if _name(name) is None or (":" in name and not _is_address(name.strip("[]"))):
+            if _host_name(name) is None or (":" in name and not _is_address(name.strip("[]"))):
                 raise UserError(f"--allow-host takes a name without a port, such as gpu-7.lab, got {name!r}")
         for origin in self.origins:
             if _ORIGIN.fullmatch(origin) is None:
                 raise UserError(f"--allow-origin takes scheme://name:port, such as https://lab.example, got {origin!r}")
 
-    def refuse_origin(self, origins: Sequence[str]) -> str | None:
+    def origin_refusal(self, origins: Sequence[str]) -> str | None:
         """Return why a request with these `Origin` headers is not let in, or None."""
         if not origins:
             return None
@@ -65,30 +65,30 @@ class AllowedHosts:
         told = ", ".join(origins)
         return f"pages of {told!a:.80} may not speak to this server; --allow-origin names those that may"
 
-    def refuse_host(self, hosts: Sequence[str]) -> str | None:
+    def host_refusal(self, hosts: Sequence[str]) -> str | None:
         """Return why a request with these `Host` headers is not let in, or None."""
-        name = _name(hosts[0]) if len(hosts) == 1 else None
+        name = _host_name(hosts[0]) if len(hosts) == 1 else None
         # A number is nobody's to give away. A name is, and who owns it may have it stand for this machine.
-        anywhere = self.bound in _WILDCARDS
+        anywhere = self.listen_host in _WILDCARDS
         if name is not None and (self._is_own(name) or (anywhere and _is_address(name.strip("[]")))):
             return None
         return f"this server does not go by {', '.join(hosts)!a:.80}; --allow-host names what it goes by"
 
     def _is_own(self, written: str) -> bool:
         name = written.strip("[]").lower().removesuffix(".")
-        if name == LOOPBACK[0] or name.endswith("." + LOOPBACK[0]) or name == self.bound.lower():
+        if name == LOOPBACK[0] or name.endswith("." + LOOPBACK[0]) or name == self.listen_host.lower():
             return True
         if name in {host.strip("[]").lower() for host in self.hosts}:
             return True
         if _is_address(name):
             return ipaddress.ip_address(name).is_loopback
-        if self.bound in LOOPBACK:
+        if self.listen_host in LOOPBACK:
             return False
         machine = socket.gethostname().lower()
         return name in {machine, machine.partition(".")[0], machine.partition(".")[0] + ".local"}
 
 
-def _name(header: str) -> str | None:
+def _host_name(header: str) -> str | None:
     """Return the name in a `Host` header, without its port; None if it is none."""
     found = _AUTHORITY.fullmatch(header)
     return None if found is None else found[1]

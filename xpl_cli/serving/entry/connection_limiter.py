@@ -49,12 +49,14 @@ class ConnectionLimiter:
         most: connections that may be half open.
     """
 
-    def __init__(self, most: int = HALF_OPEN) -> None:
-        self._most = most
+    def __init__(self, max_half_open: int = HALF_OPEN) -> None:
+        self._max_half_open = max_half_open
         self._half_open: dict[int, socket.socket] = {}
         self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
-        self._dropped = RateLimitedLog("dropped a connection that asked for nothing: there are more than can be kept")
-        self._turned_away = RateLimitedLog("turned a connection away: this process has no descriptor left")
+        self._dropped_log = RateLimitedLog(
+            "dropped a connection that asked for nothing: there are more than can be kept"
+        )
+        self._rejected_log = RateLimitedLog("turned a connection away: this process has no descriptor left")
 
     def bind(self, host: str, port: int) -> list[socket.socket]:
         """Return sockets bound to every address of a host; port 0 lets the system choose one, the same for all.
@@ -68,7 +70,9 @@ class ConnectionLimiter:
         for family, kind, protocol, _, address in sorted(found, key=lambda one: one[0] != socket.AF_INET):
             chosen = bound[0].getsockname()[1] if bound else port
             try:
-                bound.append(_LimitedSocket.bound(self, (family, kind, protocol), (address[0], chosen, *address[2:])))
+                bound.append(
+                    _LimitedSocket.create_bound(self, (family, kind, protocol), (address[0], chosen, *address[2:]))
+                )
             except OSError as error:
                 problem = error
                 # A machine without IPv6 still has a name for it, and a port that was chosen may be taken there.
@@ -102,27 +106,27 @@ class ConnectionLimiter:
         except OSError as error:
             if error.errno not in _OUT:
                 raise
-            self._turn_away(accept)
+            self._reject(accept)
             raise BlockingIOError from None
         self._half_open.pop(connection.fileno(), None)  # of a connection that is gone
         self._half_open[connection.fileno()] = connection
-        if len(self._half_open) > self._most:
+        if len(self._half_open) > self._max_half_open:
             self._half_open = {number: one for number, one in self._half_open.items() if one.fileno() >= 0}
-            while len(self._half_open) > self._most:
-                self._drop()
+            while len(self._half_open) > self._max_half_open:
+                self._drop_oldest()
         return connection, address
 
-    def _drop(self) -> None:
+    def _drop_oldest(self) -> None:
         oldest = self._half_open.pop(next(iter(self._half_open)))
-        self._dropped.note()
+        self._dropped_log.log()
         with contextlib.suppress(OSError):
             oldest.shutdown(socket.SHUT_RDWR)  # its owner reads the end of the stream, and closes it
 
-    def _turn_away(self, accept: Callable[[], Accepted]) -> None:
+    def _reject(self, accept: Callable[[], Accepted]) -> None:
         """Take a connection off the queue and end it: one that stayed there would wake the server again and again."""
-        self._turned_away.note()
+        self._rejected_log.log()
         if self._half_open:
-            self._drop()
+            self._drop_oldest()
         self.close()
         with contextlib.suppress(OSError):
             accept()[0].close()
@@ -133,13 +137,13 @@ class ConnectionLimiter:
 class _LimitedSocket(socket.socket):
     """A socket that lets connections in through a door."""
 
-    _door: ConnectionLimiter
+    _limiter: ConnectionLimiter
 
     @classmethod
-    def bound(cls, door: ConnectionLimiter, kind: tuple[int, int, int], address: Any) -> _LimitedSocket:
+    def create_bound(cls, door: ConnectionLimiter, kind: tuple[int, int, int], address: Any) -> _LimitedSocket:
         """Return a socket of a family, type and protocol that is bound to an address."""
         made = cls(*kind)
-        made._door = door
+        made._limiter = door
         try:
             made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             if made.family == socket.AF_INET6:
@@ -156,4 +160,4 @@ class _LimitedSocket(socket.socket):
 
     def accept(self) -> Accepted:
         """Accept through the door."""
-        return self._door.accept_limited(super().accept)
+        return self._limiter.accept_limited(super().accept)

@@ -34,7 +34,7 @@ class ByteCountingProtocol(asyncio.BufferedProtocol):
     def __init__(self, protocol: asyncio.BufferedProtocol, on_growth: Callable[[], None]) -> None:
         self._protocol = protocol
         self._on_growth = on_growth
-        self.unread = self.room = 0
+        self.unread = self.buffer_bytes = 0
 
     def get_buffer(self, sizehint: int) -> Any:
         """Return where to put what comes."""
@@ -43,8 +43,8 @@ class ByteCountingProtocol(asyncio.BufferedProtocol):
     def buffer_updated(self, nbytes: int) -> None:
         """Count so many bytes, and pass them on."""
         self.unread += nbytes
-        if self.unread >= self.room + _STEP:
-            self.room = self.unread
+        if self.unread >= self.buffer_bytes + _STEP:
+            self.buffer_bytes = self.unread
             self._on_growth()
         self._protocol.buffer_updated(nbytes)
 
@@ -73,20 +73,20 @@ class ByteBudget:
         most: bytes that all may hold together.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._held: dict[MemoryHolder, int] = {}
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._bytes_by_holder: dict[MemoryHolder, int] = {}
         self._sum = 0
 
-    def note(self, who: MemoryHolder, size: int) -> MemoryHolder | None:
+    def set(self, holder: MemoryHolder, size: int) -> MemoryHolder | None:
         """Note that somebody holds so many bytes now; return who has to go: the one with most, where it is too much."""
-        self._sum += size - self._held.get(who, 0)
-        self._held[who] = size
-        return None if self._sum <= self._most else max(self._held, key=self._held.__getitem__)
+        self._sum += size - self._bytes_by_holder.get(holder, 0)
+        self._bytes_by_holder[holder] = size
+        return None if self._sum <= self._limit else max(self._bytes_by_holder, key=self._bytes_by_holder.__getitem__)
 
-    def forget(self, who: MemoryHolder) -> None:
+    def forget(self, holder: MemoryHolder) -> None:
         """Note that somebody holds nothing any more."""
-        self._sum -= self._held.pop(who, 0)
+        self._sum -= self._bytes_by_holder.pop(holder, 0)
 
 
 class MemoryHolder(Protocol):
@@ -96,16 +96,16 @@ class MemoryHolder(Protocol):
         place: the place that it has, or None.
     """
 
-    place: Any
+    slot: Any
 
     @property
-    def held(self) -> int:
+    def buffered_bytes(self) -> int:
         """Bytes that it holds."""
 
     def close(self, code: int, reason: str = "") -> None:
         """Close it in order."""
 
-    def cut(self) -> None:
+    def abort(self) -> None:
         """End it at once."""
 
 
@@ -117,27 +117,29 @@ class MessageMemoryLimiter:
         early: of these, bytes of connections that have no place yet.
     """
 
-    def __init__(self, most: int = spec.LIMITS["held_bytes"], early: int = spec.LIMITS["early_bytes"]) -> None:
-        self._all, self._early = ByteBudget(most), ByteBudget(early)
+    def __init__(
+        self, limit: int = spec.LIMITS["held_bytes"], unassigned_limit: int = spec.LIMITS["early_bytes"]
+    ) -> None:
+        self._all, self._unassigned = ByteBudget(limit), ByteBudget(unassigned_limit)
         self._closed = RateLimitedLog(
             "closed a connection: the messages of all took too much memory, and its own most of it"
         )
 
-    def holds(self, connection: MemoryHolder) -> None:
+    def update(self, connection: MemoryHolder) -> None:
         """Note what a connection holds now."""
-        size = connection.held
-        largest = self._all.note(connection, size)
-        if connection.place is None:
-            largest = self._early.note(connection, size) or largest
+        size = connection.buffered_bytes
+        largest = self._all.set(connection, size)
+        if connection.slot is None:
+            largest = self._unassigned.set(connection, size) or largest
         else:
-            self._early.forget(connection)
+            self._unassigned.forget(connection)
         if largest is not None:
-            self._closed.note()
+            self._closed.log()
             largest.close(_TRY_AGAIN, "the messages of all connections take too much memory")
-            largest.cut()
+            largest.abort()
             self.forget(largest)
 
     def forget(self, connection: MemoryHolder) -> None:
         """Note that a connection is gone."""
         self._all.forget(connection)
-        self._early.forget(connection)
+        self._unassigned.forget(connection)

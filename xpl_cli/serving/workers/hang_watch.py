@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from xpl_cli.serving.workers.worker import ModelWorker
 
 
-async def hold(worker: ModelWorker, patience: float) -> None:
+async def watch_worker(worker: ModelWorker, patience: float) -> None:
     """Look after a worker until it has ended: whenever it is at work it has to show life.
 
     Args:
@@ -29,7 +29,7 @@ async def hold(worker: ModelWorker, patience: float) -> None:
             life = None
         elif life is None or abs(now - busy - began) > 0.5 * life.every_s:  # another piece of work
             life, began = await asyncio.to_thread(HangDetector, process.pid, patience, now), now - busy
-        reason = None if life is None else await asyncio.to_thread(life.look, time.monotonic())
+        reason = None if life is None else await asyncio.to_thread(life.check, time.monotonic())
         if reason is not None and worker.busy_for() > busy:
             process.show_stacks()
             await asyncio.sleep(STACKS_S)

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from xpl_cli.serving.slots import WorkerSlot
 
 _ACTIONS = frozenset((spec.Method.INFER, spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH))
-_TOGETHER = 16
+_MAX_CONSECUTIVE = 16
 """Requests of one client that are sent to its worker at once: an action and the updates before it."""
-_PATIENCE = 0.25
+_MAX_WAIT_SHARE = 0.25
 """Longest wait for others, as a part of the time that the model took last."""
-_SLACK = 2.0
+_PAUSE_TOLERANCE = 2.0
 """A client is expected until it has thought this many times as long as it usually does."""
-_MEMORY = 0.3
+_MEAN_WEIGHT = 0.3
 """Weight of the newest value in running means."""
 
 
@@ -46,7 +46,7 @@ class RequestJob:
 
     frame: Frame
     method: str
-    place: WorkerSlot
+    slot: WorkerSlot
     payload: bytes | None = None
     segment: int | None = None
     entry: ReplayEntry | None = None
@@ -61,13 +61,13 @@ class RequestJob:
         """Whether its payload is there."""
         return self.payload is not None
 
-    def takes(self, payload: bytes) -> None:
+    def set_payload(self, payload: bytes) -> None:
         """Take the payload as the worker reads it, and let go of the one that came."""
         self.frame, self.payload = dataclasses.replace(self.frame, payload={}), payload
 
     def request(self) -> tuple[int, str, int | None, bool]:
         """Return what the worker is sent besides the payload."""
-        return self.place.client, self.method, self.segment, is_optional(self.frame)
+        return self.slot.client, self.method, self.segment, is_optional(self.frame)
 
 
 @dataclass
@@ -93,9 +93,9 @@ class JobQueue:
     """
 
     shared: bool = False
-    most: int | None = None
+    max_batch: int | None = None
     _jobs: dict[WorkerSlot, collections.deque[RequestJob]] = field(default_factory=dict)
-    _habits: dict[WorkerSlot, _ClientTiming] = field(default_factory=dict)
+    _client_timings: dict[WorkerSlot, _ClientTiming] = field(default_factory=dict)
     _model_s: float = 0.0
     _idle_since: float = 0.0
 
@@ -105,14 +105,14 @@ class JobQueue:
     def add(self, job: RequestJob, now: float) -> None:
         """Put a job at the end of its client's line."""
         job.arrived = now
-        self._jobs.setdefault(job.place, collections.deque()).append(job)
-        habit = self._habits.get(job.place)
+        self._jobs.setdefault(job.slot, collections.deque()).append(job)
+        habit = self._client_timings.get(job.slot)
         if habit is not None and habit.answered and job.method in _ACTIONS:
             pause = now - habit.answered
             habit.pause = pause if habit.pause is None else _mean(habit.pause, pause)
             habit.answered = 0.0
 
-    def next(self, now: float) -> tuple[list[RequestJob], float]:
+    def next_batch(self, now: float) -> tuple[list[RequestJob], float]:
         """Return the jobs to run now, or none and how long to wait, s, for a client that is about to ask.
 
         A batch may wait if others are expected within a part of what the model takes anyway; a client that is alone
@@ -122,13 +122,13 @@ class JobQueue:
         if not heads:
             return [], 0.0
         if not self.shared:
-            return self._run(self._in_a_row(heads[0].place), now), 0.0
+            return self._take_out(self._consecutive_jobs(heads[0].slot), now), 0.0
         asking = [job for job in heads if job.method in _ACTIONS]
         if len(asking) < len(heads):  # what only updates or resets is done at once, so that it is ready for the batch
-            return self._run([job for job in heads if job not in asking], now), 0.0
-        batch = sorted(asking, key=lambda job: job.arrived)[: self.most]
-        wait = 0.0 if len(batch) == self.most else self._expected(batch, now)
-        return ([], wait) if wait > 0.0 else (self._run(batch, now), 0.0)
+            return self._take_out([job for job in heads if job not in asking], now), 0.0
+        batch = sorted(asking, key=lambda job: job.arrived)[: self.max_batch]
+        wait = 0.0 if len(batch) == self.max_batch else self._wait_for_others(batch, now)
+        return ([], wait) if wait > 0.0 else (self._take_out(batch, now), 0.0)
 
     def finished(self, jobs: list[RequestJob], now: float) -> None:
         """Learn from what was answered just now how long the model and its clients take."""
@@ -139,23 +139,23 @@ class JobQueue:
         if self.shared:
             for job in jobs:
                 if job.method in _ACTIONS:
-                    self._habits.setdefault(job.place, _ClientTiming(now)).answered = now
+                    self._client_timings.setdefault(job.slot, _ClientTiming(now)).answered = now
 
-    def forget(self, place: WorkerSlot) -> None:
+    def forget(self, slot: WorkerSlot) -> None:
         """Expect nothing more from a client that left."""
-        self._habits.pop(place, None)
+        self._client_timings.pop(slot, None)
 
     def remove(self, job: RequestJob) -> None:
         """Take one job out, if it is still there."""
-        jobs = self._jobs.get(job.place)
+        jobs = self._jobs.get(job.slot)
         if jobs is not None and job in jobs:
             jobs.remove(job)
             if not jobs:
-                del self._jobs[job.place]
+                del self._jobs[job.slot]
 
-    def holds(self, place: WorkerSlot) -> bool:
+    def has_jobs_of(self, slot: WorkerSlot) -> bool:
         """Tell whether jobs of a client wait."""
-        return place in self._jobs
+        return slot in self._jobs
 
     def clear(self) -> list[RequestJob]:
         """Take all jobs out and return them."""
@@ -163,31 +163,31 @@ class JobQueue:
         self._jobs.clear()
         return jobs
 
-    def _in_a_row(self, place: WorkerSlot) -> list[RequestJob]:
+    def _consecutive_jobs(self, slot: WorkerSlot) -> list[RequestJob]:
         row: list[RequestJob] = []
-        for job in self._jobs[place]:
-            if not job.ready or len(row) == _TOGETHER:
+        for job in self._jobs[slot]:
+            if not job.ready or len(row) == _MAX_CONSECUTIVE:
                 break
             row.append(job)
             if job.method not in (spec.Method.UPDATE_OBS, spec.Method.UPDATE_OBS_BATCH):
                 break
         return row
 
-    def _run(self, jobs: list[RequestJob], now: float) -> list[RequestJob]:
+    def _take_out(self, jobs: list[RequestJob], now: float) -> list[RequestJob]:
         for job in jobs:
             job.started = now
-            self._jobs[job.place].popleft()
-            if not self._jobs[job.place]:
-                del self._jobs[job.place]
+            self._jobs[job.slot].popleft()
+            if not self._jobs[job.slot]:
+                del self._jobs[job.slot]
         return jobs
 
-    def _expected(self, batch: list[RequestJob], now: float) -> float:
+    def _wait_for_others(self, batch: list[RequestJob], now: float) -> float:
         """Return how long to wait for clients that will ask within our patience, s."""
-        until = max(self._idle_since, min(job.arrived for job in batch)) + _PATIENCE * self._model_s
-        asking = {job.place for job in batch}
+        until = max(self._idle_since, min(job.arrived for job in batch)) + _MAX_WAIT_SHARE * self._model_s
+        asking = {job.slot for job in batch}
         due = [
-            min(habit.answered + _SLACK * habit.pause, until)
-            for place, habit in self._habits.items()
+            min(habit.answered + _PAUSE_TOLERANCE * habit.pause, until)
+            for place, habit in self._client_timings.items()
             if place not in asking and habit.answered and habit.pause and habit.answered + habit.pause <= until
         ]
         # Who has asked already, and has its images decoded still.
@@ -199,4 +199,4 @@ class JobQueue:
 
 
 def _mean(old: float, new: float) -> float:
-    return (1.0 - _MEMORY) * old + _MEMORY * new
+    return (1.0 - _MEAN_WEIGHT) * old + _MEAN_WEIGHT * new

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl.process import link, spawn
-from xpl.process.child import KEPT_START, SDK_START
+from xpl.process.child import REAPER_START, SDK_START
 from xpl.process.link import Inbox
 from xpl.wire.frame import PackingError
 from xpl_cli.basics import exits
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _BOOTSTRAP = SDK_START + "from xpl.worker.main import main; main(int(sys.argv[2]))"
 ANSWER_BYTES = spec.LIMITS["frame_bytes"]
 """Of the results of one batch: the adapter may write to the link itself, and announce anything."""
-_LINE = 500
+_MAX_LINE = 500
 """Characters of a printed line that clients are shown while the model loads."""
 
 
@@ -66,7 +66,7 @@ class WorkerProcess:
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(channel, self._read)
         self.pid = process.pid
-        self._found = [self.pid]
+        self._pid_chain = [self.pid]
         self.last_line = ""
         self.died: asyncio.Future[str] = self._loop.create_future()
 
@@ -90,7 +90,7 @@ class WorkerProcess:
             environment["CUDA_VISIBLE_DEVICES"] = gpu
         if isolation is not None:
             environment = isolation.environment(environment)
-        start, prefix = (KEPT_START + _BOOTSTRAP, ()) if isolation is None else (_BOOTSTRAP, isolation.prefix)
+        start, prefix = (REAPER_START + _BOOTSTRAP, ()) if isolation is None else (_BOOTSTRAP, isolation.prefix)
         with theirs:
             process = await asyncio.create_subprocess_exec(
                 *spawn.command(python, start, str(theirs.fileno()), prefix=prefix),
@@ -120,7 +120,7 @@ class WorkerProcess:
         self._unsent.extend(pieces)
         self._write()
 
-    async def ask(self, **message: Any) -> link.Head:
+    async def request(self, **message: Any) -> link.Head:
         """Send a message and return the answer.
 
         Raises:
@@ -137,12 +137,12 @@ class WorkerProcess:
 
     def memory(self) -> int:
         """Return the memory that the worker uses itself, bytes; 0 where the system does not tell."""
-        return processes.resident(self.adapter_pid())
+        return processes.resident_bytes(self.adapter_pid())
 
-    def until_it_ends(self, watch: Coroutine[Any, Any, None]) -> None:
+    def add_watch(self, watch: Coroutine[Any, Any, None]) -> None:
         """Run something beside the worker, until it has ended; the worker ends if that fails."""
         task = asyncio.create_task(watch)
-        task.add_done_callback(self._watched)
+        task.add_done_callback(self._finish_watch)
         self._watches.append(task)
 
     def show_stacks(self) -> None:
@@ -152,36 +152,36 @@ class WorkerProcess:
 
     def kill(self, reason: str) -> None:
         """End the worker and all its children at once, and give a reason for it."""
-        self._break(reason)
-        processes.end(self.pid)
+        self._close_link(reason)
+        processes.kill_tree(self.pid)
 
     async def stop(self, grace: float) -> None:
         """End the worker and all its children: close the link, wait `grace` seconds, then kill the group."""
-        self._break("the worker was stopped")
+        self._close_link("the worker was stopped")
         with contextlib.suppress(asyncio.TimeoutError):
             await asyncio.wait_for(exits.exit_code(self._process), grace)
-        processes.end(self.pid)
+        processes.kill_tree(self.pid)
         await exits.exit_code(self._process)
         # What has left the group and still holds the pipe would keep it open for ever.
         with contextlib.suppress(asyncio.TimeoutError):
             await asyncio.wait_for(self._output, grace)
 
-    async def ended(self) -> str:
+    async def wait_ended(self) -> str:
         """Wait for the process to end and return how it did."""
         code = await exits.exit_code(self._process)
-        return f"the worker {spawn.how_it_ended(code, launched=self._wrapped)}"
+        return f"the worker {spawn.describe_exit(code, launched=self._wrapped)}"
 
-    def _watched(self, task: asyncio.Task[None]) -> None:
+    def _finish_watch(self, task: asyncio.Task[None]) -> None:
         error = None if task.cancelled() else task.exception()
         if error is not None:
             self.kill(f"the worker could not be watched: {type(error).__name__}: {error}")
 
     def adapter_pid(self) -> int:
-        """Return the process that runs the adapter, below its keeper, or below what keeps it apart."""
-        wanted = processes.LAUNCHERS if self._wrapped else 1
-        if len(self._found) <= wanted:
-            self._found = processes.first_ones(self.pid, wanted)
-        return self._found[-1]
+        """Return the process that runs the adapter, below its reaper, or below what keeps it apart."""
+        depth = processes.LAUNCHERS if self._wrapped else 1
+        if len(self._pid_chain) <= depth:
+            self._pid_chain = processes.first_descendants(self.pid, depth)
+        return self._pid_chain[-1]
 
     def _write(self) -> None:
         """Send what there is to send, now or when the worker has read some of it."""
@@ -196,7 +196,7 @@ class WorkerProcess:
         except BlockingIOError:
             waiting = True
         except OSError:
-            self._break(None)
+            self._close_link(None)
             return
         if waiting != self._writing:
             self._writing = waiting
@@ -212,42 +212,42 @@ class WorkerProcess:
         except BlockingIOError:
             return
         except OSError:  # what was unread when the worker died
-            self._break(None)
+            self._close_link(None)
             return
         except PackingError as error:
-            self._break(f"the link to the worker broke: {error}")
+            self._close_link(f"the link to the worker broke: {error}")
             return
         if messages is None:
-            self._break(None)
+            self._close_link(None)
         for message in messages or ():
-            self._answered(message)
+            self._handle_answer(message)
 
-    def _answered(self, message: Data) -> None:
+    def _handle_answer(self, message: Data) -> None:
         on_answer, self._on_answer = self._on_answer, None
         try:
             head, buffers = link.decode(message)
         except PackingError as error:
-            self._break(f"the link to the worker broke: {error}")
+            self._close_link(f"the link to the worker broke: {error}")
             return
         if on_answer is None or not isinstance(head, dict):
-            self._break("the link to the worker is out of step")
+            self._close_link("the link to the worker is out of step")
             return
         try:
             on_answer(head, buffers)
         except ValueError as error:  # the head is not what was agreed on
-            self._break(f"the link to the worker is out of step: {type(error).__name__}: {error}")
+            self._close_link(f"the link to the worker is out of step: {type(error).__name__}: {error}")
 
     async def _notice_end(self) -> None:
         """Notice the end of the process, which its children may hide: they hold the link, too."""
-        reason = await self.ended()
+        reason = await self.wait_ended()
         if self._channel.fileno() >= 0:
             self._read()  # it may have answered before it ended
-        self._break(reason)
-        processes.end(self.pid)  # an adapter may have ended its keeper, and goes on without one
+        self._close_link(reason)
+        processes.kill_tree(self.pid)  # an adapter may have ended its reaper, and goes on without one
         if not self.died.done():
             self.died.set_result(reason)
 
-    def _break(self, reason: str | None) -> None:
+    def _close_link(self, reason: str | None) -> None:
         """Close the link, which ends the worker, and tell why; None means that the end of its process will tell."""
         if self._channel.fileno() >= 0:
             self._loop.remove_reader(self._channel)
@@ -262,14 +262,16 @@ class WorkerProcess:
         text = codecs.getincrementaldecoder("utf-8")(errors="replace")  # a chunk may end inside a character
         at_start = True
         while stream is not None and (chunk := await stream.read(1 << 15)):
-            shown = text.decode(chunk)
-            lines = shown.splitlines()
-            self.last_line = next((line.strip()[:_LINE] for line in reversed(lines) if line.strip()), self.last_line)
+            output = text.decode(chunk)
+            lines = output.splitlines()
+            self.last_line = next(
+                (line.strip()[:_MAX_LINE] for line in reversed(lines) if line.strip()), self.last_line
+            )
             if self._label:
-                shown = "".join(
-                    (self._label if at_start or place else "") + line
-                    for place, line in enumerate(shown.splitlines(keepends=True))
+                output = "".join(
+                    (self._label if at_start or index else "") + line
+                    for index, line in enumerate(output.splitlines(keepends=True))
                 )
                 at_start = chunk.endswith(b"\n")
-            sys.stderr.write(shown)
+            sys.stderr.write(output)
             sys.stderr.flush()

@@ -35,22 +35,22 @@ class AdapterException:
     unserialisable: bool
 
     @classmethod
-    def parse(cls, told: object) -> Self:
+    def parse(cls, value: object) -> Self:
         """Read it from a worker's answer.
 
         Raises:
             HeadError: it is no such map.
         """
-        entries = _map(told, "an error")
-        kind, message, traceback = (_text(entries.get(name), name) for name in ("type", "message", "traceback"))
+        entries = _require_map(value, "an error")
+        kind, message, traceback = (_require_text(entries.get(name), name) for name in ("type", "message", "traceback"))
         lacks = entries.get("lacks")
         if lacks is not None:
-            lacks = {name: _text(_map(lacks, "lacks").get(name), name) for name in ("kind", "name")}
+            lacks = {name: _require_text(_require_map(lacks, "lacks").get(name), name) for name in ("kind", "name")}
         flags = entries.get("refused") is True, entries.get("unserialisable") is True
         return cls(kind, message, traceback, lacks, *flags)
 
 
-def outcome(head: Head) -> Head | AdapterException | None:
+def parse_result(head: Head) -> Head | AdapterException | None:
     """Return what an operation that is no request returned, or what it raised.
 
     Raises:
@@ -60,10 +60,10 @@ def outcome(head: Head) -> Head | AdapterException | None:
         return AdapterException.parse(head["error"])
     if "ok" not in head:
         raise WorkerAnswerError(f"expected ok or error, got {sorted(head)!r:.80}")
-    return None if head["ok"] is None else _map(head["ok"], "ok")
+    return None if head["ok"] is None else _require_map(head["ok"], "ok")
 
 
-def answers(head: Head, results: Sequence[memoryview], count: int) -> list[memoryview | AdapterException]:
+def parse_answers(head: Head, results: Sequence[memoryview], count: int) -> list[memoryview | AdapterException]:
     """Return what each of so many requests got.
 
     Args:
@@ -74,23 +74,23 @@ def answers(head: Head, results: Sequence[memoryview], count: int) -> list[memor
     Raises:
         HeadError: they are not as many, or something else.
     """
-    told = head.get("answers")
-    if not isinstance(told, list) or len(told) != count or told.count(None) != len(results):
-        got = f"{len(told)} and" if isinstance(told, list) else f"a {type(told).__name__} and"
+    entries = head.get("answers")
+    if not isinstance(entries, list) or len(entries) != count or entries.count(None) != len(results):
+        got = f"{len(entries)} and" if isinstance(entries, list) else f"a {type(entries).__name__} and"
         raise WorkerAnswerError(
             f"expected {count} answers and the results of those that raised nothing, got {got} {len(results)}"
         )
     result = iter(results)
-    return [next(result) if one is None else AdapterException.parse(one) for one in told]
+    return [next(result) if one is None else AdapterException.parse(one) for one in entries]
 
 
-def _map(value: object, what: str) -> Head:
+def _require_map(value: object, what: str) -> Head:
     if not isinstance(value, dict):
         raise WorkerAnswerError(f"expected {what} to be a map, got {type(value).__name__}")
     return value
 
 
-def _text(value: object, name: str) -> str:
+def _require_text(value: object, name: str) -> str:
     if not isinstance(value, str):
         raise WorkerAnswerError(f"expected {name} to be text, got {type(value).__name__}")
     return value
