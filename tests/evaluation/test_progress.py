@@ -46,7 +46,7 @@ def test_a_line_tells_what_happened_and_how_far_the_run_is(
         shown.add(_next(run, 3, final=False, wall_seconds=36.0, **SPOILT), 5)
         shown.add(_next(run, 3), 4)
     first, second = capsys.readouterr().err.splitlines()
-    assert first.startswith("lift, clean, seed 3: infrastructure (the server ended), is played again; 3 of 8 episodes")
+    assert first.startswith("lift, clean, seed 3: infrastructure (the server ended), will be retried; 3 of 8 episodes")
     assert second.startswith("lift, clean, seed 3: success; 4 of 8 episodes, 4 of 4 succeeded (51 to 100 %), ")
     assert second.endswith("100 episodes/h, 2:24 left")  # one that took 36 s makes 100 an hour
 

@@ -126,7 +126,7 @@ def test_a_policy_is_told_what_another_episode_is_about(room: Path) -> None:
     assert run_mode.run_mode_of(run.plan) == RunMode(instruction=run_mode.SWAP)
     assert [(line.seed, line.failure) for line in run.finals.values()] == [(0, "policy"), (1, None)]
     # Whoever sees the figures sees that they are not the policy's own.
-    assert "The policy was told what another episode is about" in done.stdout
+    assert "The policy was given the instruction of another episode" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -152,5 +152,5 @@ def test_an_episode_over_the_wire_is_recorded_and_never_taken_for_robotwins(tmp_
     assert "stands in for a part of robotwin" in found["notes"][0]
     ranked = xpl("leaderboard", run, "--robotwin", str(tmp_path / "out"), cwd=build.ROOT)
     assert ranked.returncode == ExitCode.NOT_RUN
-    assert "none of robotwin's numbers" in ranked.stderr
+    assert "no results of robotwin" in ranked.stderr
     assert not (tmp_path / "out").exists()

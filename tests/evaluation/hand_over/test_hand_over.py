@@ -104,7 +104,7 @@ def test_what_it_found_is_recorded(workspace: Path, tmp_path: Path, task: str, s
     assert ranked.code == 0, ranked.stderr
     told = json.loads(ranked.stdout)
     assert told["rows"][0]["success_rate"] == 0.5
-    assert any("a benchmark's own launcher played and judged it" in note for note in told["notes"])
+    assert any("a benchmark's own launcher ran and judged it" in note for note in told["notes"])
     assert "holds a recorded run" in _call("--workspace", workspace, "--out", out).stderr
 
 

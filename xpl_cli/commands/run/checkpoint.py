@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.basics.endings import ends
-from xpl_cli.commands.options import JSON, POLICY, SETTINGS
+from xpl_cli.commands.options import JSON, PATIENCE_HELP, POLICY, POLICY_ENV, PYTHON, SETTINGS
 
 if TYPE_CHECKING:
     from xpl_cli.lifecycle.checkpoints.specification import Specification
@@ -118,6 +118,50 @@ def path_of(
         console.answer("xpl.checkpoint-path/1", answer, following)
     else:
         console.data(path)
+
+
+@app.command()
+@ends(clean="every input moves the answer", findings="some input does not", not_found="no tiny.py")
+def tiny(
+    policy: str = POLICY,
+    settings: list[str] = SETTINGS,
+    out: Path | None = typer.Option(
+        None, "--out", metavar="FOLDER", help="Where to write it; checkpoints/tiny of the package by default."
+    ),
+    share: float = typer.Option(
+        0.02, "--share", min=0, max=1, help="Share of the answers' span that every input has to move them by."
+    ),
+    seed: int = typer.Option(0, "--seed", help="Seed of the random weights."),
+    python: str | None = PYTHON,
+    policy_env: str | None = POLICY_ENV,
+    patience: float = typer.Option(300.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
+    as_json: bool = JSON,
+) -> None:
+    """Write a tiny random checkpoint by the package's tiny.py, and measure that every input moves the answer."""
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode
+    from xpl_cli.basics.progress import progress
+    from xpl_cli.model_io import tiny as checkpoints
+    from xpl_cli.packages import package
+
+    overrides = package.parse_overrides(settings)
+    adapter = package.load(policy, overrides)
+    target = adapter.path / "checkpoints" / checkpoints.NAME if out is None else out.absolute()
+    with progress() as say:
+        options = checkpoints.TinyOptions(overrides, share, seed, python, policy_env, patience, say)
+        made = checkpoints.make(adapter, target, options)
+    following = [shlex.join(["xpl", "audit", policy, "--set", f"ckpt_name={made.path}"])]
+    if as_json:
+        console.answer(
+            "xpl.checkpoint-tiny/1", {"policy": adapter.name, **asdict(made), "path": str(made.path)}, following
+        )
+    else:
+        console.data(str(made.path))
+        for name, effect in made.effects.items():
+            console.data(f"  {name}: {made.unmoved.get(name, f'moves the answer by {effect:.2g} of its span')}")
+        console.note(f"next: {following[0]}")
+    if made.unmoved:
+        raise typer.Exit(ExitCode.FINDINGS)
 
 
 def _fetch(one: Specification, *, unverified: bool, again: bool) -> dict[str, Any]:

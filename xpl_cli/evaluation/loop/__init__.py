@@ -1,1 +1,1 @@
-"""Evaluation loops of adapters, played in processes of their own: the judge's side."""
+"""Evaluation loops of adapters, in processes of their own: the side that judges them."""

@@ -1,4 +1,4 @@
-"""What the process of an evaluation loop sends (`xpl.loop.worker`), read where it comes in; none of it is trusted."""
+"""Parse the messages of an evaluation loop's process (`xpl.loop.worker`); none of them is trusted."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ _MAX_TEXT = 500
 
 
 class LoopProtocolError(Exception):
-    """What arrived from the loop's process is none of its messages."""
+    """A message of the loop's process is invalid."""
 
 
 @dataclass(frozen=True)
 class LoopRequest:
-    """What a loop asks.
+    """A request of a loop.
 
     Attributes:
-        whom: `TASK_ENV` or `CLIENT`.
-        operation: one that the two offer.
-        arguments, options: by place and by name.
-        ahead: whether no answer is waited for.
+        target: `TASK_ENV` or `CLIENT`.
+        operation: of the target.
+        arguments, options: positional and keyword arguments.
+        ahead: whether the loop waits for no answer.
     """
 
-    whom: str
+    target: str
     operation: str
     arguments: list[Any]
     options: dict[str, Any]
@@ -41,46 +41,46 @@ class LoopRequest:
 
     @classmethod
     def parse(cls, head: Mapping[str, Any], buffers: Sequence[Data], shared: SharedArrays) -> Self:
-        """Return the question in a message.
+        """Return the request in a message.
 
         Args:
-            head: its head.
+            head: of the message.
             buffers: its packed value.
-            shared: what the process has been shown.
+            shared: arrays that the process has received before.
 
         Raises:
-            OutOfStepError: it is none.
+            LoopProtocolError: the message is invalid.
         """
         try:
-            whom, operation = head["target"], head["operation"]
+            target, operation = head["target"], head["operation"]
             arguments, options = packed.decode(buffers[0], shared.resolve)
         except (LookupError, TypeError, ValueError) as error:
             raise LoopProtocolError(f"the process of its evaluation loop sent no question: {error!s:.200}") from None
         operations = (
-            {TASK_ENV: ENV_OPERATIONS, CLIENT: CLIENT_OPERATIONS}.get(whom, ()) if isinstance(whom, str) else ()
+            {TASK_ENV: ENV_OPERATIONS, CLIENT: CLIENT_OPERATIONS}.get(target, ()) if isinstance(target, str) else ()
         )
         if operation not in operations or not isinstance(arguments, list) or not isinstance(options, dict):
-            raise LoopProtocolError(f"the process of its evaluation loop asked for {operation!r:.80}")
-        return cls(whom, operation, arguments, options, bool(head.get("pipelined")))
+            raise LoopProtocolError(f"the process of its evaluation loop requested {operation!r:.80}")
+        return cls(target, operation, arguments, options, bool(head.get("pipelined")))
 
 
 @dataclass(frozen=True)
 class LoopException:
-    """What a loop, or deploy.py when it was imported, raised; none of its words are more than text.
+    """An exception of a loop, or of deploy.py when it was imported; its content is untrusted text.
 
     Attributes:
         kind: its type.
-        message: what it says.
-        is_told: whether it is what the loop was answered.
+        message: its text.
+        is_reported: whether it is the error that the loop got as an answer.
     """
 
     kind: str
     message: str
-    is_told: bool = False
+    is_reported: bool = False
 
     @classmethod
     def parse(cls, head: object) -> Self:
-        """Return what was raised, as far as a message tells it."""
+        """Return the exception in a message, as far as the message describes it."""
         raised = head.get("raised") if isinstance(head, dict) else None
         raised = raised if isinstance(raised, dict) else {}
         return cls(
@@ -89,10 +89,10 @@ class LoopException:
 
 
 def parse_message(head: object, buffers: Sequence[Data], shared: SharedArrays) -> LoopRequest | LoopException | None:
-    """Return what a loop that plays asks or raised; None where it has returned.
+    """Return the request or exception of a running loop; None if it has returned.
 
     Raises:
-        OutOfStepError: it is none of these.
+        LoopProtocolError: the message is invalid.
     """
     if not isinstance(head, dict) or not isinstance(head.get("raised", {}), dict):
         raise LoopProtocolError("the process of its evaluation loop fell out of step")

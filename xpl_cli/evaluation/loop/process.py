@@ -1,8 +1,8 @@
-"""The process of an adapter's evaluation loop, seen from whoever judges.
+"""The process of an adapter's evaluation loop, from the side that judges it.
 
-Nothing of an adapter runs where an episode is judged: its loop has a process of its own, in which it is given stand-ins
-for environment and policy (`xpl.loop`). Here the environment is held, and what the loop asks for is done (`desk`). The
-process inherits one end of a private link, and neither a place nor a secret of the run.
+No code of an adapter runs where episodes are judged: its loop has a process of its own, with proxies of environment and
+policy (`xpl.loop`). The environment stays here, and `request_handler` executes the loop's requests. The process
+inherits one end of a private link, and neither a path nor a secret of the run.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ class LoopRaisedError(LoopError):
     """The loop, or deploy.py when it was imported, raised.
 
     Attributes:
-        kind: type of what was raised.
-        message: what that says.
+        kind: type of the exception.
+        message: its text.
     """
 
     def __init__(self, raised: LoopException) -> None:
@@ -81,13 +81,13 @@ class _Process(Process):
 
 
 class AdapterLoop:
-    """The evaluation loops of an adapter, in a process that is started when it is needed, and again when it was lost.
+    """The evaluation loops of an adapter, in a process that is started on demand and restarted when it was lost.
 
     Args:
         adapter: folder of the adapter.
-        limits: how long it may take.
-        isolation: what keeps it from the rest of the machine, or None.
-        is_silent: whether what it prints is thrown away.
+        limits: timeouts.
+        isolation: of the process, or None.
+        is_silent: whether to discard what it prints.
 
     Raises:
         NotFoundError: the adapter has no deploy.py.
@@ -112,10 +112,10 @@ class AdapterLoop:
         self._functions: frozenset[str] = frozenset()
 
     def load(self, *, batch: bool) -> str:
-        """Import deploy.py, where that has not been done, and return the name of its loop.
+        """Import deploy.py once, and return the name of its loop.
 
         Args:
-            batch: whether it is the one for several environments.
+            batch: whether to use the loop for several environments.
 
         Raises:
             NotFoundError: it has no such loop.
@@ -131,17 +131,18 @@ class AdapterLoop:
         return name
 
     def run_trial(self, task_env: TaskEnv, client: Any, *, batch: bool) -> None:
-        """Have the loop play a trial, to wherever it plays it.
+        """Let the loop run a trial.
 
         Args:
             task_env: the environment, reset.
             client: `call(func_name=..., obs=...)` runs an operation of the policy.
-            batch: whether it is the loop for several environments.
+            batch: whether to use the loop for several environments.
 
         Raises:
-            NotFoundError, LoopRaisedError, LoopLostError: as for `load`, or while it played.
-            EndlessError: it goes on for ever.
-            ActionError, ClientError, ValueError, TypeError: what environment or policy refused, and ended the loop.
+            NotFoundError, LoopRaisedError, LoopLostError: as for `load`, or during the trial.
+            EndlessLoopError: it does not end.
+            ActionError, ClientError, ValueError, TypeError: environment or policy refused a request, which ended the
+                loop.
             EnvLostError, EnvRaisedError, ClientError: environment or policy failed.
         """
         name = self.load(batch=batch)
@@ -151,7 +152,7 @@ class AdapterLoop:
         except BaseException:
             self.close()  # in the middle of a trial: it could not go on with the next one
             raise
-        if handler.rejected is not None and (handler.is_unreported or (raised is not None and raised.is_told)):
+        if handler.rejected is not None and (handler.is_unreported or (raised is not None and raised.is_reported)):
             raise handler.rejected
         if raised is not None:
             raise LoopRaisedError(raised)
@@ -163,7 +164,7 @@ class AdapterLoop:
             process.kill()
 
     def _answer_requests(self, handler: LoopRequestHandler, name: str) -> LoopException | None:
-        """Answer what a loop asks until it has ended, and return what it raised, or None."""
+        """Answer the requests of a loop until it ends; return its exception, or None."""
         assert self._process is not None  # noqa: S101 - for the type checker: it was loaded
         pieces: list[Data] | None = link.encode({"run": name, "running": handler.running})
         try:

@@ -1,4 +1,4 @@
-"""What a loop asks of environment and policy is done here, where episodes are judged; what it sends is not trusted."""
+"""Execute the untrusted requests of an evaluation loop on environment and policy, where episodes are judged."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.loop.messages import LoopRequest
 
 _MAX_AFTER_END = 100
-"""Operations after the end, none of which notices it, after which a loop is taken to go on for ever."""
+"""Requests after the end of the episode, after which a loop counts as endless."""
 _MAX_WITHOUT_STEP = 10_000
 """Operations between two control steps, after which a loop is taken to go on for ever."""
 _STEPS = ("take_action", "take_action_batch")
 _FINISH, _RENDER, _RESULTS = "finish_episode", "render", "results"
 _WITHHELD = ("layout", sdk.Deploy.SEED, "digest")
-"""Of an outcome: where things are, or what tells it. A loop sees what cameras and robot show: an oracle would win."""
+"""Results with object positions or hashes of them. A loop must see only what cameras and robot observe."""
 _BATCH_OPERATIONS = ("get_obs_batch", "take_action_batch")
 
 
 class LoopError(Exception):
-    """The adapter's evaluation loop failed in its episode, which says something about the policy."""
+    """The adapter's evaluation loop failed in its episode, which is a failure of the policy."""
 
 
 class EndlessLoopError(LoopError):
@@ -41,16 +41,16 @@ class EndlessLoopError(LoopError):
 
 
 class LoopRequestHandler:
-    """Answers what a loop asks in one trial.
+    """Executes the requests of a loop in one trial.
 
     Args:
         task_env: the environment, reset.
         client: the policy.
-        shown: what the loop's process has been shown.
+        shared: arrays that the loop's process has received.
 
     Attributes:
-        refused: what environment or policy refused last, of which the loop is told.
-        is_untold: whether the loop does not know of it yet.
+        rejected: the last error of environment or policy that the loop gets as an answer.
+        is_unreported: whether the loop has not got it yet.
     """
 
     def __init__(self, task_env: TaskEnv, client: Any, shared: SharedArrays) -> None:
@@ -80,15 +80,15 @@ class LoopRequestHandler:
         is_refused, self.is_unreported = self.is_unreported, False
         if is_refused and self.rejected is not None:
             return self._encode(_describe_error(self.rejected), ok=False)
-        if question.whom == TASK_ENV:
+        if question.target == TASK_ENV:
             self._shared_arrays.add(value)
         return self._encode(value, ok=True)
 
     def _execute(self, question: LoopRequest) -> Any:
-        """Run an operation and return what it returns; what refuses it is kept for the loop."""
+        """Run an operation and return its result; an error is stored for the loop."""
         operation = question.operation
         try:
-            if question.whom == TASK_ENV:
+            if question.target == TASK_ENV:
                 value = _call_env(self._env, operation, question.arguments, question.options)
                 return [_public_result(result) for result in value] if operation == _RESULTS else value
             return getattr(self._client, operation)(*question.arguments, **question.options)
@@ -99,7 +99,7 @@ class LoopRequestHandler:
         except (EnvLostError, EnvRaisedError):
             raise
         except Exception as error:
-            if question.whom == CLIENT:
+            if question.target == CLIENT:
                 raise
             raise EnvRaisedError(type(error).__name__, str(error)) from error
         return None
@@ -112,25 +112,26 @@ class LoopRequestHandler:
         self._idle = 0 if running and operation in _STEPS else self._idle + 1
         if self._idle > (_MAX_WITHOUT_STEP if running else _MAX_AFTER_END):
             raise EndlessLoopError(
-                "its evaluation loop asked for one thing after the other without a control step"
+                "its evaluation loop sends requests without a control step"
                 if running
                 else "its evaluation loop does not notice that the episode has ended, and goes on for ever"
             )
 
 
 def _public_result(result: Result) -> Result:
-    """Return what a loop is told of the outcome of an episode."""
+    """Return the result of an episode without what a loop must not see."""
     return {key: value for key, value in result.items() if key not in _WITHHELD}
 
 
 def _call_env(env: TaskEnv, operation: str, arguments: list[Any], options: dict[str, Any]) -> Any:
-    """Run an operation of the environment, if its arguments are of the right form.
+    """Run an operation of the environment, if its arguments are valid.
 
-    What an environment raises is held against the environment, so a loop must not be able to make it raise: nothing of
-    another form reaches it, nothing ends an episode that goes on, and a picture that it cannot draw is only refused.
+    An exception of the environment counts as the environment's failure, so a loop must not be able to cause one:
+    invalid arguments do not reach it, a running episode cannot be ended, and an image that it cannot render is only
+    refused.
 
     Raises:
-        TypeError, ValueError: they are not.
+        TypeError, ValueError: the arguments are invalid.
     """
     function: Callable[..., Any] | None = getattr(env, operation, None)
     if function is None:
@@ -138,7 +139,7 @@ def _call_env(env: TaskEnv, operation: str, arguments: list[Any], options: dict[
             return None
         raise AttributeError(f"this environment has no {operation}")
     if options:
-        raise TypeError(f"{operation} was given {', '.join(map(str, options))} by name")
+        raise TypeError(f"{operation} takes no keyword arguments, got {', '.join(map(str, options))}")
     if operation in _BATCH_OPERATIONS:
         _check_lists(operation, arguments)
     if operation == _FINISH and env.get_running_env_idx_list():
@@ -152,7 +153,7 @@ def _call_env(env: TaskEnv, operation: str, arguments: list[Any], options: dict[
 
 
 def _describe_error(error: Exception) -> Payload:
-    """Return what a loop is told of an error, which it raises on its side."""
+    """Return the description of an error, which the loop's process raises again."""
     if isinstance(error, PolicyServerError):
         text, kind = str(error).removeprefix(f"{error.code}: "), PolicyServerError.__name__
         return {"type": kind, "code": error.code, "message": text, "details": {"reason": error.details.get("reason")}}

@@ -1,4 +1,4 @@
-"""The one reader of what the field's benchmarks write: `_result.json` and `_result.txt`, within limits.
+"""The reader of result files of other benchmarks: `_result.json` and `_result.txt`, within limits.
 
 `_result.json` is RoboDojo's: `details` maps numbers to `{layout_id, success, score}`, with scores from 0 to 1, beside
 `success_rate` and `score` (0 to 100) of all. Source: RoboDojo-Benchmark/RoboDojo, src/eval_client/eval_env.py at
@@ -24,7 +24,7 @@ _MOST_EPISODES: Final = 100_000
 
 
 class BenchmarkFileError(ValueError):
-    """A file says no such thing; why, in a sentence without its name."""
+    """A file is no valid result; the message does not hold its name."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,12 @@ class ResultEpisode:
 
 @dataclass(frozen=True)
 class BenchmarkResultFile:
-    """What a `_result.json` says.
+    """The content of a `_result.json`.
 
     Attributes:
-        entries: its episodes, in the order of their numbers; None where the file has no such map.
-        success_rate: of all, 0 to 1; None where the file has none.
-        score: mean, 0 to 1; None where the file has none.
+        entries: its episodes, in the order of their numbers; None if the file has no such map.
+        success_rate: of all, 0 to 1; None if missing.
+        score: mean, 0 to 1; None if missing.
     """
 
     entries: tuple[ResultEpisode, ...] | None
@@ -58,10 +58,10 @@ class BenchmarkResultFile:
 
 
 def read_json(path: Path) -> BenchmarkResultFile:
-    """Return what a `_result.json` says.
+    """Return the content of a `_result.json`.
 
     Raises:
-        FieldResultError: it cannot be read, or is none.
+        BenchmarkFileError: it cannot be read, or is invalid.
     """
     content = _content(path)
     try:

@@ -36,9 +36,9 @@ class Cell:
         planned: number of seeds.
         counted: final lines, in the order of the plan.
         beyond: number of final lines that do not count, because the cell had ended before them.
-        survived: episodes in an earlier attempt of which the policy's process had died.
-        is_judged: whether an episode of the run, of this cell or another, has a success to speak of.
-        ended: whether its success rate was known well enough before all seeds were played.
+        survived: episodes in which the policy's process had crashed in an earlier attempt.
+        is_judged: whether any episode of the run defines success.
+        ended: whether the success rate was known well enough before all seeds were run.
     """
 
     task: str
@@ -96,7 +96,7 @@ class Cell:
         return counts_as_success(line, self.survived)
 
     def score(self, line: EpisodeRecord) -> float | None:
-        """Return the score of an episode of this cell; 0 where it was played again because the policy had died."""
+        """Return the score of an episode of this cell; 0 if it was retried after a crash of the policy."""
         value = score(line)
         return value if value is None or line.index not in self.survived else 0.0
 
@@ -118,7 +118,7 @@ class Cell:
 
 
 def outcome(line: EpisodeOutcome) -> bool | None:
-    """Return whether an episode succeeded, or None if that cannot be said."""
+    """Return whether an episode succeeded, or None if that is not defined."""
     if line.failure == INFRASTRUCTURE:
         return None
     return False if line.failure is not None else line.success
@@ -142,7 +142,7 @@ def counts_as_success(line: EpisodeRecord, survived: Collection[int]) -> bool | 
 
 
 def retried_after_crash(attempts: Iterable[EpisodeRecord]) -> frozenset[int]:
-    """Return the episodes that were played again because the policy's process had died."""
+    """Return the episodes that were retried because the policy's process had crashed."""
     return frozenset(line.index for line in attempts if line.failure == "policy" and not line.final)
 
 

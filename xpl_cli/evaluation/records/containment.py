@@ -1,4 +1,4 @@
-"""Runs whose adapter was kept from nothing: it could write into the memory of what judged it."""
+"""Runs whose adapter was not isolated: it could write into the memory of the process that judged it."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.records import Run
 
 LAUNCHER: Final = "launcher"
-"""Fact of a machine that names the benchmark's own launcher, where one played and judged."""
+"""Key of a machine's facts with the name of the benchmark's own launcher, if that ran and judged the episodes."""
 
 
 def sentence(run: Run) -> str | None:
-    """Return what is to be said of a run in which the adapter may have reached its judge, or None."""
+    """Return a remark on a run in which the adapter may have reached the process that judged it, or None."""
     lines = [line for line in run.finals.values() if not _is_launched(line, run)]
     for applies, reason in (
         (
             lambda line: line.containment == TRUSTED,
-            "the system could not keep the adapter from what judges it; `xpl doctor` says what this machine lacks",
+            "the system could not isolate the adapter from its judge; `xpl doctor` lists what this machine lacks",
         ),
-        (_is_unstated, "the record does not say how far the adapter was kept from what judges it"),
+        (_is_unstated, "the record does not say whether the adapter was isolated from its judge"),
     ):
         count = sum(map(applies, lines))
         if count:
@@ -32,10 +32,10 @@ def sentence(run: Run) -> str | None:
 
 
 def remark(run: Run) -> str | None:
-    """Return what is to be said of a run that a benchmark's own launcher played, or None."""
+    """Return a remark on a run that a benchmark's own launcher executed, or None."""
     if not any(_is_launched(line, run) for line in run.finals.values()):
         return None
-    return "a benchmark's own launcher played and judged it, from which nothing here kept the adapter."
+    return "a benchmark's own launcher ran and judged it, without isolation of the adapter."
 
 
 def _is_launched(line: EpisodeRecord, run: Run) -> bool:
@@ -43,5 +43,5 @@ def _is_launched(line: EpisodeRecord, run: Run) -> bool:
 
 
 def _is_unstated(line: EpisodeRecord) -> bool:
-    """Tell whether an episode that was played does not say so; what is lost with its player cannot."""
+    """Return whether a finished episode has no containment level; an infrastructure error need not have one."""
     return line.containment not in (ISOLATED, APART) and line.failure != INFRASTRUCTURE

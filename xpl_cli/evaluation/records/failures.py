@@ -34,9 +34,9 @@ _UNFINISHED = "the evaluation loop returned before the episode had ended"
 
 
 def outcome_of(result: Result) -> EpisodeOutcome:
-    """Return what an environment's result says of an episode whose loop returned.
+    """Return the outcome of an episode whose loop returned, from the environment's result.
 
-    Whoever has nothing to succeed at (success None) has no failure either.
+    Without a success criterion (success None) there is no failure either.
     """
     ending = _ending_of(result)
     if ending.end_reason == INFRASTRUCTURE:
@@ -51,20 +51,20 @@ def outcome_of(result: Result) -> EpisodeOutcome:
 
 
 def policy_error(result: Result, reason: str) -> EpisodeOutcome:
-    """Return what is recorded where the policy broke an episode off: no success, and the score that it had come to."""
+    """Return the outcome of an episode that the policy broke off: no success, and the score until then."""
     return replace(_ending_of(result), success=False, failure=POLICY, end_reason=POLICY_ERROR, error=reason)
 
 
 def policy_crash(result: Result, reason: str) -> EpisodeOutcome:
-    """Return what is recorded where a process that runs the adapter's code ended or hung: a failure of the policy.
+    """Return the outcome if a process with the adapter's code ended or hung: a failure of the policy.
 
-    It may be played again, because machines do kill processes; an episode of which no attempt survives has failed.
+    It may be retried, because machines do kill processes; an episode without a finished attempt has failed.
     """
     return replace(policy_error(result, reason), end_reason=POLICY_DIED)
 
 
 def may_retry(ending: EpisodeOutcome) -> bool:
-    """Tell whether an attempt that ended so may be followed by another one."""
+    """Return whether another attempt may follow this outcome."""
     return ending.failure == INFRASTRUCTURE or (ending.failure == POLICY and ending.end_reason == POLICY_DIED)
 
 
@@ -87,10 +87,10 @@ def contradiction(ending: EpisodeRecord) -> str | None:
 
 
 def infrastructure_error(reason: str) -> EpisodeOutcome:
-    """Return what is recorded where an attempt says nothing about the policy."""
+    """Return the outcome of an attempt that ended with an infrastructure error."""
     return EpisodeOutcome(**_INFRASTRUCTURE_ENDING, error=reason)
 
 
 def _ending_of(result: Result) -> EpisodeOutcome:
-    """Return what an environment says of an episode; whose failure it was is not for it to say."""
+    """Return the outcome in an environment's result; the failure is attributed elsewhere."""
     return EpisodeOutcome(**{name: result[name] for name in _REPORTED if name in result})

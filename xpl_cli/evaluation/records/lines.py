@@ -1,7 +1,7 @@
-"""One line of a record, read strictly: text, JSON, numbers that are numbers, and all that the schema says of it.
+"""Parse and validate one line of a record: text, JSON, finite numbers, and the schema.
 
-Runs are read with ten thousand lines and more, so that what every line goes through is compiled from the schema. The
-validator with the better sentences reads only what that one refuses.
+Runs have ten thousand lines and more: every line passes a compiled validator, and only lines that it rejects pass the
+slower one with the better messages.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 KINDS: Final = ("run", "machine", "episode")
 MOST_BYTES: Final = 4 << 20
-"""What no line comes near: one with a layout of a thousand things has 100 kB."""
+"""Limit of a line; one with a layout of a thousand objects has 100 kB."""
 
 Line = Mapping[str, Any]
 """A line of a record, as the schema has it."""
@@ -29,7 +29,7 @@ _LONGEST: Final = 300
 
 
 class LineError(ValueError):
-    """A line that is none of a record; says why in one sentence."""
+    """An invalid line of a record; the message says why in one sentence."""
 
 
 class LineNotJsonError(LineError):
@@ -70,7 +70,7 @@ def definition(kind: str) -> str:
 
 @cache
 def _validator(kind: str) -> Callable[[object], bool]:
-    """Return what tells whether a line of a kind is as the schema says."""
+    """Return a function that validates a line of this kind."""
     import jsonschema_rs
 
     schemas = [spec.schema(name) for name in spec.schema_names()]
@@ -103,7 +103,7 @@ def _integer_paths(schema: Mapping[str, Any], path: tuple[str, ...]) -> Iterator
 
 
 def _are_integers(value: Any, path: tuple[str, ...]) -> bool:
-    """Tell whether what stands at a path of a valid line are integers; what need not be there may be missing."""
+    """Return whether the values at a path of a valid line are integers; optional ones may be missing."""
     for position, name in enumerate(path):
         if name == _EACH:
             inner = value.values() if isinstance(value, dict) else value
@@ -118,7 +118,7 @@ def _are_integers(value: Any, path: tuple[str, ...]) -> bool:
 
 
 def _reason(line: Line, kind: str) -> str:
-    """Return why a line is not as the schema says."""
+    """Return why a line is invalid."""
     from xpl_cli.standard.validate import validate
 
     problems = validate(line, definition(kind))

@@ -1,7 +1,7 @@
-"""What a record holds, as objects: the plan, and an attempt at an episode (spec/v1/record.schema.json).
+"""The content of a record as objects: the plan, and an attempt at an episode (spec/v1/record.schema.json).
 
-Lines are held against the schema before they are parsed, so that whatever a line must have is there. None stands for
-what need not be there, too. tests/evaluation/test_model.py holds the fields against the schema.
+Lines are validated against the schema before they are parsed, so that required keys exist. None stands for an optional
+key that is missing. tests/evaluation/test_model.py compares the fields with the schema.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class PlannedPolicy:
         name: of the package.
         spec: version of the standard that it declares.
         digest: of its own files.
-        config: deploy.yml with overrides, and the manner of the run (`manner`).
-        checkpoint: None where nothing was declared or found.
+        config: deploy.yml with overrides, and the run mode (`run_mode`).
+        checkpoint: None if none was declared or found.
     """
 
     name: str
@@ -58,7 +58,7 @@ class PlannedPolicy:
 
 @dataclass(frozen=True)
 class PlannedEnvironment:
-    """The environment that is played: name, version of the standard, digest of the package's own files."""
+    """The environment of a run: name, version of the standard, digest of the package's own files."""
 
     name: str
     spec: str
@@ -67,10 +67,10 @@ class PlannedEnvironment:
 
 @dataclass(frozen=True)
 class Control:
-    """How episodes are played, as far as results follow from it.
+    """How rollouts are run, as far as results depend on it.
 
     Attributes:
-        horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
+        horizon: execution horizon, at most; None leaves it to the adapter's loop.
         attempts: attempts at an episode at most, if infrastructure errors end them.
     """
 
@@ -83,9 +83,9 @@ class PlannedCell:
     """The episodes of one task in one setting.
 
     Attributes:
-        task, setting: what is played.
-        dimension: capability that the task is about.
-        seeds: of the episodes, in their order.
+        task, setting: of the environment.
+        dimension: capability that the task tests.
+        seeds: of the episodes, in order.
         frozen: whether these are the environment's evaluation seeds.
     """
 
@@ -103,12 +103,12 @@ class PlannedCell:
 
 @dataclass(frozen=True)
 class PlannedEpisode:
-    """The place of one episode in a plan.
+    """An episode of a plan.
 
     Attributes:
         index: the episode's key.
-        cell: number of its cell in the plan.
-        task, setting, seed: what is played.
+        cell: index of its cell in the plan.
+        task, setting, seed: of the episode.
     """
 
     index: int
@@ -119,19 +119,19 @@ class PlannedEpisode:
 
     @property
     def episode_key(self) -> EpisodeKey:
-        """What is played."""
+        """Task, setting and seed."""
         return self.task, self.setting, self.seed
 
 
 @dataclass(frozen=True)
 class RunPlan:
-    """What a run plays, fixed before its first episode.
+    """The plan of a run, fixed before its first episode.
 
     Attributes:
-        policy, environment, embodiment, action_type, control, cells: what is played, and how.
-        until_width: a cell ends once the 95 % interval of its success rate is no wider; None: all seeds are played.
-        run: digest of everything but `created`, by which the run is named.
-        created: when it was made, UTC.
+        policy, environment, embodiment, action_type, control, cells: what is run, and how.
+        until_width: a cell ends once the 95 % interval of its success rate is no wider; None: all seeds are run.
+        run: digest of everything but `created`, the name of the run.
+        created: creation time, UTC.
     """
 
     policy: PlannedPolicy
@@ -164,7 +164,7 @@ class RunPlan:
         return replace(self, run=name_of(self.as_json()), created=now())
 
     def plays_the_same(self, other: RunPlan) -> bool:
-        """Tell whether two runs play the same, whenever they were made."""
+        """Return whether two plans are equal, whenever they were made."""
         return replace(self, run="", created="") == replace(other, run="", created="")
 
     def slots(self) -> list[PlannedEpisode]:
@@ -231,14 +231,14 @@ class EpisodeOutcome:
         success: None if the environment defines none, or after an infrastructure error.
         score: 0 to 1.
         failure: `task`, `policy`, `infrastructure`, or None.
-        end_reason: `success`, `max_steps`, what a guard ended it for, or the environment's own reason.
-        error: a sentence, where policy or infrastructure failed.
-        instruction: what the policy was told.
-        layout: where things were at the start.
+        end_reason: `success`, `max_steps`, the reason of a guard, or the environment's own reason.
+        error: a sentence, if policy or infrastructure failed.
+        instruction: of the policy.
+        layout: initial poses of the objects.
         stages: which were reached.
-        steps: control steps that were executed.
+        steps: executed control steps.
         corrections: number of corrected steps by kind of correction.
-        safety: what a guard corrected.
+        safety: corrections of a guard.
         digest: of all states.
     """
 
@@ -258,16 +258,16 @@ class EpisodeOutcome:
 
 @dataclass(frozen=True, kw_only=True)
 class AttemptExecution:
-    """When an attempt was played, for how long, and by whom.
+    """When and where an attempt ran, and for how long.
 
     Attributes:
         started: UTC.
-        wall_seconds: how long it took.
-        worker: host and number of who played it.
+        wall_seconds: duration.
+        worker: host and number of the rollout worker.
         server: instance of the policy server.
-        containment: how far the adapter was kept from what judges it: `isolated`, `apart`, or `trusted` where the
-            system could do neither.
-        inference: round trips to that.
+        containment: isolation of the adapter from the process that judges it: `isolated`, `apart`, or `trusted` if the
+            system supports neither.
+        inference: round trips to the server.
     """
 
     started: str
@@ -283,7 +283,7 @@ class EpisodeRecord(AttemptExecution, EpisodeOutcome, AttemptKey):
     """One attempt at one episode, as it is recorded; the last attempt is final, and the only one that counts.
 
     Attributes:
-        machine: digest of the facts of where it was played.
+        machine: digest of the machine's facts.
         trace: curves, an .npz.
         film: an animated WebP.
     """
@@ -315,7 +315,7 @@ class EpisodeRecord(AttemptExecution, EpisodeOutcome, AttemptKey):
 
     @property
     def episode_key(self) -> EpisodeKey:
-        """What was played."""
+        """Task, setting and seed."""
         return self.task, self.setting, self.seed
 
 

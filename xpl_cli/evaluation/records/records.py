@@ -1,10 +1,10 @@
-"""A run's record: one append-only file of lines (`spec/v1/record.schema.json`), read strictly and written for good.
+"""A run's record: an append-only file of lines (`spec/v1/record.schema.json`), validated and synced.
 
     runs/foo/records.jsonl     the plan, machines, and one line for every attempt at an episode
-    runs/foo/traces/, films/   what episodes looked like
+    runs/foo/traces/, films/   curves and videos of episodes
 
-A line counts once it is on the disk, with its end. Whatever ends the writer costs at most the line that was being
-written, which is the last one: it counts for nothing, and the next writer cuts it off.
+A line counts once it is on the disk, with its end. A crash of the writer costs at most the last line: readers ignore an
+incomplete line, and the next writer truncates it.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ class RecordError(UserError):
 
 @dataclass(frozen=True)
 class Run:
-    """What is known of a run.
+    """The content of a record.
 
     Attributes:
         folder: of the run.
         plan: the first line.
         machines: facts of each, by digest.
-        attempts: every line of an episode, in the order in which they came, the final ones too.
+        attempts: every line of an episode, in the order of the file, with the final ones.
         finals: the final line of each episode that has one, by index in ascending order.
-        torn: whether the last line was cut short.
-        skipped: lines that are none of a record, or not of this run, and why; empty unless they were to be skipped.
+        torn: whether the last line is incomplete.
+        skipped: invalid lines and lines of other runs, with the reason; empty unless they were to be skipped.
         latest: the latest line of each episode, by index.
     """
 
@@ -101,13 +101,13 @@ def read(path: Path, *, skip: bool = False) -> Run:
 
 
 class InMemoryRecord:
-    """Keeps a run in memory and nowhere else.
+    """Holds a run in memory only.
 
     Args:
         plan: its first line.
 
     Attributes:
-        run: what was kept.
+        run: the content.
     """
 
     def __init__(self, plan: RunPlan) -> None:
@@ -125,26 +125,26 @@ class InMemoryRecord:
 
 
 class RecordWriter:
-    """Adds lines to a run's record; nobody else may write to it meanwhile.
+    """Appends lines to a run's record, as its only writer.
 
-    A record that is there is continued: what a crash cut short is cut off.
+    An existing record is continued; an incomplete last line is truncated.
 
     Args:
-        folder: of the run; made if it is not there.
-        plan: of a new record (`Plan.named`); an old one must have been made for the same plan.
+        folder: of the run; created if missing.
+        plan: of a new record (`RunPlan.named`); an existing record must have the same plan.
 
     Attributes:
-        run: what the record holds.
+        run: the content of the record.
 
     Raises:
-        RecordError: the record is of another plan, damaged, being written by another process, or cannot be written.
+        RecordError: the record has another plan, is damaged, in use by another process, or cannot be written.
     """
 
     def __init__(self, folder: Path, plan: RunPlan) -> None:
         self._file = folder / FILE
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            # Not blocking: whoever opens a pipe waits for its other end. No link: a run that others began may hold one.
+            # Not blocking: opening a pipe waits for its other end. No link: a run of a third party may hold one.
             flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOFOLLOW
             self._descriptor = os.open(self._file, flags, 0o644)
         except OSError as error:
@@ -211,12 +211,12 @@ class RecordWriter:
                 data = data[os.write(self._descriptor, data) :]
             os.fsync(self._descriptor)
         except OSError as error:
-            os.truncate(self._descriptor, before)  # half a line must not stand before others
+            os.truncate(self._descriptor, before)  # no line may follow an incomplete one
             raise RecordError(f"{self._file} cannot be written: {error.strerror or error}") from None
 
 
 class _BadLineError(RecordError):
-    """A line that is none of a record, or not of its run."""
+    """An invalid line, or one of another run."""
 
 
 def _refuse(problem: _BadLineError) -> None:
@@ -239,15 +239,15 @@ def _content(file: Path) -> bytes:
 
 
 def _parse(file: Path, content: bytes, met: Callable[[_BadLineError], None]) -> tuple[Run | None, int]:
-    """Return the run in a file's content, None where not even its first line is whole, and the length that counts.
+    """Return the run in a file's content, None if its first line is incomplete, and the length of the valid lines.
 
     Args:
-        file: for sentences.
-        content: what it holds.
-        met: what to do about a bad line that is not the first; it counts for nothing if this returns.
+        file: for error messages.
+        content: of the file.
+        met: called with a bad line that is not the first; the line is ignored if it returns.
 
     Raises:
-        RecordError: the first line is none of a plan.
+        RecordError: the first line is no plan.
     """
     *whole, rest = content.split(_NEWLINE)
     torn, length = bool(rest), len(content) - len(rest)
@@ -258,7 +258,7 @@ def _parse(file: Path, content: bytes, met: Callable[[_BadLineError], None]) -> 
         try:
             line = parse_line(raw)
         except LineError as error:
-            # A machine that loses its power may keep a file's new length without all of its content.
+            # After a loss of power, a file may have its new length without all of its content.
             if isinstance(error, LineNotJsonError) and number == len(whole) and not rest:
                 return (None if run is None else _sorted(run, torn=True)), length - len(raw) - 1
             problem = _BadLineError(f"{where} is no line of {SCHEMA}: {error}", hint=_hint(number))
@@ -284,7 +284,7 @@ def _hint(number: int) -> str | None:
         return None
     return (
         "--skip-bad-lines of `xpl report`, `xpl compare` and `xpl leaderboard` leaves it out; without the line in the "
-        "file, `xpl eval --resume` plays its episode again"
+        "file, `xpl eval --resume` runs its episode again"
     )
 
 
@@ -304,10 +304,10 @@ def _plan(line: Line, where: str) -> RunPlan:
 
 
 def _add(line: Line, planned: Sequence[PlannedEpisode], run: Run, where: str) -> None:
-    """Add what a line after the first tells.
+    """Add the content of a line after the first.
 
     Raises:
-        _BadLineError: it does not go with the plan, or with the lines before it.
+        _BadLineError: it contradicts the plan, or the lines before it.
     """
     if line["kind"] == "machine":
         run.machines[line["machine"]] = line["facts"]
@@ -320,7 +320,7 @@ def _add(line: Line, planned: Sequence[PlannedEpisode], run: Run, where: str) ->
 
 
 def _check(episode: EpisodeRecord, planned: Sequence[PlannedEpisode], run: Run, where: str) -> None:
-    """Raise a _BadLineError unless an episode may still be played."""
+    """Raise a _BadLineError unless this attempt may follow."""
     index = episode.index
     if index >= len(planned):
         raise _BadLineError(

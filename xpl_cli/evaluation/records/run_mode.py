@@ -1,7 +1,7 @@
-"""In which manner a run is played, where that is not the usual one: in batches, by a foreign server, told other words.
+"""The mode of a run if it is not the usual one: in batches, with an external server, or with another instruction.
 
-A plan says so among the policy's configuration, under a key that no adapter is given. Usually each episode is played
-alone, and the policy is served from files whose digest the plan has.
+A plan holds it in the policy's configuration, under a key that adapters do not receive. Usually each episode runs
+alone, and the policy is served from files whose digest is in the plan.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 _KEY, _NUM_ENVS, _ANNOUNCED, _INSTRUCTION = "xpl.run", "num_envs", "announced", "instruction"
 
 BLANK, SWAP = "blank", "swap"
-INSTRUCTIONS: Final = {BLANK: "told nothing to do", SWAP: "told what another episode is about"}
-"""What a policy may be told instead of the instruction, to see whether it heeds it."""
+INSTRUCTIONS: Final = {BLANK: "given no instruction", SWAP: "given the instruction of another episode"}
+"""Replacements of the instruction, to test whether a policy follows instructions."""
 
 
 @dataclass(frozen=True)
 class RunMode:
-    """How a run is played.
+    """How a run is executed.
 
     Attributes:
-        num_envs: episodes at once, in one batch.
-        announced: what the server said of its policy that somebody else runs; None where the run starts its own.
-        instruction: one of `INSTRUCTIONS`, where the policy is not told what it is to do.
+        num_envs: episodes in one batch.
+        announced: announcement of an external policy server; None if the run starts its own.
+        instruction: one of `INSTRUCTIONS`, if the policy does not get the task's.
     """
 
     num_envs: int = 1
@@ -37,10 +37,8 @@ class RunMode:
 
     @property
     def description(self) -> str:
-        """What is unusual about it, in words; "" for nothing."""
-        parts = (
-            [] if self.announced is None else ["by a policy server that somebody else runs, from files unknown here"]
-        )
+        """The unusual parts in words; "" if there are none."""
+        parts = [] if self.announced is None else ["with an external policy server, whose files are unknown here"]
         parts += [f"in batches of {self.num_envs}"] if self.num_envs > 1 else []
         parts += [] if self.instruction is None else [INSTRUCTIONS[self.instruction]]
         return ", ".join(parts)
@@ -56,7 +54,7 @@ class RunMode:
 
 
 def run_mode_of(plan: RunPlan) -> RunMode:
-    """Return the manner of a plan; whatever is no such thing in it is taken for the usual one."""
+    """Return the mode of a plan; an invalid value counts as the usual mode."""
     mode = plan.policy.config.get(_KEY)
     mode = mode if isinstance(mode, Mapping) else {}
     count, announced = mode.get(_NUM_ENVS), mode.get(_ANNOUNCED)
@@ -68,5 +66,5 @@ def run_mode_of(plan: RunPlan) -> RunMode:
 
 
 def without_run_mode(config: Config) -> Config:
-    """Return the configuration that an adapter is given."""
+    """Return the configuration that an adapter receives."""
     return {key: value for key, value in config.items() if key != _KEY}

@@ -1,7 +1,7 @@
-"""Settings in which something stands in for a part of a benchmark: what they tell is never the benchmark's number.
+"""Settings that replace a part of a benchmark by a mock: their results are never the benchmark's.
 
-An environment names such a setting `stand_in...`. The name is in every plan, line and row of a run, so that nobody can
-take one for the benchmark, whatever else is lost on the way.
+An environment names such a setting `stand_in...`. The name is in every plan, line and row of a run, so that it cannot
+be confused with the benchmark.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ _PREFIX: Final = "stand_in"
 
 
 def is_one(setting: str) -> bool:
-    """Tell whether something stands in for a part of the benchmark in a setting."""
+    """Return whether a setting replaces a part of the benchmark by a mock."""
     return setting.startswith(_PREFIX)
 
 
 def sentence(environment: str, settings: Iterable[str]) -> str | None:
-    """Return what is to be said beside any figure of some settings; None if none of them is one."""
+    """Return the remark that belongs to every figure of mock settings; None if there are none."""
     mocks = [setting for setting in dict.fromkeys(settings) if is_one(setting)]
     if not mocks:
         return None
     return (
-        f"In {', '.join(mocks)} something stands in for a part of {environment}: these episodes show whether code fits "
-        f"together, and are none of {environment}'s numbers."
+        f"{', '.join(mocks)} replaces a part of {environment} by a mock: these episodes test whether code works "
+        f"together, and are no results of {environment}."
     )
 
 
 def refuse(run: Run, what: str) -> None:
-    """Raise where something stood in for a part of the benchmark in any episode of a run.
+    """Raise if any episode of a run used a mock of a part of the benchmark.
 
     Args:
-        run: of which a figure would go on as the benchmark's.
-        what: would be done with it, as a participle.
+        run: whose figures would count as the benchmark's.
+        what: the refused use, as a participle.
 
     Raises:
         UserError: it did.

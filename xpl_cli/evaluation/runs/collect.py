@@ -1,10 +1,10 @@
-"""Demonstrations: episodes are played, on seeds that no evaluation uses, until so many are kept as trajectories.
+"""Record demonstrations: run episodes on seeds that no evaluation uses, until enough are saved as trajectories.
 
-    demos/episode_0000000.hdf5, ...   the trajectories; the number is the episode's place in the plan
-    demos/index.jsonl                 how long they are, and what they show
-    demos/run/                        the record of the run: every try, also those that were discarded
+    demos/episode_0000000.hdf5, ...   the trajectories; the number is the episode's index in the plan
+    demos/index.jsonl                 their lengths and contents
+    demos/run/                        the record of the run: every attempt, also discarded ones
 
-The evaluation engine plays; the set is one more thing that is left behind.
+The evaluation engine runs the rollouts.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ RUN, SURPLUS = "run", ".surplus"
 _MIN_SEEDS: Final = 1000
 """Seeds of a plan, at least: a set may grow later without becoming another one."""
 _MAX_TRIES, _MIN_TRIES = 4, 20
-"""A task ends after so many times the wanted episodes, or after so many of which none can be kept."""
+"""A task ends after this many times the requested episodes, or after this many without a saved one."""
 
 
 @dataclass(frozen=True)
@@ -54,16 +54,16 @@ class RecordRequest:
         environment: name of an environment package, or its folder.
         tasks, setting: of it; the first by default. Tasks are a list with commas, names of splits, or `all`.
         embodiment, action_type: of it; the first that the task is offered with by default.
-        policy: who plays; the environment's expert by default.
-        episodes: how many are kept, of each task.
-        seed: where seeds begin.
+        policy: adapter that acts; the environment's scripted expert by default.
+        episodes: number to save of each task.
+        seed: the first one.
         recording: the set.
-        size: height and width of images, True for the environment's own, False for none; None is what the policy reads,
-            or the environment's own where it reads none.
-        horizon: actions of a chunk that are executed, at most; None leaves the loop to the policy.
-        films: episodes of each task that are filmed.
-        workers: episodes at a time; None is as many as there are cores.
-        resume: whether a set that is there is continued.
+        size: height and width of images, True for the environment's own, False for none; None for what the policy
+            reads, or the environment's own if it reads none.
+        horizon: execution horizon, at most; None leaves it to the adapter's loop.
+        films: episodes of each task with a video.
+        workers: rollout workers; None for one per core.
+        resume: whether an existing set is continued.
         overrides: keys of deploy.yml.
         runtime: of policy and environment.
     """
@@ -88,14 +88,14 @@ class RecordRequest:
 
 @dataclass(frozen=True)
 class TaskDemonstrations:
-    """What a set holds of one task in one setting.
+    """The content of a set for one task in one setting.
 
     Attributes:
         task, setting: of the environment.
         episodes, requested: numbers of saved and of requested episodes.
         tried: episodes that were run for them.
         discarded, infrastructure_errors: of these, not to be saved, and ended with an infrastructure error.
-        steps: of the kept ones.
+        steps: of the saved episodes.
     """
 
     task: str
@@ -110,16 +110,16 @@ class TaskDemonstrations:
 
 @dataclass(frozen=True)
 class DemonstrationSet:
-    """What a set holds (`xpl.demonstrations/1`).
+    """The content of a set (`xpl.demonstrations/1`).
 
     Attributes:
         folder: of the set.
-        environment, embodiment, action_type, policy: what was played, and by whom.
-        keep: one of `orders.KEEP`.
+        environment, embodiment, action_type, policy: of the rollouts.
+        keep: one of `config.KEEP`.
         tasks: task by task.
         episodes, steps: of all tasks.
         bytes: of all files.
-        seconds: how long recording took.
+        seconds: duration of the recording.
     """
 
     folder: str
@@ -151,11 +151,11 @@ class DemonstrationSet:
 
 
 def collect(request: RecordRequest, progress: Progress) -> DemonstrationSet:
-    """Record until the set is complete, and return what it holds.
+    """Record until the set is complete, and return its content.
 
     Raises:
-        UserError: nobody can play, the request cannot be met, the set is another one or there although nobody said
-            `resume`, or nothing can be played. What was recorded stays.
+        UserError: no policy can act, the request cannot be met, the set is another one or exists without `resume`, or
+            nothing can run. What was recorded stays.
     """
     trajectory_recorder.require_library()
     adapter = _load_player(request)
@@ -197,23 +197,23 @@ def collect(request: RecordRequest, progress: Progress) -> DemonstrationSet:
 
 
 def _load_player(request: RecordRequest) -> Package:
-    """Return who plays.
+    """Return the adapter that acts.
 
     Raises:
-        NotFoundError: the environment names no expert, and nobody else is named.
+        NotFoundError: the environment names no expert, and the request names no policy.
     """
     facts = environments.manifest(environments.find(request.environment))
     name = request.policy or facts.expert
     if name is not None:
         return package.load(name, request.overrides)
     raise NotFoundError(
-        f"{request.environment} has no expert that could play",
-        hint="name who drives it with --policy: for a robot, a policy that reads a person's leader arm",
+        f"{request.environment} has no scripted expert",
+        hint="name a policy with --policy: for a robot, one that reads the leader arm of teleoperation",
     )
 
 
 def _plan_request(request: RecordRequest) -> tuple[Config, PlanRequest]:
-    """Return the keys of deploy.yml that the policy is given, and what is to be played."""
+    """Return the overrides of deploy.yml, and the plan request."""
     first = None if request.tasks in (None, plan.ALL) else request.tasks.partition(",")[0]
     facts = environments.manifest(environments.find(request.environment))
     task = rollout.expand_splits(facts, [first])[0] if first else None
@@ -241,7 +241,7 @@ def _plan_request(request: RecordRequest) -> tuple[Config, PlanRequest]:
 
 
 def _stop_rule(requested: int) -> Callable[[Sequence[bool | None]], bool]:
-    """Return what tells whether a task has all of its episodes, or will never have them."""
+    """Return a function that tells whether a task has all of its episodes, or will never have them."""
 
     def enough(outcomes: Sequence[bool | None]) -> bool:
         saved = sum(map(bool, outcomes))
@@ -252,9 +252,9 @@ def _stop_rule(requested: int) -> Callable[[Sequence[bool | None]], bool]:
 
 
 def _saved_episodes(run: Run, request: RecordRequest) -> list[list[EpisodeRecord]]:
-    """Return the episodes of each task that belong to the set: the first ones of the plan that are to be kept.
+    """Return the episodes of each task that belong to the set: the first ones of the plan that are to be saved.
 
-    Which these are does not depend on how many were played at once.
+    They do not depend on the number of workers.
     """
     cells: list[list[EpisodeRecord]] = []
     for cell in run.plan.cells:
@@ -320,14 +320,14 @@ def _summary(run: Run, request: RecordRequest, player: str, seconds: float) -> D
 
 
 class _RecordProgress:
-    """One line that says how far it is."""
+    """A progress line."""
 
     def __init__(self, run: Run, request: RecordRequest, before: int, progress: Progress) -> None:
         self._run, self._request, self._before, self._progress = run, request, before, progress
         self._began: float | None = None
 
     def add(self, line: EpisodeRecord, left: int) -> None:  # noqa: ARG002 - as every view
-        """Say how far it is."""
+        """Update the line."""
         if self._began is None:  # models are loaded by now
             self._began = time.monotonic() - line.wall_seconds
         cells = _saved_episodes(self._run, self._request)

@@ -44,20 +44,20 @@ class EvalRequest:
 
     Attributes:
         package: the adapter.
-        environment: name of the environment package; None on resuming: the record's.
+        environment: name of the environment package; None when resuming: the record's.
         out: folder of the run.
-        plan_request: what of the environment is played; None on resuming: what the record says.
-        resume: whether a record that is there is continued.
-        backend_config: where it is played.
-        films: episodes of each cell that are filmed.
+        plan_request: tasks, settings and seeds; None when resuming: the record's.
+        resume: whether an existing record is continued.
+        backend_config: where rollouts run.
+        films: episodes of each cell with a video.
         overrides: keys of deploy.yml.
         runtime: of adapter and environment.
-        remote: a policy server that somebody else runs; one is started otherwise.
-        announced: what it said.
-        num_envs: episodes at once, in one batch; None on resuming: the record's, or 1.
+        remote: an external policy server; None starts one.
+        announced: its announcement.
+        num_envs: episodes in one batch; None when resuming: the record's, or 1.
         env_workers: processes that share a batch.
-        recording: where episodes are kept as trajectories, too, and how.
-        instruction: what the policy is told instead of the instruction, one of `run_mode.INSTRUCTIONS`.
+        recording: where and how episodes are saved as trajectories.
+        instruction: what the policy gets instead of the instruction, one of `run_mode.INSTRUCTIONS`.
     """
 
     package: Package
@@ -78,16 +78,16 @@ class EvalRequest:
 
 
 def evaluate(request: EvalRequest) -> Run:
-    """Play what the record still lacks, and return the run.
+    """Run the episodes that the record lacks, and return the run.
 
     Raises:
-        UserError: the request cannot be met, the record is of another run or there although nobody said `resume`, or
-            nothing can be played. What was recorded stays.
+        UserError: the request cannot be met, the record is of another run or exists without `resume`, or nothing can
+            run. What was recorded stays.
     """
     backends.check_backend(request.backend_config)
     if request.recording is not None and request.backend_config.backend != LOCAL:
         raise UserError(
-            f"--backend {request.backend_config.backend} plays on other machines, and --record writes on this one"
+            f"--backend {request.backend_config.backend} runs on other machines, but --record writes on this one"
         )
     exists = (request.out / records.FILE).exists()
     if exists and not request.resume:
@@ -106,7 +106,7 @@ def evaluate(request: EvalRequest) -> Run:
     )
     with records.RecordWriter(request.out, planned) as writer:
         run, is_batch = writer.run, rollout_config.num_envs > 1
-        # What is seen of a batch is not told apart by its episodes: it has neither films nor curves.
+        # The telemetry of a batch does not separate its episodes: it has neither videos nor curves.
         schedule = Schedule(
             run, 0 if is_batch else request.films, _stop_rule(run.plan.until_width), traced=not is_batch
         )
@@ -127,7 +127,7 @@ def _load_or_make_plan(request: EvalRequest) -> tuple[Path, RunPlan]:
         folder = environments.find(request.environment or recorded.environment.name)
         before = run_mode.run_mode_of(recorded)
         if before.announced is not None and request.remote is None:
-            raise UserError("a policy server that somebody else runs began this run: name it with --connect")
+            raise UserError("this run began with an external policy server: name it with --connect")
         count = before.num_envs if request.num_envs is None else request.num_envs
         how = replace(before, num_envs=count, announced=request.announced)
         return folder, plan.refreshed_plan(recorded, request.package, folder, how)
@@ -136,12 +136,12 @@ def _load_or_make_plan(request: EvalRequest) -> tuple[Path, RunPlan]:
     how = RunMode(request.num_envs or 1, request.announced, request.instruction)
     planned = plan.make_plan(request.package, folder, config, request.plan_request or PlanRequest(), how)
     for task, reason in planned.left_out.items():
-        console.note(f"{task} is left out: {planned.plan.embodiment} cannot play it ({reason})")
+        console.note(f"{task} is left out: it does not support {planned.plan.embodiment} ({reason})")
     return folder, planned.plan
 
 
 def _stop_rule(width: float | None) -> Callable[[Sequence[bool | None]], bool]:
-    """Return what tells whether a cell may end."""
+    """Return a function that tells whether a cell may end."""
     if width is None:
         return lambda _outcomes: False
 
@@ -154,18 +154,16 @@ def _stop_rule(width: float | None) -> Callable[[Sequence[bool | None]], bool]:
 def _backend(
     request: EvalRequest, rollout_config: RolloutConfig, server_config: ServerConfig, episodes: int
 ) -> Backend:
-    """Return what plays a run.
+    """Return the backend of a run.
 
     Raises:
-        UserError: a cluster has neither batches nor servers of somebody else.
+        UserError: a cluster supports neither batches nor external servers.
     """
     remote = request.remote
     if remote is None and rollout_config.num_envs == 1:
         return backends.make_backend(request.backend_config, rollout_config, server_config, episodes)
     if request.backend_config.backend != LOCAL:
-        raise UserError(
-            f"--backend {request.backend_config.backend} starts its own servers, and plays each episode alone"
-        )
+        raise UserError(f"--backend {request.backend_config.backend} starts its own servers and supports no batches")
     server, access = policy_server(remote, server_config)
     if rollout_config.num_envs > 1:
         return InProcessBackend(rollout_config, server, access)
@@ -174,10 +172,10 @@ def _backend(
 
 
 def policy_server(remote: RemoteServer | None, server_config: ServerConfig) -> tuple[ServerHandle, ServerAccess]:
-    """Return who answers for the policy, and how it is reached.
+    """Return the policy server, and how to reach it.
 
     Args:
-        remote: a server that somebody else runs; None for one of ours.
+        remote: an external server; None for one of ours.
         server_config: how ours is started.
     """
     if remote is None:
@@ -196,19 +194,19 @@ def make_configs(  # noqa: PLR0913 - all that travels with a run
     env_workers: int = 1,
     recording: RecordingConfig | None = None,
 ) -> tuple[RolloutConfig, ServerConfig]:
-    """Return what lanes and servers are told.
+    """Return the configurations of rollout workers and servers.
 
     Args:
         package: the adapter.
         folder: of the environment package.
-        planned: what is played.
+        planned: the plan.
         runtime: of adapter and environment.
-        bounds: what the adapter is kept from.
-        env_workers: processes that share a batch, as far as there is one.
-        recording: where episodes are kept as trajectories, and how.
+        bounds: isolation of the adapter.
+        env_workers: processes that share a batch, if there is one.
+        recording: where and how episodes are saved as trajectories.
 
     Raises:
-        UserError: the environment does not have what the plan asks for.
+        UserError: the environment does not offer what the plan requires.
     """
     config, how = run_mode.without_run_mode(planned.policy.config), run_mode.run_mode_of(planned)
     cell = planned.cells[0]
@@ -242,7 +240,7 @@ def make_configs(  # noqa: PLR0913 - all that travels with a run
 
 
 def _isolation(request: EvalRequest) -> IsolationSettings:
-    """Return what the adapter is kept from; on a cluster only what was asked for, for each machine has its own."""
+    """Return the isolation of the adapter; on a cluster only the requested part: each machine adds its own."""
     if request.backend_config.backend != LOCAL:
         return IsolationSettings(isolate=request.runtime.isolate)
     return IsolationSettings.strictest(request.package.path.parent, isolate=request.runtime.isolate)

@@ -1,4 +1,4 @@
-"""What an evaluation found: `xpl.eval/1` (spec/v1/evaluation.schema.json)."""
+"""The result of an evaluation without a record: `xpl.eval/1` (spec/v1/evaluation.schema.json)."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _NULL: Final = ("success", "score", "failure", "end_reason")
 
 @dataclass(frozen=True)
 class EvalSetup:
-    """What was played, and how.
+    """What was run, and how.
 
     Attributes:
-        policy, environment, task, setting, embodiment, action_type: what; several tasks as they were asked for.
-        num_envs: environments played at once.
+        policy, environment, task, setting, embodiment, action_type: of the rollouts; several tasks as requested.
+        num_envs: environments in one batch.
         workers: processes that shared them; 0: none of their own.
-        horizon: actions of a chunk that were executed, at most; None: the loop was the adapter's own.
+        horizon: execution horizon, at most; None: the adapter's own loop.
     """
 
     policy: str
@@ -44,13 +44,13 @@ class EvalSetup:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What came of it.
+    """The result.
 
     Attributes:
-        played: what was played.
+        played: what was run.
         episodes: the final attempt at each, in the order of the plan.
-        attempts: how many there were, by the index of the episode.
-        seconds: how long all of it took.
+        attempts: number of attempts by index of the episode.
+        seconds: duration of all.
     """
 
     played: EvalSetup
@@ -60,7 +60,7 @@ class Evaluation:
 
     @property
     def successes(self) -> int | None:
-        """Number of episodes that succeeded; None where none has a success to speak of."""
+        """Number of episodes that succeeded; None if none defines success."""
         return _successes(self.episodes) if self._judged else None
 
     @property
@@ -128,7 +128,7 @@ class Evaluation:
 
     @property
     def _judged(self) -> list[EpisodeRecord]:
-        """The episodes that have a success to speak of."""
+        """The episodes that define success."""
         return [episode for episode in self.episodes if episode.success is not None]
 
     @property

@@ -1,4 +1,4 @@
-"""What a run plays: tasks, settings and seeds, fixed before the first episode."""
+"""The plan of a run: tasks, settings and seeds, fixed before the first episode."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ ATTEMPTS = 3
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """What of an environment is to be played.
+    """Which tasks, settings and seeds of an environment to run.
 
     Attributes:
-        tasks: names of tasks or splits, or `all` that the robot can play; None is deploy.yml's task, or the first.
-        settings: names, or `all`; None is the first.
-        episodes: of each cell; None is 1, or with `until_width` as many as that may take, as far as there are seeds.
-        first: place of the first seed among the environment's evaluation seeds; where it has none, the seed itself.
-        horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
+        tasks: names of tasks or splits, or `all` that support the robot; None for deploy.yml's task, or the first.
+        settings: names, or `all`; None for the first.
+        episodes: of each cell; None for 1, or with `until_width` as many as that may take, as far as there are seeds.
+        first: index of the first seed among the environment's evaluation seeds; without these, the seed itself.
+        horizon: execution horizon, at most; None leaves it to the adapter's loop.
         until_width: a cell may end before its last seed, once the interval of its success rate is no wider.
         is_practice: seeds count up from `first`, without the environment's evaluation seeds: for training.
     """
@@ -57,8 +57,8 @@ class NewPlan:
     """A plan, and what it leaves out.
 
     Attributes:
-        plan: what is played.
-        left_out: tasks that the robot cannot play, with the reason.
+        plan: the plan.
+        left_out: tasks that do not support the robot, with the reason.
     """
 
     plan: RunPlan
@@ -74,12 +74,12 @@ def make_plan(
         package: the adapter.
         folder: of the environment package.
         config: the adapter's configuration.
-        plan_request: what is to be played.
-        manner: how; the usual one by default.
+        plan_request: tasks, settings and seeds.
+        manner: the run mode; the usual one by default.
 
     Raises:
         NotFoundError: the environment has no such task or setting, or not so many evaluation seeds.
-        UserError: the robot cannot play a task that was named, or a name comes twice.
+        UserError: a named task does not support the robot, or a name comes twice.
     """
     facts = environments.manifest(folder)
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
@@ -106,7 +106,7 @@ def refreshed_plan(recorded: RunPlan, package: Package, folder: Path, manner: Ru
 
 
 def _planned_policy(package: Package, version: str, config: Config, manner: RunMode) -> PlannedPolicy:
-    """Return what a plan says of what answers for the policy: files, or what a foreign server announced."""
+    """Return the policy of a plan: digests of files, or the announcement of an external server."""
     if manner.announced is not None:
         digest = digest_of(dict(manner.announced))
         return PlannedPolicy(package.name, version, digest, manner.add_to(config))
@@ -115,16 +115,16 @@ def _planned_policy(package: Package, version: str, config: Config, manner: RunM
 
 
 def tasks_of(facts: EnvManifest, requested: str | None, robot: str) -> tuple[list[str], dict[str, str]]:
-    """Return the tasks that are played, and those that `all` leaves out, with the reason.
+    """Return the tasks of a plan, and those that `all` leaves out, with the reason.
 
     Args:
         facts: the environment's manifest.
-        requested: names of tasks or splits with commas between them, or `all`; None is the first task.
-        robot: who plays.
+        requested: names of tasks or splits with commas between them, or `all`; None for the first task.
+        robot: name of the embodiment.
 
     Raises:
         NotFoundError: there is no such task.
-        UserError: the robot cannot play one that was named, or a name comes twice.
+        UserError: a named task does not support the robot, or a name comes twice.
     """
     entries = facts.tasks
     reasons = {task: rollout.unsupported(entry, robot) for task, entry in entries.items()}
@@ -142,7 +142,7 @@ def tasks_of(facts: EnvManifest, requested: str | None, robot: str) -> tuple[lis
 
 
 def _expand_splits(facts: EnvManifest, requested: str) -> str:
-    """Return a list with commas in which the tasks of a split stand in its name's place."""
+    """Return a list with commas in which each split is replaced by its tasks."""
     names = [requested] if requested in facts.tasks else [name.strip() for name in requested.split(",")]
     _require_once("task", requested, names)
     return ",".join(rollout.expand_splits(facts, names))

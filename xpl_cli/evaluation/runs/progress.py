@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 
 _HOUR_S = 3600.0
 _CELLS = 16
-"""Most cells that a terminal shows at once; those that are being played are among them."""
+"""Most cells in the terminal's table; running ones are among them."""
 
 
 @contextlib.contextmanager
 def show_progress(run: Run, left: int) -> Iterator[ProgressView]:
-    """Yield what shows a run while it is played.
+    """Yield a progress view of a run.
 
     Args:
-        run: what is recorded so far; it grows.
+        run: the record; it grows.
         left: episodes that are not final yet.
     """
     tally = ProgressTally(run, left)
@@ -50,14 +50,14 @@ def show_progress(run: Run, left: int) -> Iterator[ProgressView]:
 
 
 class ProgressTally:
-    """What both views tell of a run.
+    """The content of both views of a run.
 
     Args:
-        run: what is recorded; it grows.
+        run: the record; it grows.
         left: episodes that are not final yet.
 
     Attributes:
-        left: the same, as it changes.
+        left: updated number of these.
         failure: the last failure, as a sentence; None so far.
     """
 
@@ -118,7 +118,7 @@ class _Lines:
     def add(self, line: EpisodeRecord, left: int) -> None:
         """Write what happened, and how far the run is."""
         self._tally.add(line, left)
-        again = "" if line.final else ", is played again"
+        again = "" if line.final else ", will be retried"
         error = f" ({line.error})" if line.error else ""
         console.note(one_line(f"{_episode_name(line)}: {line.end_reason}{error}{again}; {self._tally.text()}"))
 
@@ -131,12 +131,12 @@ class _Terminal:
         self._live = live
 
     def add(self, line: EpisodeRecord, left: int) -> None:
-        """Show the present state."""
+        """Update the table."""
         self._tally.add(line, left)
         self.show()
 
     def show(self) -> None:
-        """Show the present state."""
+        """Draw the table."""
         self._live.update(self._render())
 
     def _render(self) -> RenderableType:

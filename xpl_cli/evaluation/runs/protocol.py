@@ -1,4 +1,4 @@
-"""Which part of an environment's protocol a run plays: all evaluation seeds of a task in a setting, or a subset."""
+"""How much of an environment's protocol a run covers: all evaluation seeds of a task in a setting, or a subset."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SeedCoverage:
-    """What a plan plays of the evaluation seeds of one task in one setting.
+    """Evaluation seeds of one task in one setting that a plan uses.
 
     Attributes:
-        task, setting: which.
-        seeds: how many are planned.
-        of: how many the environment has frozen.
+        task, setting: of the environment.
+        seeds: number of planned seeds.
+        of: number of evaluation seeds.
     """
 
     task: str
@@ -41,7 +41,7 @@ class SeedCoverage:
 
 
 def seed_coverage(folder: Path, cells: Sequence[PlannedCell]) -> list[SeedCoverage]:
-    """Return what a plan plays of the protocol, task by task; nothing of environments that have no evaluation seeds.
+    """Return the coverage of the protocol, task by task; empty for environments without evaluation seeds.
 
     Args:
         folder: of the environment package.
@@ -57,10 +57,10 @@ def seed_coverage(folder: Path, cells: Sequence[PlannedCell]) -> list[SeedCovera
 
 
 def seed_error(folder: Path, cell: PlannedCell) -> str | None:
-    """Return why the seeds of a cell are not what an evaluation plays; None where they are.
+    """Return why the seeds of a cell are not those of an evaluation; None if they are.
 
-    An evaluation plays evaluation seeds one after the other, from a place that `--seed` names: a choice among them
-    could be of those that went well.
+    An evaluation uses consecutive evaluation seeds from the index of `--seed`: a free choice could pick those that
+    succeed.
     """
     if not check.has_seeds(folder):
         return None

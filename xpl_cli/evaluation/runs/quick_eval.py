@@ -1,8 +1,7 @@
-"""An evaluation that is not recorded: some episodes of a task or of several, told at once (`xpl.eval/1`).
+"""An evaluation without a record: some episodes of one or several tasks, reported at once (`xpl.eval/1`).
 
-The same lane and the same rules as for a recorded run. What differs is what a quick look is for: seeds are the ones
-that were named, several environments may be one batch, a server that runs already may be asked, and the first episode
-that the policy breaks off ends it.
+Rollout worker and rules are those of a recorded run. The differences: the user names the seeds, several environments
+may form one batch, the server may already run, and the first episode that the policy breaks off ends the evaluation.
 """
 
 from __future__ import annotations
@@ -60,14 +59,14 @@ class QuickEvalRequest:
         environment: name of the environment package.
         task: task of it, its first one by default; or several: with commas between them, splits, or `all`.
         setting: setting of it, its first one by default.
-        episodes: number of episodes, of each task.
-        num_envs: environments that run at once, in one batch.
-        workers: processes that share them; 0 plays them in this process.
-        horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
+        episodes: number of episodes of each task.
+        num_envs: environments in one batch.
+        workers: processes that share them; 0 runs them in this process.
+        horizon: execution horizon, at most; None leaves it to the adapter's loop.
         overrides: keys of deploy.yml.
-        remote: a server that already runs; one is started otherwise.
+        remote: a server that already runs; None starts one.
         runtime: of adapter and environment.
-        recording: where episodes are kept as trajectories, too, and how.
+        recording: where and how episodes are saved as trajectories.
     """
 
     package: Package
@@ -85,14 +84,14 @@ class QuickEvalRequest:
 
 
 def num_envs_and_workers(num_envs: int | None, workers: str) -> tuple[int, int]:
-    """Return how many environments are played at once, and by how many processes.
+    """Return the number of environments in a batch, and of processes that share them.
 
     Args:
-        num_envs: environments, or None for one a process.
-        workers: number of processes; 0 for none but this one, "auto" for one a core, as far as there are environments.
+        num_envs: environments, or None for one per process.
+        workers: number of processes; "0" for this one, "auto" for one per core, at most one per environment.
 
     Raises:
-        UserError: `workers` is neither, or there are more of them than environments.
+        UserError: `workers` is invalid, or greater than `num_envs`.
     """
     if workers == "auto":
         cores = len(os.sched_getaffinity(0))
@@ -101,16 +100,16 @@ def num_envs_and_workers(num_envs: int | None, workers: str) -> tuple[int, int]:
         raise UserError(f"--workers must be a number or auto, got {workers[:_DIGITS]!r}")
     count = int(workers)
     if num_envs is not None and count > num_envs:
-        raise UserError(f"{count} workers for {num_envs} environments: leave --num-envs out, or ask for fewer workers")
+        raise UserError(f"{count} workers for {num_envs} environments: leave --num-envs out, or use fewer workers")
     return (max(1, count) if num_envs is None else num_envs), count
 
 
 def evaluate(request: QuickEvalRequest, progress: Progress) -> Evaluation:
-    """Play the episodes and return what came of it.
+    """Run the episodes and return the result.
 
     Raises:
-        UserError: the environment does not know the task or embodiment or cannot be played, policy and environment do
-            not fit, or the policy breaks an episode off.
+        UserError: the environment does not know the task or embodiment or cannot run, policy and environment do not
+            fit, or the policy breaks an episode off.
     """
     started = time.perf_counter()
     config = request.package.config(request.overrides)
@@ -143,12 +142,12 @@ def evaluate(request: QuickEvalRequest, progress: Progress) -> Evaluation:
 
 
 class _View:
-    """Says how far it has come, and ends it where the policy breaks an episode off.
+    """Shows the progress, and ends the evaluation if the policy breaks an episode off.
 
     Args:
-        run: what was played; it grows.
+        run: the record in memory; it grows.
         total: number of episodes.
-        progress: where to say it.
+        progress: where to show it.
     """
 
     def __init__(self, run: Run, total: int, progress: Progress) -> None:
@@ -158,7 +157,7 @@ class _View:
         """Show a line.
 
         Raises:
-            UserError: the policy broke the episode off, in the last of its attempts.
+            UserError: the policy broke the episode off in its last attempt.
         """
         where = f"episode with seed {line.seed}"
         if not line.final:
@@ -180,7 +179,7 @@ def _task_list(requested: str | None, facts: EnvManifest, embodiment: str) -> li
 def _plan(
     request: QuickEvalRequest, folder: Path, config: Config, settings: EnvSettings, cells: Sequence[CellKey]
 ) -> RunPlan:
-    """Return the plan of what nobody writes down; it has digests where trajectories say who played."""
+    """Return the plan of an evaluation without a record; it has digests if trajectories are saved."""
     policy = environment = ""
     if request.recording is not None:
         policy, environment = package_digest(request.package.path), package_digest(folder)

@@ -1,4 +1,4 @@
-"""A policy server that somebody else runs: what it says of its policy, whose package may not be here."""
+"""An external policy server: the announcement of its policy, whose package may not be here."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _POLICY = "policy"
 
 @dataclass(frozen=True)
 class RemoteServer:
-    """How to reach a policy server that runs already.
+    """How to reach a running policy server.
 
     Attributes:
         url: its address.
-        token: bearer token, where it asks for one.
-        ca_file: certificate authority for `wss://`, where the system's are not enough.
+        token: bearer token, if it requires one.
+        ca_file: certificate authority for `wss://`, in addition to the system's.
     """
 
     url: str
@@ -40,16 +40,16 @@ class RemoteServer:
 
 
 def fetch_announcement(remote: RemoteServer, config: Config) -> Announcement:
-    """Connect to a server, and return what it says of itself and of its policy.
+    """Connect to a server, and return its announcement of itself and of its policy.
 
-    A server that announces nothing, as those of other makes, still tells its generation.
+    A server of another implementation that announces nothing still reveals its generation.
 
     Args:
         remote: the server.
         config: timing keys of deploy.yml.
 
     Raises:
-        UserError: nobody answers, or what it says is none of the wire.
+        UserError: there is no answer, or the announcement is invalid.
     """
     context = None if remote.ca_file is None else client_tls_context(remote.ca_file)
     try:
@@ -63,16 +63,16 @@ def fetch_announcement(remote: RemoteServer, config: Config) -> Announcement:
 
 
 def resolve_package(name: str, announcement: Announcement | None, overrides: Config) -> Package:
-    """Return an adapter, or what stands for it where it is served elsewhere and its package is not here.
+    """Return an adapter, or a substitute made of a server's announcement if its package is not here.
 
     Args:
         name: the adapter, or a name for it.
-        announcement: what a server announced; None where none is asked.
+        announcement: of the server; None without a server.
         overrides: keys of deploy.yml.
 
     Raises:
-        NotFoundError: it is not here, and no server is asked.
-        UserError: it is not here, and the server does not say for which robot it was started.
+        NotFoundError: the package is not here, and there is no server.
+        UserError: the package is not here, and the server does not announce its robot.
     """
     try:
         return package.load(name, overrides)
@@ -87,12 +87,12 @@ def resolve_package(name: str, announcement: Announcement | None, overrides: Con
     deploy = {key: overrides.get(key) or value for key, value in deploy.items()}
     if deploy[sdk.Deploy.ENV_CFG_TYPE] is None:
         raise UserError(
-            f"{name} is not here, and its server does not say which robot it drives",
+            f"{name} is not here, and its server does not announce its robot",
             hint=f"--set {sdk.Deploy.ENV_CFG_TYPE}=NAME, and --set {sdk.Deploy.ACTION_TYPE}=joint or ee",
         )
     manifest = {key: policy[key] for key in ("embodiments", "action_types", "cameras") if policy.get(key) is not None}
     if policy.get("inputs") is not None:
-        # What it can do without is not announced: all cameras are shown.
+        # Optional inputs are not announced: the policy gets all cameras.
         manifest["inputs"] = {"required": policy["inputs"], "optional": [sdk.Obs.VISION]}
     return package.Package(
         Path.cwd() / Path(name).name, {k: v for k, v in deploy.items() if v is not None}, Manifest.parse(manifest)

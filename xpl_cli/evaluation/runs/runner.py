@@ -1,7 +1,7 @@
-"""Play what a run still lacks, and record it: exactly one final line for each episode.
+"""Run the episodes that a run lacks, and record them: exactly one final line for each episode.
 
-Attempts and retries are decided here, whoever plays. An outcome counts only for an attempt that is waited for; one that
-comes twice, or too late, is dropped.
+Attempts and retries are decided here, for every backend. A result counts only if its attempt is expected; duplicates
+and late results are dropped.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ _OUTAGE_FACTOR = 4
 
 
 class Sink(Protocol):
-    """Keeps what comes of a run: a record (`records.Writer`), or memory where there is none (`records.Unwritten`).
+    """Stores the lines of a run: a record (`records.RecordWriter`), or memory (`records.InMemoryRecord`).
 
     Attributes:
-        run: what it holds.
+        run: the content.
     """
 
     run: Run
@@ -49,25 +49,25 @@ class Sink(Protocol):
 
 
 class ProgressView(Protocol):
-    """Shows how far a run has come."""
+    """Shows the progress of a run."""
 
     def add(self, line: EpisodeRecord, left: int) -> None:
-        """Show a line that was recorded, and how many episodes are not final yet; may raise to end the run."""
+        """Show a recorded line, and the number of episodes that are not final yet; may raise to end the run."""
 
 
 def run_schedule(writer: Sink, backend: Backend, schedule: Schedule, view: ProgressView, *, ahead: bool = True) -> None:
-    """Play until nothing is left.
+    """Run until nothing is left.
 
     Args:
-        writer: keeps what comes of it.
-        backend: plays.
-        schedule: what is played.
-        view: shows how far it is.
-        ahead: whether the next episode may begin before it is known that the last one was not enough.
+        writer: stores the lines.
+        backend: runs the jobs.
+        schedule: of the episodes.
+        view: shows the progress.
+        ahead: whether the next episode may begin before the last one is known not to be enough.
 
     Raises:
-        UserError: nothing can be played, or the infrastructure fails again and again; what was recorded stays, and the
-            run can be resumed.
+        UserError: nothing can run, or infrastructure errors do not end; what was recorded stays, and the run can be
+            resumed.
     """
     attempts: int = writer.run.plan.control.attempts
     outage = _Outage(_OUTAGE_FACTOR * attempts)
@@ -75,7 +75,7 @@ def run_schedule(writer: Sink, backend: Backend, schedule: Schedule, view: Progr
         _submit(backend, schedule, outage)
         outcomes = backend.wait()
         if ahead:
-            _submit(backend, schedule, outage)  # lanes play on while this side waits for the disk
+            _submit(backend, schedule, outage)  # workers continue while this process waits for the disk
         for outcome in outcomes:
             if schedule.is_expected(outcome.job):
                 line = _record(writer, outcome, attempts)
@@ -91,7 +91,7 @@ def run_schedule(writer: Sink, backend: Backend, schedule: Schedule, view: Progr
 
 
 def rerun_episodes(plan: RunPlan, jobs: Sequence[RolloutJob], backend: Backend) -> Iterator[EpisodeRecord]:
-    """Play episodes and yield their lines, as they would be recorded but for machine and files; nothing is written."""
+    """Run episodes and yield their lines, as they would be recorded but for machine and files; nothing is written."""
     waiting = list(reversed(jobs))
     playing: set[RolloutJob] = set()
     while waiting or playing:
@@ -105,7 +105,7 @@ def rerun_episodes(plan: RunPlan, jobs: Sequence[RolloutJob], backend: Backend) 
 
 
 def _submit(backend: Backend, schedule: Schedule, outage: _Outage) -> None:
-    """Give a job to every lane that is free, as far as there are some."""
+    """Give jobs to all free workers, as far as there are some."""
     while backend.free() > 0 and (job := schedule.next()) is not None:
         outage.began(job)
         backend.submit(job)
@@ -175,7 +175,7 @@ def _episode(plan: RunPlan, outcome: RolloutResult, *, final: bool) -> EpisodeRe
 
 
 def _write_file(folder: Path, name: str, content: bytes | None) -> RecordedFile | None:
-    """Write a file of a run, where there is something to write, and return what its line says of it."""
+    """Write a file of a run, if there is content, and return its entry in the record."""
     if content is None:
         return None
     path = folder / name

@@ -1,4 +1,4 @@
-"""Which episode is played next: those of the plan in its order, without those that are final already."""
+"""The order of episodes: that of the plan, without those that are final already."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ if TYPE_CHECKING:
 
 
 class Schedule:
-    """The episodes of a plan that are still to be played.
+    """The episodes of a plan that are still to be run.
 
     An attempt with an infrastructure error, or in which the policy's process crashed, is retried after the other
     episodes of its cell: the cause may be gone by then.
 
     Args:
-        run: what is recorded so far.
-        films: how many episodes of each cell are filmed, from its first on.
-        is_enough: tells whether a cell need not go on, by the successes of its episodes in the order of the plan, as
-            far as all of them are final; None stands for an episode that does not count.
-        traced: whether curves are kept.
-        judge: says of a final line what counts instead of its success.
+        run: the record.
+        films: number of episodes of each cell with a video, from its first on.
+        is_enough: returns whether a cell may end, given the successes of its episodes in the order of the plan, up to
+            the first that is not final; None stands for an episode that does not count.
+        traced: whether to record curves.
+        judge: returns what counts instead of a final line's success.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Schedule:
 
     @property
     def is_done(self) -> bool:
-        """Whether nothing is being played, and nothing waits."""
+        """Whether no episode is running or waiting."""
         return not self._running and not any(self._waiting)
 
     @property
@@ -66,7 +66,7 @@ class Schedule:
         return len(self._running) + sum(map(len, self._waiting))
 
     def next(self) -> RolloutJob | None:
-        """Return what is played next; None where nothing waits."""
+        """Return the next job; None if none waits."""
         queue = next(filter(None, self._waiting), None)
         if queue is None:
             return None
@@ -77,7 +77,7 @@ class Schedule:
         return RolloutJob(slot.index, attempt, slot.task, slot.setting, slot.seed, trace=self._traced, film=is_filmed)
 
     def is_expected(self, job: RolloutJob) -> bool:
-        """Tell whether this attempt is being played, as far as this side knows."""
+        """Return whether this attempt is running, as far as the schedule knows."""
         return job.index in self._running and job.attempt == self._attempts[job.index] + 1
 
     def add(self, line: EpisodeRecord) -> None:

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 def environment_for() -> str:
-    """Return the environment that `EVAL_ENV_TYPE` stands for.
+    """Return the environment of `EVAL_ENV_TYPE`.
 
     Raises:
-        UserError: if it stands for none here.
+        UserError: there is none for its value.
     """
     rule = spec.data("package")["eval_env_type"]
     kind = os.environ.get(rule["variable"]) or rule["default"]
@@ -39,10 +39,10 @@ def environment_for() -> str:
 
 
 def benchmark_for(config: Config) -> str | None:
-    """Return the environment of the benchmark that deploy.yml names, if one here plays its task; None if not.
+    """Return the environment of the benchmark in deploy.yml, if one here has its task; None if not.
 
-    Launchers of the ecosystem say the benchmark by `bench_name`. `EVAL_ENV_TYPE` goes before it where it asks for
-    anything but a simulation.
+    Launchers of the ecosystem set the benchmark by `bench_name`. `EVAL_ENV_TYPE` takes precedence if it is anything but
+    a simulation.
     """
     rule = spec.data("package")["eval_env_type"]
     bench, task = config.get(sdk.Deploy.BENCH_NAME), config.get(sdk.Deploy.TASK_NAME)
@@ -57,7 +57,7 @@ def benchmark_for(config: Config) -> str | None:
 
 
 def with_robot(package: Package, environment: str, overrides: Config) -> Config:
-    """Return overrides with the first robot of policy.yml that the environment has, where nobody named one.
+    """Return overrides with the first robot of policy.yml that the environment supports, if none is configured.
 
     Args:
         package: the adapter.
@@ -90,11 +90,11 @@ def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs f
         config: the adapter's configuration.
         task: task of the environment; deploy.yml's or its first one by default.
         setting: setting of it; left out of the configuration by default.
-        num_envs: environments that are played at once.
+        num_envs: environments in one batch.
 
     Raises:
-        NotFoundError: if the environment has no such task or setting.
-        UserError: if it does not have the embodiment or action type, or the adapter's manifest does not.
+        NotFoundError: the environment has no such task or setting.
+        UserError: environment or adapter does not support the embodiment or action type.
     """
     manifest = environments.manifest(environments.find(environment))
     tasks = manifest.tasks
@@ -125,10 +125,11 @@ def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs f
 
 
 def _cameras(policy: Manifest, inputs_read: Sequence[str] | None, offered: Mapping[str, Any]) -> bool | tuple[int, int]:
-    """Return what an environment is asked to render: nothing, images of its own size, or (height, width).
+    """Return what an environment renders: False for nothing, True for images of its own size, or (height, width).
 
-    Cameras cost most of a step: only who declares them gets them, and who has no manifest. Environments render all
-    cameras alike, so that several exact sizes cannot be had: the handshake then says which one is missing.
+    Cameras cost most of a step: only adapters that declare them get them, and adapters without a manifest. Environments
+    render all cameras alike, so that several exact sizes are impossible: the handshake then reports which one is
+        missing.
     """
     if inputs_read is not None and not any(name.startswith(sdk.Obs.VISION) for name in inputs_read):
         return False

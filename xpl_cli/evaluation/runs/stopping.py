@@ -1,8 +1,9 @@
-"""How many episodes it takes: planned beforehand, or played until the success rate is known well enough.
+"""The number of episodes: planned, or until the success rate is known well enough.
 
-Ending when an interval is narrow enough looks at the data again and again. That costs confidence, though not much:
-over all rates the interval then still holds the true one in 95 % of the runs, and at the least favourable rate in 92 %
-(for widths of at most 0.3). tests/evaluation/test_stopping.py computes that exactly.
+Stopping at a narrow interval looks at the data repeatedly, which costs some confidence: averaged over all rates, the
+    final
+interval still holds the true rate in 95 % of the runs, and at the least favourable rate in 92 % (for widths of at most
+0.3). tests/evaluation/test_stopping.py computes that exactly.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ FEWEST: Final = 20
 def stopping_point(outcomes: Iterable[bool | None], width: float) -> int | None:
     """Return after how many of a cell's episodes its success rate was known well enough, or None if it is not yet.
 
-    The answer depends on the order of the plan only. Whoever plays several episodes at once may have played more; these
-    do not count, so that the result does not depend on how many were played at once, nor on interruptions.
+    The result depends on the order of the plan only. With several workers more episodes may have run; these do not
+    count, so that the result depends neither on the number of workers nor on interruptions.
 
     Args:
         outcomes: of the cell's episodes in the order of the plan, up to the first that is not final: whether each
             succeeded, None for one that counts neither way.
-        width: what the interval's width must not exceed, above 0, at most 1.
+        width: limit of the interval's width, above 0, at most 1.
     """
     successes = judged = 0
     for played, outcome in enumerate(outcomes, start=1):
