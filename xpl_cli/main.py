@@ -1,4 +1,4 @@
-"""The `xpl` command: mounts the commands and turns exceptions into one sentence and an exit code."""
+"""The `xpl` command: collects the subcommands and turns exceptions into one sentence and an exit code."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from xpl_cli.commands.command import equip
 from xpl_cli.commands.headings import HeadedGroup
 
 _UsageError: Any = typer.BadParameter.__base__
-"""What the parser raises for a command line that it does not understand."""
+"""The parser's error for a wrong command line."""
 
-_ROOMS: Final = "xpl_cli.commands"
+_PACKAGE: Final = "xpl_cli.commands"
 _COMMANDS: Final = {
     "new-policy": "scaffold.new_policy",
     "new-env": "scaffold.new_env",
@@ -51,7 +51,7 @@ _COMMANDS: Final = {
     "demo": "run.demo",
     "answers": "agents.answers",
 }
-"""Each command with its module; its function has its name, with the exceptions below."""
+"""Module of each command; the function has the command's name, but for `_FUNCTIONS`."""
 _GROUPS: Final = {
     "env": "run.env",
     "checkpoint": "run.checkpoint",
@@ -65,18 +65,18 @@ _GROUPS: Final = {
 _FUNCTIONS: Final = {"eval": "evaluate"}
 _HIDDEN: Final = frozenset({"hook"})
 _NEED_ALL: Final = frozenset({"hook", "spec"})
-"""Commands that look at the whole command line."""
+"""Commands that inspect the whole command line."""
 
 
 @cache
 def _command(only: str | None) -> Any:
-    """Return what reads the command line; whoever runs several commands in a process has each made once."""
-    return typer.main.get_command(_made(only))
+    """Return the parser of the command line, cached for callers that run several commands in one process."""
+    return typer.main.get_command(_build_app(only))
 
 
-def _made(only: str | None = None) -> typer.Typer:
-    """Return the command line, with one command only where that is named: importing all takes longer than most run."""
-    made = typer.Typer(
+def _build_app(only: str | None = None) -> typer.Typer:
+    """Return the app with all commands or only the named one: importing all takes longer than most commands run."""
+    result = typer.Typer(
         name="xpl",
         cls=HeadedGroup,
         help="Scaffold, serve, audit and evaluate robot policies against one standard.",
@@ -87,20 +87,20 @@ def _made(only: str | None = None) -> typer.Typer:
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    made.callback(invoke_without_command=True)(_root)
+    result.callback(invoke_without_command=True)(_root)
     for name, home in _COMMANDS.items():
         if only in {None, name}:
             function = _FUNCTIONS.get(name, name.replace("-", "_"))
-            made.command(name, hidden=name in _HIDDEN)(getattr(_module(home), function))
+            result.command(name, hidden=name in _HIDDEN)(getattr(_module(home), function))
     for name, home in _GROUPS.items():
         if only in {None, name}:
-            made.add_typer(_module(home).app, name=name)
-    equip(made)
-    return made
+            result.add_typer(_module(home).app, name=name)
+    equip(result)
+    return result
 
 
 def _module(home: str) -> Any:
-    return importlib.import_module(f"{_ROOMS}.{home}")
+    return importlib.import_module(f"{_PACKAGE}.{home}")
 
 
 def _root(
@@ -113,16 +113,16 @@ def _root(
 
 
 def __getattr__(name: str) -> Any:
-    """Make `app`, the whole command line, for whoever looks at all of it."""
+    """Build `app`, the whole command line, on first access."""
     if name != "app":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    whole = _made()
+    whole = _build_app()
     globals()[name] = whole
     return whole
 
 
-def _named(arguments: list[str]) -> str | None:
-    """Return the command that is asked for, "" for none, if it is enough to know that one; else None."""
+def _command_name(arguments: list[str]) -> str | None:
+    """Return the name of the only command that has to be imported, "" for none; None if all are needed."""
     if arguments == ["--version"]:
         return ""
     first = arguments[0] if arguments else ""
@@ -132,13 +132,13 @@ def _named(arguments: list[str]) -> str | None:
 def run() -> NoReturn:
     """Run the command line of this process."""
     console.open_streams()
-    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a shell has it for what it starts in the background
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a shell sets it for background jobs
         signal.signal(signal.SIGINT, signal.default_int_handler)
     publish_terminal()
     # A supervisor's SIGTERM ends a command the way Ctrl-C does, so that every `finally` still runs.
     signal.signal(signal.SIGTERM, _interrupt)
     code = main(sys.argv[1:])
-    gc.freeze()  # what is left need not be searched for garbage as well: that took a fifth of most commands
+    gc.freeze()  # skips the garbage collection at exit, which took a fifth of most commands
     sys.exit(code)
 
 
@@ -149,23 +149,23 @@ def main(arguments: list[str]) -> int:
         arguments: the command line after `xpl`.
     """
     try:
-        ended = _command(_named(arguments)).main(args=arguments, prog_name="xpl", standalone_mode=False)
+        result = _command(_command_name(arguments)).main(args=arguments, prog_name="xpl", standalone_mode=False)
     except UserError as error:
-        return _told(error, arguments)
+        return _report_error(error, arguments)
     except _UsageError as error:
-        return _told(failures.of_usage(error), arguments)
+        return _report_error(failures.of_usage(error), arguments)
     except (KeyboardInterrupt, typer.Abort):
         _ignore_interrupts()
-        return _told(UserError("interrupted", code=ExitCode.INTERRUPTED), arguments)
+        return _report_error(UserError("interrupted", code=ExitCode.INTERRUPTED), arguments)
     except BrokenPipeError:
-        # The reader of our output went away, as `head` does: not a failure worth a message.
+        # The reader of the output has closed it, as `head` does: no failure.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.CLEAN
     except Exception as error:
         if os.environ.get("XPL_DEBUG"):
             raise
-        return _told(failures.of_other(error), arguments)
-    return ended if isinstance(ended, int) else ExitCode.CLEAN
+        return _report_error(failures.of_other(error), arguments)
+    return result if isinstance(result, int) else ExitCode.CLEAN
 
 
 def _interrupt(_signal: int, _frame: object) -> NoReturn:
@@ -173,14 +173,14 @@ def _interrupt(_signal: int, _frame: object) -> NoReturn:
 
 
 def _ignore_interrupts() -> None:
-    """Let whoever presses Ctrl-C again still see the sentence, and the exit code that goes with it."""
+    """Ignore further interrupts, so that the message and the exit code still reach the user."""
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
 
 
-def _told(error: UserError, arguments: list[str]) -> int:
-    """Tell an error, on stderr and to who asked for JSON and has no answer yet also on stdout; return its exit code."""
+def _report_error(error: UserError, arguments: list[str]) -> int:
+    """Print an error on stderr, and with --json also on stdout unless an answer was printed; return its exit code."""
     if failures.wants_json(arguments) and not console.has_answered():
         console.data_json(failures.document(error))
     console.note(failures.lines(error).removesuffix("\n"))

@@ -63,7 +63,7 @@ ELSEWHERE = {
     ("xpl_cli/data/probe/chains.py", 7): "joints whose orders are all tried",
     ("xpl_cli/data/probe/parts.py", 7): "joints of an arm",
     ("xpl_cli/data/probe/tracking.py", 7): "steps of latency",
-    ("xpl_cli/model_io/pictures.py", 7): "a prime that spreads patterns",
+    ("xpl_cli/model_io/test_images.py", 7): "a prime that spreads patterns",
     ("xpl_cli/model_io/script.py", 7): "a prime that spreads openings",
     ("xpl_cli/model_io/show/sheet.py", 7): "pixels",
     ("xpl_cli/isolation/seccomp.py", 1073741824): "a bit of the kernel",

@@ -65,7 +65,7 @@ def get(
 @app.command()
 @ends(
     clean="all is in its place",
-    findings="something was left alone",
+    findings="a changed file was not overwritten",
     not_found="no such skill or folder",
     not_run="a place cannot be written to",
 )

@@ -1,1 +1,1 @@
-"""Commands for who keeps the standard."""
+"""Commands for maintainers of the standard."""

@@ -9,12 +9,12 @@ from typing import Annotated
 
 import typer
 
-app = typer.Typer(help="The SDK that policies and simulators install.", no_args_is_help=True)
+app = typer.Typer(help="Build the SDK that policies and simulators install.", no_args_is_help=True)
 
 
 @app.callback()
 def sdk() -> None:
-    """The SDK that policies and simulators install."""
+    """Build the SDK that policies and simulators install."""
 
 
 @app.command()

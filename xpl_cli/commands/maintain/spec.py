@@ -27,7 +27,7 @@ def show(
     ),
     as_json: bool = JSON,
 ) -> None:
-    """Show a part of the standard; without NAME, list what there is."""
+    """Show a part of the standard; without NAME, list all parts."""
     from xpl_cli.basics import console
     from xpl_cli.packages import robots
     from xpl_cli.standard import spec, view
@@ -187,7 +187,7 @@ def _file_problems(files: list[Path], schema: str | None) -> Iterator[Problem]:
 
 
 def _schema_of(file: Path, schema: str | None) -> str:
-    """Return the name of the schema that was asked for, or that a file's name tells.
+    """Return the name of the requested schema, or the one that a file's name implies.
 
     Raises:
         UserError: if there is none of that name, or the name tells none.

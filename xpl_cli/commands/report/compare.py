@@ -19,7 +19,7 @@ def compare(
     skip_bad_lines: bool = SKIP_BAD_LINES,
     as_json: bool = JSON,
 ) -> None:
-    """Tell which of two runs is better, and how sure that is. Counted are the episodes that both played."""
+    """Compare two runs by the episodes that both have: which is better, and how certain that is."""
     import shlex
 
     from xpl_cli.basics import console

@@ -21,7 +21,7 @@ def leaderboard(
     ),
     by: str = typer.Option("success", metavar="NAME", help="Rank by success, score, or a dimension."),
     tables: bool = typer.Option(False, "--tables", help="Of RoboDojo's results: print Tables II to IV of its paper."),
-    common: bool = typer.Option(False, "--common", help="Count only the episodes that all runs played."),
+    common: bool = typer.Option(False, "--common", help="Count only the episodes that all runs have."),
     anyway: bool = typer.Option(
         False, "--anyway", help="Rank in spite of differences between the runs, and name them."
     ),
@@ -33,7 +33,7 @@ def leaderboard(
     skip_bad_lines: bool = SKIP_BAD_LINES,
     as_json: bool = JSON,
 ) -> None:
-    """Rank runs by success rate. Names those that these episodes do not tell apart."""
+    """Rank runs by success rate, with the differences that these episodes do not resolve."""
     import shlex
 
     from xpl_cli.basics import console

@@ -1,4 +1,4 @@
-"""`xpl submit` and `xpl verify`: a run as a bundle that somebody else can check."""
+"""`xpl submit` and `xpl verify`: a run as a bundle that others can verify."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from xpl_cli.submission.verify import VerificationReport
 
 SCHEMA = "xpl.submit/1"
-_EVAL_ENV = typer.Option(None, help="Python of the environment, as for --policy-env; env.yml's if unsaid.")
+_EVAL_ENV = typer.Option(None, help="Like --policy-env, for the environment.")
 _SHOWN = 20
 
 
 @ends(
     clean="written",
-    findings="something is to be mended first",
+    findings="the runs need fixes first",
     not_found="no such adapter or run",
     not_run="the audit could not run",
 )
@@ -33,7 +33,7 @@ def submit(
     policy: str = POLICY,
     runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Folders that `xpl eval --out` wrote."),
     check: bool = typer.Option(False, "--check", help="Check what a submission needs, and write the bundle."),
-    out: Path | None = typer.Option(None, metavar="FILE", help="The bundle; POLICY.xpl.zip here by default."),
+    out: Path | None = typer.Option(None, metavar="FILE", help="Bundle file; default: POLICY.xpl.zip."),
     extras: list[str] = typer.Option([], "--with", metavar="KIND", help="Pack these, too: trace, film."),
     python: str | None = PYTHON,
     policy_env: str | None = POLICY_ENV,
@@ -73,19 +73,19 @@ def submit(
 
 
 @ends(
-    clean="it agrees",
-    findings="it does not",
+    clean="the bundle agrees",
+    findings="it does not agree",
     usage="no bundle",
     not_found="not there",
-    not_run="nothing could be played, or the sample does not tell",
+    not_run="no episode could be rerun, or the sample is too small",
 )
 def verify(
     bundle: Path = typer.Argument(..., metavar="BUNDLE", help="What `xpl submit --check` wrote."),
-    sample: int = typer.Option(5, min=0, help="Episodes to play again; 0 runs nothing of the bundle."),
-    seed: int | None = typer.Option(None, min=0, help="Which ones; drawn anew by default."),
-    policy: Path | None = typer.Option(None, metavar="DIR", help="Play this adapter, whose files must be the same."),
-    unpack: Path | None = typer.Option(None, metavar="DIR", help="New folder to unpack into, and leave there."),
-    max_size: str = typer.Option("10GB", metavar="SIZE", help="Most bytes that are unpacked."),
+    sample: int = typer.Option(5, min=0, help="Episodes to rerun; 0 runs nothing of the bundle."),
+    seed: int | None = typer.Option(None, min=0, help="Seed of the sample; default: random."),
+    policy: Path | None = typer.Option(None, metavar="DIR", help="Use this adapter, whose files must be the same."),
+    unpack: Path | None = typer.Option(None, metavar="DIR", help="New folder to unpack into and keep."),
+    max_size: str = typer.Option("10GB", metavar="SIZE", help="Largest unpacked size."),
     python: str | None = PYTHON,
     policy_env: str | None = POLICY_ENV,
     policy_gpu: str | None = POLICY_GPU,
@@ -93,9 +93,9 @@ def verify(
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP),
     as_json: bool = JSON,
 ) -> None:
-    """Check a bundle, and play a sample of its episodes again.
+    """Check a bundle, and rerun a sample of its episodes.
 
-    Playing runs the adapter of the bundle, as any evaluation would; --sample 0 does not.
+    Rerunning runs the bundle's adapter, as any evaluation does; --sample 0 runs nothing.
     """
     from xpl_cli.basics import console
     from xpl_cli.basics.progress import progress
@@ -170,7 +170,7 @@ def _report_text(report: VerificationReport) -> str:
         lines += _listed(replay.disagreements(pair for _, pair in report.pairs))
         lines.append(f"  sample drawn with --seed {report.seed}")
     elif report.replay_skipped is not None:
-        lines.append(f"  replay: not played: {report.replay_skipped}")
+        lines.append(f"  replay: not run: {report.replay_skipped}")
     return as_lines(lines)
 
 

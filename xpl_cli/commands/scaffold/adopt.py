@@ -22,7 +22,7 @@ def adopt(
         [], "--set", metavar="KEY=VALUE", help="A value of your own: temporal.chunk=50."
     ),
     scripts: bool = typer.Option(False, "--scripts", help="Also write the scripts that are missing."),
-    merge: bool = typer.Option(False, "--merge", help="Append to a policy.yml that is there the keys that it lacks."),
+    merge: bool = typer.Option(False, "--merge", help="Append missing keys to an existing policy.yml."),
     sources: list[Path] = typer.Option(
         [],
         "--from",
@@ -35,7 +35,7 @@ def adopt(
     dry_run: bool = typer.Option(False, "--dry-run", help="Print what would be written, and write nothing."),
     as_json: bool = JSON,
 ) -> None:
-    """Write the manifest that an adapter lacks. What its files do not state is unknown; nothing else is changed."""
+    """Write policy.yml for an adapter without one. What its files do not state is unknown; no other file changes."""
     from xpl_cli.adopt.package import CheckpointSource, adoption
     from xpl_cli.basics import console
     from xpl_cli.commands.scaffold.from_checkpoint import choices
@@ -90,7 +90,7 @@ def _tell(path: Path, chosen: Adoption, summary: dict[str, Any]) -> None:
 
 
 def _audited(folder: Path) -> dict[str, Any]:
-    """Return what the static gate, which runs nothing of the adapter, says of it now."""
+    """Return the report of the static gate, which runs nothing of the adapter."""
     from xpl_cli.audit.engine.engine import audit
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.model import Outcome

@@ -20,7 +20,7 @@ GRIPPER = typer.Option(
     None, metavar="CLOSED,OPEN", help="With --from: the model's values of a closed and of an open gripper."
 )
 CAMERA = typer.Option(
-    [], metavar="NAME=CAMERA", help="With --from: which of the standard's cameras one of the checkpoint's is."
+    [], metavar="NAME=CAMERA", help="With --from: a camera of the checkpoint and its name in the standard."
 )
 STATISTICS = typer.Option(
     None, metavar="NAME", help="With --from: whose statistics count, where a file holds those of several data sets."
@@ -81,7 +81,7 @@ def begin(
 
 
 def choices(gripper: str | None, cameras: Sequence[str], statistics: str | None, *, given: bool) -> UserChoices:
-    """Return what the user said of a checkpoint.
+    """Return the user's options on a checkpoint.
 
     Args:
         gripper: values of a closed and of an open gripper, as in 0,1.

@@ -24,7 +24,7 @@ def new_env(
     dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would be written."),
     as_json: bool = JSON,
 ) -> None:
-    """Scaffold an environment from the standard. It is a toy that passes its audit, until your simulator is in."""
+    """Scaffold an environment from the standard: a toy task, to be replaced by your simulator."""
     import shlex
 
     from xpl_cli.basics.errors import one_of

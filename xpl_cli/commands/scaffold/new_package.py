@@ -21,7 +21,7 @@ _SENTENCE = {
 
 
 def put(files: Files, target: Path, *, overwrite: bool, dry_run: bool) -> str:
-    """Put a render in place, or only tell what that would do; return what happened."""
+    """Write a rendered template, or with `dry_run` only compute the changes; return them."""
     from xpl_cli.scaffold import adapter
 
     return _preview(files, target) if dry_run else adapter.write(files, target, overwrite=overwrite)

@@ -57,7 +57,7 @@ def new_policy(
     dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would be written."),
     as_json: bool = JSON,
 ) -> None:
-    """Scaffold an adapter from the standard. It runs at once; `xpl audit` lists what is yours to fill in."""
+    """Scaffold an adapter from the standard. It runs at once; `xpl audit` lists what you have to fill in."""
     from xpl_cli.packages import robots
     from xpl_cli.scaffold import adapter
 
@@ -124,7 +124,7 @@ def _next(target: Path, *, install: bool) -> list[str]:
 
 
 def _is_asked() -> bool:
-    """Tell whether there is a person at a terminal; anything else is never asked."""
+    """Tell whether a user at a terminal can be prompted."""
     import os
     import sys
 

@@ -21,7 +21,7 @@ def update(
     force: bool = typer.Option(False, "--force", help="Also where version control has not recorded all changes."),
     as_json: bool = JSON,
 ) -> None:
-    """Bring a package to today's template. Its author's edits are kept."""
+    """Update a package to the current template. Your edits are kept."""
     import shlex
 
     from xpl_cli.basics import console
