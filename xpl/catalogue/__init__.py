@@ -1,8 +1,8 @@
-"""What a convention is written with, and where all of them are found; each is a module of `xpl.conventions`."""
+"""Building blocks and registry of conventions; each convention is a module of `xpl.conventions`."""
 
 from __future__ import annotations
 
-from xpl.catalogue.convention import Convention, Stage, Step, conventions
-from xpl.catalogue.mistake import Case, Mistake
+from xpl.catalogue.convention import Convention, GeometryStep, ValueTransform, conventions
+from xpl.catalogue.mistake import AdapterCase, Mistake
 
-__all__ = ["Case", "Convention", "Mistake", "Stage", "Step", "conventions"]
+__all__ = ["AdapterCase", "Convention", "GeometryStep", "Mistake", "ValueTransform", "conventions"]

@@ -1,9 +1,8 @@
-"""A convention: a choice that an adapter and its model have to share, with its code and its usual mistakes.
+"""A convention: a choice that an adapter and its model have to share, with its conversion and its common mistakes.
 
-Each is one module with an object `CONVENTION`: ours are the modules of `xpl.conventions`, which are found by their
-folder, and an installed package adds its own by an entry point of `xpl.conventions`, whose value is such a module. What
-is in `CONVENTION` is all that conversions, the schema of the block, the search for mistakes, the probe of a data set,
-the pages and `xpl explain` know of it.
+Each is one module with an object `CONVENTION`. Built-in conventions are the modules of `xpl.conventions`; an installed
+package adds its own by an entry point of the group `xpl.conventions`, whose value is such a module. Conversions, the
+schema of the block, the search for mistakes, `xpl data probe`, the pages and `xpl explain` read only `CONVENTION`.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Callable
 
 from xpl import registry
-from xpl.catalogue.mistake import Case, Mistake
+from xpl.catalogue.mistake import AdapterCase, Mistake
 from xpl.contract import Entry
 
 if TYPE_CHECKING:
@@ -24,19 +23,19 @@ if TYPE_CHECKING:
 
     from xpl.catalogue.part import Part
 
-Finds = Callable[[Case], Iterable[Mistake]]
-Change = Callable[[Any, Entry], Any]
-"""Returns encoded inputs changed, of these and a map that says how."""
+MistakeSource = Callable[[AdapterCase], Iterable[Mistake]]
+InputChange = Callable[[Any, Entry], Any]
+"""Returns changed model inputs; arguments: the inputs, and a map with parameters."""
 
 
 @dataclass(frozen=True)
-class Step:
-    """A change of an image's geometry: one of `steps` of an image input.
+class GeometryStep:
+    """A geometric transform of an image: one of `steps` of an image input.
 
     Attributes:
-        encode: images (..., H, W, 3) and how, to images.
-        undo: images, how, and height and width before the step, to images of that size.
-        shape: how, and height and width before, to those after.
+        encode: (image (H, W, 3), parameters) -> image.
+        undo: (image, parameters, (height, width) before the step) -> image of that size.
+        shape: (parameters, (height, width) before) -> (height, width) after.
     """
 
     encode: Callable[[np.ndarray, Any], np.ndarray]
@@ -45,11 +44,11 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Stage:
-    """What a key of an entry does to its values, there and back.
+class ValueTransform:
+    """A transform of values by one key of an entry, and its inverse.
 
     Attributes:
-        encode: the standard's value and what the key says, to the model's.
+        encode: (the standard's value, value of the key) -> the model's value.
         decode: the inverse.
     """
 
@@ -57,7 +56,7 @@ class Stage:
     decode: Callable[[Any, Any], Any]
 
 
-def _none(_case: Case) -> Iterable[Mistake]:
+def _none(_case: AdapterCase) -> Iterable[Mistake]:
     return ()
 
 
@@ -66,53 +65,53 @@ class Convention:
     """One convention.
 
     Attributes:
-        name: as reference.py and findings call it.
-        about: what is to be agreed on; of ours the schema of the block says it.
-        in_block: its mistakes as other words of the block.
-        around: those as changes of what an adapter is shown, and of what it commands.
-        in_inputs: those as changes of what its `encode` makes.
-        kinds: by kind of such a change, what carries it out.
-        steps: by word, the steps of an image's geometry.
-        images: by key of an image input, what it does to bytes (..., H, W, 3), after the steps.
-        texts: by key of the instruction, what it does to the text, before the template.
-        parts: by word, the parts of a vector.
-        keys: the block's keys that say it, by where they stand: images, steps, history, normalize, vectors, a kind of
-            part, or block for those of the block itself; `*` for all that stand there.
-        applies: tells whether it is to be agreed on for a block; by default where one of its keys stands.
-        schema: what it adds to the schema of the block: by definition, the properties.
-        told_by: what tells it in a data set: a function of `xpl_cli.data.probe.sample.Sample` that yields answers.
+        name: name in reference.py and in findings.
+        about: one-line description; for built-in conventions the schema of the block has it.
+        config_mistakes: its mistakes as edits of the model_io block.
+        io_mistakes: its mistakes as changes of observations and actions.
+        input_mistakes: its mistakes as changes of the inputs that the adapter's `encode` returns.
+        input_changes: by kind of such a change, the function that applies it.
+        steps: geometric transforms of images, by their key.
+        images: by key of an image input, its transform of images (..., H, W, 3), 0..255, after the steps.
+        texts: by key of the instruction, its transform of the text, before the template.
+        parts: by key, the classes of parts of a vector.
+        keys: keys of the block that belong to it, by group: images, steps, history, normalize, vectors, a kind of
+            part, or block for top-level keys; `*` for all keys of a group.
+        applies: returns whether it applies to a block; by default if one of its keys is present.
+        schema: properties that it adds to the schema of the block, by definition.
+        probe: yields evidence of it in a data set, from a `xpl_cli.data.probe.sample.Sample`.
     """
 
     name: str
     about: str = ""
-    in_block: Finds = _none
-    around: Finds = _none
-    in_inputs: Finds = _none
-    kinds: Mapping[str, Change] = field(default_factory=dict)
-    steps: Mapping[str, Step] = field(default_factory=dict)
-    images: Mapping[str, Stage] = field(default_factory=dict)
-    texts: Mapping[str, Stage] = field(default_factory=dict)
+    config_mistakes: MistakeSource = _none
+    io_mistakes: MistakeSource = _none
+    input_mistakes: MistakeSource = _none
+    input_changes: Mapping[str, InputChange] = field(default_factory=dict)
+    steps: Mapping[str, GeometryStep] = field(default_factory=dict)
+    images: Mapping[str, ValueTransform] = field(default_factory=dict)
+    texts: Mapping[str, ValueTransform] = field(default_factory=dict)
     parts: Mapping[str, type[Part]] = field(default_factory=dict)
     keys: Mapping[str, Sequence[str]] = field(default_factory=dict)
     applies: Callable[[Entry], bool] | None = None
     schema: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    told_by: Callable[[Any], Iterable[Any]] | None = None
+    probe: Callable[[Any], Iterable[Any]] | None = None
 
 
 @cache
-def ours() -> tuple[Convention, ...]:
-    """Return the conventions of this package, by name."""
+def built_in() -> tuple[Convention, ...]:
+    """Return the built-in conventions, by name."""
     folder = importlib.import_module("xpl.conventions")
-    found = (importlib.import_module(f"xpl.conventions.{one.name}") for one in pkgutil.iter_modules(folder.__path__))
-    return tuple(module.CONVENTION for module in found)
+    modules = (importlib.import_module(f"xpl.conventions.{one.name}") for one in pkgutil.iter_modules(folder.__path__))
+    return tuple(module.CONVENTION for module in modules)
 
 
 @cache
-def others() -> tuple[Convention, ...]:
-    """Return those of installed packages.
+def installed() -> tuple[Convention, ...]:
+    """Return the conventions of installed packages.
 
     Raises:
-        EntryPointError: one cannot be imported, or is none.
+        EntryPointError: one cannot be imported, or is no convention.
     """
     found = []
     for entry in registry.entries(registry.CONVENTIONS).values():
@@ -124,39 +123,39 @@ def others() -> tuple[Convention, ...]:
 
 
 def conventions() -> tuple[Convention, ...]:
-    """Return all conventions: ours, then those of installed packages."""
-    return (*ours(), *others())
+    """Return all conventions: built-in, then those of installed packages."""
+    return (*built_in(), *installed())
 
 
-def found(kind: str, word: str) -> Any:
-    """Return what a word means by the conventions that have it under `kind`: ours first; None if none has.
+def lookup(kind: str, word: str) -> Any:
+    """Return the value of a key in a map of the conventions, built-in ones first; None if no convention has it.
 
     Args:
-        kind: an attribute of `Convention` that is a map: steps, images, texts, parts, kinds.
-        word: a key of it.
+        kind: the map, an attribute of `Convention`: steps, images, texts, parts, input_changes.
+        word: the key.
     """
-    for several in (ours, others):  # installed packages are only looked for where we have none
-        for one in several():
+    for source in (built_in, installed):  # installed packages are searched only if no built-in convention has it
+        for one in source():
             if word in getattr(one, kind):
                 return getattr(one, kind)[word]
     return None
 
 
 def applying(block: Entry) -> list[str]:
-    """Return the conventions that are to be agreed on for a block, sorted."""
-    there = set(_places(block, ()))
-    return sorted(one.name for one in conventions() if (one.applies(block) if one.applies else _stands(one, there)))
+    """Return the names of the conventions that apply to a block, sorted."""
+    present = set(_keys_of(block, ()))
+    return sorted(one.name for one in conventions() if (one.applies(block) if one.applies else _has_key(one, present)))
 
 
-def of_key(path: Sequence[str | int]) -> str | None:
-    """Return the convention that the value at a path of the block is of; None if it is of none."""
-    group, key = _place([word for word in path if isinstance(word, str)])
-    by_place = _by_place()
-    return by_place.get((group, key)) or by_place.get((group, "*"))
+def convention_of_key(path: Sequence[str | int]) -> str | None:
+    """Return the name of the convention that a path of the block belongs to, or None."""
+    group, key = _group_of_key([word for word in path if isinstance(word, str)])
+    by_key = _conventions_by_key()
+    return by_key.get((group, key)) or by_key.get((group, "*"))
 
 
-def _place(words: Sequence[str]) -> tuple[str, str]:
-    """Return where a key stands, and the key, of the words that lead to it."""
+def _group_of_key(words: Sequence[str]) -> tuple[str, str]:
+    """Return (group, key) of the keys that lead to a value."""
     *above, key = words
     for group in ("history", "normalize"):
         if group in above:
@@ -169,23 +168,23 @@ def _place(words: Sequence[str]) -> tuple[str, str]:
 
 
 @cache
-def _by_place() -> Mapping[tuple[str, str], str]:
+def _conventions_by_key() -> Mapping[tuple[str, str], str]:
     return {(group, key): one.name for one in conventions() for group, keys in one.keys.items() for key in keys}
 
 
-def _places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, str]]:
-    """Yield where the keys of a block stand."""
+def _keys_of(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    """Yield (group, key) of all keys of a block."""
     if isinstance(value, Mapping):
         for key, item in value.items():
-            yield _place((*path, key))
-            yield from _places(item, (*path, key))
+            yield _group_of_key((*path, key))
+            yield from _keys_of(item, (*path, key))
     elif isinstance(value, (list, tuple)):
         for item in value:
-            yield from _places(item, path)
+            yield from _keys_of(item, path)
 
 
-def _stands(one: Convention, there: set[tuple[str, str]]) -> bool:
-    return any((group, key) in there for group, keys in one.keys.items() for key in keys)
+def _has_key(one: Convention, present: set[tuple[str, str]]) -> bool:
+    return any((group, key) in present for group, keys in one.keys.items() for key in keys)
 
 
 def kinds(block: Entry) -> set[str]:
@@ -198,19 +197,19 @@ def _list(value: Any) -> list[Any]:
     return value if isinstance(value, list) else []
 
 
-def in_block(case: Case) -> Iterator[Mistake]:
-    """Yield the mistakes as other words of the block, the likeliest first; whether they fit is not looked at."""
-    made = [mistake for one in conventions() for mistake in one.in_block(case)]
-    yield from sorted(made, key=lambda one: one.rank)
+def config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
+    """Yield mistakes as edits of the block, the likeliest first; whether the result is valid is not checked."""
+    mistakes = [mistake for one in conventions() for mistake in one.config_mistakes(case)]
+    yield from sorted(mistakes, key=lambda one: one.rank)
 
 
-def around(case: Case) -> Iterator[Mistake]:
-    """Yield the mistakes as changes around an adapter, the likeliest first; those that cost no play before others."""
-    made = [mistake for one in conventions() for mistake in one.around(case)]
-    yield from sorted(made, key=lambda one: (one.rank, one.shown is not None, one.windowed))
+def io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
+    """Yield mistakes as changes of observations and actions, the likeliest first, then those that need no rollout."""
+    mistakes = [mistake for one in conventions() for mistake in one.io_mistakes(case)]
+    yield from sorted(mistakes, key=lambda one: (one.rank, one.change_observations is not None, one.windowed))
 
 
-def in_inputs(case: Case) -> Iterator[Mistake]:
-    """Yield the mistakes as changes of encoded inputs, the likeliest first; those that make pictures again last."""
-    made = [mistake for one in conventions() for mistake in one.in_inputs(case)]
-    yield from sorted(made, key=lambda one: (one.rank, bool(one.geometry)))
+def input_mistakes(case: AdapterCase) -> Iterator[Mistake]:
+    """Yield mistakes as changes of model inputs, the likeliest first, those that resize images last."""
+    mistakes = [mistake for one in conventions() for mistake in one.input_mistakes(case)]
+    yield from sorted(mistakes, key=lambda one: (one.rank, bool(one.geometry)))

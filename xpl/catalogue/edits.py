@@ -1,4 +1,4 @@
-"""Changes of a model_io block by place, and the places that are changed together."""
+"""Edits of a model_io block by path, and sets of paths that one mistake covers."""
 
 from __future__ import annotations
 
@@ -6,78 +6,78 @@ import copy
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Callable, Optional
 
-from xpl.catalogue.mistake import Mistake, Place
+from xpl.catalogue.mistake import BlockPath, Mistake
 from xpl.contract import Entry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
 Block = Entry
-"""A model_io block as it is written, or an entry of it."""
+"""A model_io block as written in policy.yml, or an entry of it."""
 
 
-GONE: Any = object()
-"""Takes a value out of the block."""
+REMOVE: Any = object()
+"""Value of an edit that removes a key."""
 
 
 @dataclass(frozen=True)
 class Site:
-    """One place of the block that changes are made at.
+    """An entry of the block that edits apply to.
 
     Attributes:
-        place: leads there.
-        entry: what is there.
-        group: state or action, or "" where there are no such groups.
-        name: how a finding tells it from the others, such as the arm or the image input.
+        path: path of the entry.
+        entry: the entry.
+        group: state or action, or "" without such groups.
+        name: distinguishes it from the other sites in findings, such as the arm or the image input.
     """
 
-    place: Place
+    path: BlockPath
     entry: Any
     group: str = ""
     name: str = ""
     kind: str = field(default="", compare=False)
 
 
-def edited(block: Block, edits: Mapping[Place, Any]) -> dict[str, Any]:
-    """Return a copy of the block with values replaced or taken out."""
+def apply_edits(block: Block, edits: Mapping[BlockPath, Any]) -> dict[str, Any]:
+    """Return a copy of the block with values replaced or removed."""
     result: dict[str, Any] = copy.deepcopy(dict(block))
-    for place, value in edits.items():
-        *way, last = place
-        spot: Any = result
-        for key in way:
-            spot = spot[key]
-        if value is GONE:
-            spot.pop(last, None)
+    for path, value in edits.items():
+        *parents, last = path
+        node: Any = result
+        for key in parents:
+            node = node[key]
+        if value is REMOVE:
+            node.pop(last, None)
         else:
-            spot[last] = copy.deepcopy(value)
+            node[last] = copy.deepcopy(value)
     return result
 
 
 def parts(block: Block, *kinds: str) -> list[Site]:
-    """Return the parts of all vectors that are of these kinds, the state's first."""
-    found = []
-    for place, group, vector in vectors(block):
+    """Return the parts of these kinds of all vectors, the state's first."""
+    sites = []
+    for path, group, vector in vectors(block):
         for index, part in enumerate(vector["parts"]):
             ((kind, how),) = part.items()
             if kind in kinds:
                 arm = "" if how.get("arm") == "single" else how.get("arm", "")
-                found.append(Site((*place, "parts", index, kind), how, group, arm, kind))
-    return found
+                sites.append(Site((*path, "parts", index, kind), how, group, arm, kind))
+    return sites
 
 
-def vectors(block: Block) -> Iterator[tuple[Place, str, Block]]:
-    """Yield place, group and entry of each vector."""
+def vectors(block: Block) -> Iterator[tuple[BlockPath, str, Block]]:
+    """Yield path, group and entry of each vector."""
     for index, entry in enumerate(block.get("state") or ()):
         yield ("state", index), "state", entry
     yield ("action",), "action", block["action"]
 
 
 def scopes(sites: Sequence[Site]) -> Iterator[tuple[int, str, list[Site]]]:
-    """Yield the sets of places that one mistake may cover: all, those of a group, of a name, and each alone.
+    """Yield the sets of sites that one mistake may cover: all, those of a group, of a name, and each alone.
 
-    With each how much later than the first it is tried, and how a finding calls it: "" where nothing has to be told.
+    Each comes with its additional rank, and a suffix for findings, "" for the first.
     """
-    seen: set[frozenset[Place]] = set()
+    seen: set[frozenset[BlockPath]] = set()
     groups = list(dict.fromkeys(site.group for site in sites))
     names = list(dict.fromkeys(site.name for site in sites))
     sets = [(0, "", list(sites))]
@@ -89,73 +89,74 @@ def scopes(sites: Sequence[Site]) -> Iterator[tuple[int, str, list[Site]]]:
         for name in names
     ]
     sets += [(2, ", ".join(filter(None, (s.group, s.name, s.kind))), [s]) for s in sites]
-    for later, told, chosen in sets:
-        key = frozenset(site.place for site in chosen)
+    for extra_rank, label, chosen in sets:
+        key = frozenset(site.path for site in chosen)
         if chosen and key not in seen:
             seen.add(key)
-            yield later, f" ({told})" if told else "", chosen
+            yield extra_rank, f" ({label})" if label else "", chosen
 
 
-Change = Callable[[Any], Optional[Block]]
-"""Returns by key what becomes of an entry (`GONE` takes it out), or None where the change has no meaning."""
+EntryChange = Callable[[Any], Optional[Block]]
+"""Returns the new values of an entry by key (`REMOVE` removes one), or None if the change does not apply."""
 
 
-def everywhere(  # noqa: PLR0913 - one mistake in six words
-    sites: Sequence[Site], rank: int, words: str, convention: str, change: Change, *, alone: bool = True
+def mistakes_at_sites(  # noqa: PLR0913 - one mistake in six words
+    sites: Sequence[Site], rank: int, description: str, convention: str, change: EntryChange, *, partial: bool = True
 ) -> Iterator[Mistake]:
-    """Yield a change at all places that it has a meaning at, and at some of them.
+    """Yield a change at all sites that it applies to, and at subsets of them.
 
     Args:
-        sites: the places.
-        rank: of the change at all of them.
-        words: of the change.
-        convention: of the vocabulary.
-        change: of one entry.
-        alone: also at some of the places.
+        sites: the sites.
+        rank: rank of the change at all of them; 0 is the likeliest.
+        description: description of the change.
+        convention: name of its convention.
+        change: change of one entry.
+        partial: also yield it at subsets of the sites.
     """
     fit = [(site, change(site.entry)) for site in sites]
-    found = {site.place: edits for site, edits in fit if edits}
-    for later, told, chosen in scopes([site for site in sites if site.place in found]):
-        edits = {(*site.place, key): value for site in chosen for key, value in found[site.place].items()}
-        yield Mistake(rank + later, words + told, convention, edits)
-        if not alone:
+    edits_by_path = {site.path: edits for site, edits in fit if edits}
+    for extra_rank, label, chosen in scopes([site for site in sites if site.path in edits_by_path]):
+        edits = {(*site.path, key): value for site in chosen for key, value in edits_by_path[site.path].items()}
+        yield Mistake(rank + extra_rank, description + label, convention, edits)
+        if not partial:
             return
 
 
-def at(block: Block, place: Place) -> Any:
-    """Return the value at a place of the block."""
-    spot: Any = block
-    for key in place:
-        spot = spot[key]
-    return spot
+def value_at(block: Block, path: BlockPath) -> Any:
+    """Return the value at a path of the block."""
+    node: Any = block
+    for key in path:
+        node = node[key]
+    return node
 
 
-def without(key: str) -> Change:
-    """Return the change that takes a word out."""
-    return lambda entry: {key: GONE} if key in entry else None
+def remove_key(key: str) -> EntryChange:
+    """Return the change that removes a key."""
+    return lambda entry: {key: REMOVE} if key in entry else None
 
 
-def word(key: str, value: Any, default: Any = None) -> Change:
-    """Return the change that says another word under a key, where it is not said already; a default is not written."""
+def set_key(key: str, value: Any, default: Any = None) -> EntryChange:
+    """Return the change of a key to another value, where it differs; a default value is not written."""
 
     def change(entry: Any) -> Block | None:
         if entry.get(key, default) == value:
             return None
-        return {key: GONE if value == default else value}
+        return {key: REMOVE if value == default else value}
 
     return change
 
 
-def alike(block: Block, kinds: Sequence[str], key: str, convention: str) -> Iterator[Mistake]:
-    """Yield parts of the state that say under a key what the action's of the same arm say, and the other way round."""
+def copy_between_state_and_action(block: Block, kinds: Sequence[str], key: str, convention: str) -> Iterator[Mistake]:
+    """Yield the value of a key copied from the action's part of an arm to the state's, and the other way round."""
     for kind in kinds:
         sites = parts(block, kind)
         for group, other in (("state", "action"), ("action", "state")):
-            told = {site.name: site.entry.get(key, GONE) for site in sites if site.group == other}
+            values = {site.name: site.entry.get(key, REMOVE) for site in sites if site.group == other}
             edits = {
-                (*site.place, key): told[site.name]
+                (*site.path, key): values[site.name]
                 for site in sites
-                if site.group == group and told.get(site.name, site.entry.get(key, GONE)) != site.entry.get(key, GONE)
+                if site.group == group
+                and values.get(site.name, site.entry.get(key, REMOVE)) != site.entry.get(key, REMOVE)
             }
             if edits:
                 yield Mistake(1, f"{kind}: {key} of the {group} as of the {other}", convention, edits)

@@ -1,6 +1,6 @@
-"""Changes of the fields of an arm: there and back, what they do to differences, and each as mistakes of an adapter.
+"""Changes of the fields of an arm, their inverses and their effect on deltas, and the mistakes that they make.
 
-A change is tried on its ways: in what is shown, in what is commanded, in both; of values and of differences.
+A change is tried on its targets: observations, actions, both; on values and on deltas.
 """
 
 from __future__ import annotations
@@ -12,7 +12,16 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.catalogue import deltas
-from xpl.catalogue.mistake import Case, Commanded, Episode, Given, Mistake, Obs, Shown, Step
+from xpl.catalogue.mistake import (
+    ActionChange,
+    AdapterCase,
+    ArrayMap,
+    Mistake,
+    Obs,
+    ObservationChange,
+    ObservationList,
+    OptionalStep,
+)
 from xpl.contract import State
 
 if TYPE_CHECKING:
@@ -25,39 +34,41 @@ Numbers = np.ndarray[Any, np.dtype[Any]]
 _POSES = (spec.State.EE_POSE, spec.State.TCP_POSE)
 Fields = State
 """The map `state` of an observation, or an action step."""
-Turn = Callable[[Fields], dict[str, Numbers]]
+FieldsFunction = Callable[[Fields], dict[str, Numbers]]
 Function = Callable[[Numbers], Numbers]
 
 
 @dataclass(frozen=True)
-class Change:
-    """Another way to write the fields of an arm.
+class FieldChange:
+    """Another representation of the fields of an arm.
 
     Attributes:
         rank: 0 for the likeliest.
-        words: what the model means.
-        convention: of the vocabulary.
-        there: the standard's fields as the model writes them.
-        back: the inverse.
-        delta: `back` of differences; None where differences have no such way.
-        ways: which ways are tried: state, action, both.
+        description: what the model expects.
+        convention: name of its convention.
+        to_model: from the standard's fields to the model's.
+        to_standard: the inverse.
+        delta_to_standard: `to_standard` of deltas; None if deltas have no such form.
+        targets: what is changed: state, action, both.
     """
 
     rank: int
-    words: str
+    description: str
     convention: str
-    there: Turn
-    back: Turn
-    delta: Turn | None
-    ways: tuple[str, ...] = ("both", "state", "action")
+    to_model: FieldsFunction
+    to_standard: FieldsFunction
+    delta_to_standard: FieldsFunction | None
+    targets: tuple[str, ...] = ("both", "state", "action")
 
-    def inverse(self, words: str, delta: Turn | None = None) -> Change:
+    def inverse(self, words: str, delta: FieldsFunction | None = None) -> FieldChange:
         """Return the change in the other direction."""
-        return replace(self, words=words, there=self.back, back=self.there, delta=delta)
+        return replace(
+            self, description=words, to_model=self.to_standard, to_standard=self.to_model, delta_to_standard=delta
+        )
 
 
-def on(keys: Iterable[str], function: Function) -> Turn:
-    """Return the change of these fields, where they are there, by a function of (..., width) float64."""
+def map_fields(keys: Iterable[str], function: Function) -> FieldsFunction:
+    """Return the change of these fields, where present, by a function of (..., width) float64."""
     chosen = frozenset(keys)
 
     def turn(fields: Fields) -> dict[str, Numbers]:
@@ -72,8 +83,8 @@ def _like(value: Any, function: Function) -> Numbers:
     return result.astype(array.dtype) if array.dtype.kind == "f" else result
 
 
-def exchanged(pairs: Mapping[str, str]) -> Turn:
-    """Return the change that gives fields each other's values."""
+def swap_fields(pairs: Mapping[str, str]) -> FieldsFunction:
+    """Return the change that exchanges the values of pairs of fields."""
 
     def turn(fields: Fields) -> dict[str, Numbers]:
         other = {**pairs, **{value: key for key, value in pairs.items()}}
@@ -82,135 +93,153 @@ def exchanged(pairs: Mapping[str, str]) -> Turn:
     return turn
 
 
-_PLACE, _TURN = slice(0, spec.POSITION_DIM), slice(spec.POSITION_DIM, spec.POSE_DIM)
+_POSITION, _ROTATION = slice(0, spec.POSITION_DIM), slice(spec.POSITION_DIM, spec.POSE_DIM)
 
 
-def poses(prefixes: Iterable[str]) -> list[str]:
-    """Return the fields of arms that are poses."""
+def pose_fields(prefixes: Iterable[str]) -> list[str]:
+    """Return the pose fields of arms."""
     return [prefix + key for prefix in prefixes for key in _POSES]
 
 
-def turned(function: Function) -> Function:
+def map_rotations(function: Function) -> Function:
     """Return the change of poses (..., 7) that changes their quaternions."""
-    return lambda pose: np.concatenate((pose[..., _PLACE], function(pose[..., _TURN])), axis=-1)
+    return lambda pose: np.concatenate((pose[..., _POSITION], function(pose[..., _ROTATION])), axis=-1)
 
 
-def placed(function: Function) -> Function:
+def map_positions(function: Function) -> Function:
     """Return the change of poses (..., 7) that changes their positions."""
-    return lambda pose: np.concatenate((function(pose[..., _PLACE]), pose[..., _TURN]), axis=-1)
+    return lambda pose: np.concatenate((function(pose[..., _POSITION]), pose[..., _ROTATION]), axis=-1)
 
 
-def whole(function: Function) -> Function:
+def map_poses(function: Function) -> Function:
     """Return the change of poses that changes all of them."""
     return function
 
 
 def _position(function: Function) -> Function:
-    return lambda pose: np.concatenate((function(pose)[..., _PLACE], pose[..., _TURN]), axis=-1)
+    return lambda pose: np.concatenate((function(pose)[..., _POSITION], pose[..., _ROTATION]), axis=-1)
 
 
 def _rotation(function: Function) -> Function:
-    return lambda pose: np.concatenate((pose[..., _PLACE], function(pose)[..., _TURN]), axis=-1)
+    return lambda pose: np.concatenate((pose[..., _POSITION], function(pose)[..., _ROTATION]), axis=-1)
 
 
 PARTS: tuple[tuple[int, str, Callable[[Function], Function]], ...] = (
-    (0, "", whole),
+    (0, "", map_poses),
     (1, " of the position", _position),
     (1, " of the rotation", _rotation),
 )
-"""What of a pose is changed: how much later it is tried, how it is called, and the change of poses that does so."""
+"""Components of a pose that are changed: additional rank, suffix of the description, and the change of poses."""
 
 
 def linear(  # noqa: PLR0913, PLR0917 - one line of numbers
     rank: int, words: str, convention: str, keys: Iterable[str], scale: float, offset: float = 0.0
-) -> Change:
+) -> FieldChange:
     """Return the change to ``scale * x + offset``."""
-    return Change(
+    return FieldChange(
         rank,
         words,
         convention,
-        on(keys, lambda values: values * scale + offset),
-        on(keys, lambda values: (values - offset) / scale),
-        on(keys, lambda values: values / scale),
+        map_fields(keys, lambda values: values * scale + offset),
+        map_fields(keys, lambda values: (values - offset) / scale),
+        map_fields(keys, lambda values: values / scale),
     )
 
 
-def sides(rank: int, words: str, convention: str, names: Sequence[str], embodiment: Embodiment) -> Iterator[Change]:
+def swap_sides(
+    rank: int, words: str, convention: str, names: Sequence[str], embodiment: Embodiment
+) -> Iterator[FieldChange]:
     """Yield the exchange of left and right in some fields, where there are two arms."""
     if len(embodiment.prefixes) == 2:
         one, other = embodiment.prefixes
-        turn = exchanged({one + name: other + name for name in names})
-        yield Change(rank, f"{words}: left and right exchanged", convention, turn, turn, turn)
+        turn = swap_fields({one + name: other + name for name in names})
+        yield FieldChange(rank, f"{words}: left and right exchanged", convention, turn, turn, turn)
 
 
-def same(fields: Fields) -> dict[str, Numbers]:
+def identity(fields: Fields) -> dict[str, Numbers]:
     """Change nothing."""
     return dict(fields)
 
 
-def scopes(prefixes: Sequence[str]) -> list[tuple[int, str, tuple[str, ...]]]:
-    """Return all arms together, then each alone: how much later it is tried, how it is called, its prefixes."""
-    found = [(0, "", tuple(prefixes))]
+def arm_scopes(prefixes: Sequence[str]) -> list[tuple[int, str, tuple[str, ...]]]:
+    """Return all arms together, then each alone: additional rank, suffix of the description, prefixes."""
+    scopes = [(0, "", tuple(prefixes))]
     if len(prefixes) > 1:
-        found += [(1, f" {prefix.rstrip('_')}", (prefix,)) for prefix in prefixes]
-    return found
+        scopes += [(1, f" {prefix.rstrip('_')}", (prefix,)) for prefix in prefixes]
+    return scopes
 
 
-More = Callable[[Obs], Obs]
-"""A change of an observation besides that of its state, such as that of the wrist cameras."""
+ExtraChange = Callable[[Obs], Obs]
+"""A change of an observation in addition to its state, such as of the wrist cameras."""
 
 
-def mistakes(change: Change, case: Case, more: More | None = None) -> Iterator[Mistake]:
-    """Yield the ways of a change that have a meaning: for what the adapter reads, and for what it commands."""
-    shown = _shown(change.there, more)
+def field_mistakes(change: FieldChange, case: AdapterCase, extra: ExtraChange | None = None) -> Iterator[Mistake]:
+    """Yield the mistakes of a change that apply to what the adapter reads and to its actions."""
+    change_observations = _change_state(change.to_model, extra)
     action_type, dims = case.action_type, case.embodiment.dims(case.action_type)
-    commands = _touches(change, dims)
-    if not _touches(change, _shape_of(case.embodiment, case.reads)):
-        change = replace(change, ways=tuple(way for way in change.ways if way == "action"))
-    modes = deltas.modes(action_type)
-    if "state" in change.ways:
-        words = f"{change.words} (state)" if commands else change.words
-        yield Mistake(change.rank, words, change.convention, shown=shown)
+    commands = _has_effect(change, dims)
+    if not _has_effect(change, _field_widths(case.embodiment, case.reads)):
+        change = replace(change, targets=tuple(target for target in change.targets if target == "action"))
+    modes = deltas.frames(action_type)
+    if "state" in change.targets:
+        words = f"{change.description} (state)" if commands else change.description
+        yield Mistake(change.rank, words, change.convention, change_observations=change_observations)
         for mode in modes:
-            moved = _delta(change.there, same, mode)
-            yield Mistake(change.rank, words, change.convention, shown=shown, commanded=moved)
+            moved = _map_differences(change.to_model, identity, mode)
+            yield Mistake(
+                change.rank, words, change.convention, change_observations=change_observations, change_actions=moved
+            )
     if not commands:
         return
-    if "action" in change.ways:
-        words = f"{change.words} (action)"
-        yield Mistake(change.rank, words, change.convention, commanded=_each(change.back))
-        for mode in modes if change.delta else ():
-            moved = _delta(same, change.delta or same, mode)
-            yield Mistake(change.rank, words, change.convention, commanded=moved)
-    if "both" in change.ways:
-        yield Mistake(change.rank, change.words, change.convention, shown=shown, commanded=_each(change.back))
-        for mode in modes if change.delta else ():
-            moved = _delta(change.there, change.delta or same, mode)
-            yield Mistake(change.rank, change.words, change.convention, shown=shown, commanded=moved)
+    if "action" in change.targets:
+        words = f"{change.description} (action)"
+        yield Mistake(change.rank, words, change.convention, change_actions=_map_actions(change.to_standard))
+        for mode in modes if change.delta_to_standard else ():
+            moved = _map_differences(identity, change.delta_to_standard or identity, mode)
+            yield Mistake(change.rank, words, change.convention, change_actions=moved)
+    if "both" in change.targets:
+        yield Mistake(
+            change.rank,
+            change.description,
+            change.convention,
+            change_observations=change_observations,
+            change_actions=_map_actions(change.to_standard),
+        )
+        for mode in modes if change.delta_to_standard else ():
+            moved = _map_differences(change.to_model, change.delta_to_standard or identity, mode)
+            yield Mistake(
+                change.rank,
+                change.description,
+                change.convention,
+                change_observations=change_observations,
+                change_actions=moved,
+            )
 
 
-def rebased(shown: Shown, action_type: str) -> Iterator[Commanded]:
-    """Yield what commands become that were counted from the last state that was shown, and count from the true one."""
-    for mode in deltas.modes(action_type):
-        yield _from_shown(shown, mode)
+def rebase_actions(change_observations: ObservationChange, action_type: str) -> Iterator[ActionChange]:
+    """Yield changes of delta actions from the state that the adapter was sent last to the true state."""
+    for mode in deltas.frames(action_type):
+        yield _rebase_in_frame(change_observations, mode)
 
 
-def _from_shown(shown: Shown, mode: str) -> Commanded:
+def _rebase_in_frame(shown: ObservationChange, mode: str) -> ActionChange:
     def commanded(
-        answers: Sequence[Sequence[Given]], observations: Sequence[Obs], asked: Sequence[int]
-    ) -> list[list[Step]]:
-        result: list[list[Step]] = []
+        answers: Sequence[Sequence[ArrayMap]], observations: Sequence[Obs], asked: Sequence[int]
+    ) -> list[list[OptionalStep]]:
+        result: list[list[OptionalStep]] = []
         for steps, place in zip(answers, asked):
             true = observations[place][spec.Obs.STATE]
             seen = shown(observations[: place + 1])[-1][spec.Obs.STATE]
-            result.append([deltas.together(deltas.apart(step, seen, mode), true, mode) for step in steps])
+            result.append(
+                [deltas.apply_differences(deltas.differences(step, seen, mode), true, mode) for step in steps]
+            )
         return result
 
     return commanded
 
 
-def _shape_of(embodiment: Embodiment, reads: Sequence[str] | None) -> dict[str, int]:
-    """Return the fields of a state that an adapter reads, all if it is not known which."""
+def _field_widths(embodiment: Embodiment, reads: Sequence[str] | None) -> dict[str, int]:
+    """Return the widths of the fields of a state that an adapter reads; of all if that is unknown."""
     return {
         arm.prefix + name: width
         for arm in embodiment.arms
@@ -223,13 +252,13 @@ def _shape_of(embodiment: Embodiment, reads: Sequence[str] | None) -> dict[str, 
     }
 
 
-def _touches(change: Change, widths: Mapping[str, int]) -> bool:
-    """Tell whether a change has a meaning for these fields."""
-    some = {key: _some(key, width) for key, width in widths.items()}
-    return any((change.there(some)[key] != value).any() for key, value in some.items())
+def _has_effect(change: FieldChange, widths: Mapping[str, int]) -> bool:
+    """Return whether a change has an effect on these fields."""
+    some = {key: _example_values(key, width) for key, width in widths.items()}
+    return any((change.to_model(some)[key] != value).any() for key, value in some.items())
 
 
-def _some(key: str, width: int) -> Any:
+def _example_values(key: str, width: int) -> Any:
     values: Any = np.random.default_rng([width, len(key)]).uniform(0.2, 0.8, width)
     if key.endswith(_POSES):
         values[spec.POSITION_DIM :] /= np.linalg.norm(values[spec.POSITION_DIM :])
@@ -237,35 +266,35 @@ def _some(key: str, width: int) -> Any:
     return values
 
 
-def _shown(turn: Turn, more: More | None) -> Shown:
-    def shown(observations: Sequence[Obs]) -> Episode:
+def _change_state(turn: FieldsFunction, more: ExtraChange | None) -> ObservationChange:
+    def shown(observations: Sequence[Obs]) -> ObservationList:
         changed = [{**obs, spec.Obs.STATE: turn(obs.get(spec.Obs.STATE) or {})} for obs in observations]
         return [dict(obs if more is None else more(obs)) for obs in changed]
 
     return shown
 
 
-def _each(turn: Turn) -> Commanded:
+def _map_actions(turn: FieldsFunction) -> ActionChange:
     def commanded(
-        answers: Sequence[Sequence[Given]], _observations: Sequence[Obs], _asked: Sequence[int]
-    ) -> list[list[Step]]:
+        answers: Sequence[Sequence[ArrayMap]], _observations: Sequence[Obs], _asked: Sequence[int]
+    ) -> list[list[OptionalStep]]:
         return [[turn(step) for step in steps] for steps in answers]
 
     return commanded
 
 
-def _delta(there: Turn, turn: Turn, mode: str) -> Commanded:
-    """Return what commands become whose difference to the state that was shown is changed, and counts from the true."""
+def _map_differences(there: FieldsFunction, turn: FieldsFunction, mode: str) -> ActionChange:
+    """Return the change of actions whose delta to the state sent is changed and applied to the true state."""
 
     def commanded(
-        answers: Sequence[Sequence[Given]], observations: Sequence[Obs], asked: Sequence[int]
-    ) -> list[list[Step]]:
-        result: list[list[Step]] = []
+        answers: Sequence[Sequence[ArrayMap]], observations: Sequence[Obs], asked: Sequence[int]
+    ) -> list[list[OptionalStep]]:
+        result: list[list[OptionalStep]] = []
         for steps, place in zip(answers, asked):
             true = observations[place][spec.Obs.STATE]
             seen = there(true)
-            moved = (turn(deltas.apart(step, seen, mode)) for step in steps)
-            result.append([deltas.together(change, true, mode) for change in moved])
+            moved = (turn(deltas.differences(step, seen, mode)) for step in steps)
+            result.append([deltas.apply_differences(change, true, mode) for change in moved])
         return result
 
     return commanded

@@ -1,4 +1,4 @@
-"""What mistakes of histories are written with: in the block, and in what is shown."""
+"""Mistakes of observation histories: in the block, and in the observations sent."""
 
 from __future__ import annotations
 
@@ -7,48 +7,52 @@ from typing import Callable
 
 from xpl.catalogue import fields
 from xpl.catalogue.edits import Block, Site
-from xpl.catalogue.mistake import Case, Episode, Mistake, Obs, Shown
+from xpl.catalogue.mistake import AdapterCase, Mistake, Obs, ObservationChange, ObservationList
 
-Order = Callable[[Sequence[Obs]], Sequence[Obs]]
-"""Returns what a model is shown of the observations of an episode, oldest first."""
+HistorySelection = Callable[[Sequence[Obs]], Sequence[Obs]]
+"""Returns the observations that a model is sent, of those of an episode, oldest first."""
 
 
 def sites(block: Block) -> list[Site]:
-    """Return the histories of a block: the common one, and those of single inputs."""
-    found = [Site(("history",), block["history"])] if block.get("history") else []
+    """Return the histories of a block: the common one, and those of individual inputs."""
+    sites = [Site(("history",), block["history"])] if block.get("history") else []
     for group in ("images", "state"):
         for at, entry in enumerate(block.get(group) or ()):
             if entry.get("history"):
-                found.append(Site((group, at, "history"), entry["history"], group, entry["input"]))
-    return found
+                sites.append(Site((group, at, "history"), entry["history"], group, entry["input"]))
+    return sites
 
 
-def are_there(block: Block) -> bool:
-    """Tell whether an input of a block shows more than the newest observation."""
+def has_history(block: Block) -> bool:
+    """Return whether an input of a block has more than the newest observation."""
     return any(isinstance(one.entry.get("length"), int) and one.entry["length"] != 1 for one in sites(block))
 
 
-def shown(rank: int, words: str, convention: str, order: Order, case: Case) -> list[Mistake]:
-    """Return the mistakes of an adapter that should see the observations as an order has them.
+def history_mistakes(
+    rank: int, words: str, convention: str, select: HistorySelection, case: AdapterCase
+) -> list[Mistake]:
+    """Return the mistakes of an adapter that should be sent the observations that `select` returns.
 
-    Each question is played alone, because what is shown depends on it. Commands that were counted from the last state
-    that was shown are counted from the true one, too.
+    Each call is run by itself, because the observations sent depend on it. Delta actions relative to the last state
+    sent are also rebased to the true state.
     """
 
-    def changed(observations: Sequence[Obs]) -> Episode:
-        return [dict(obs) for obs in order(list(observations))]
+    def changed(observations: Sequence[Obs]) -> ObservationList:
+        return [dict(obs) for obs in select(list(observations))]
 
-    again: Shown = changed
-    moved = [None, *fields.rebased(again, case.action_type)]
-    return [Mistake(rank, words, convention, shown=again, commanded=one, windowed=True) for one in moved]
+    again: ObservationChange = changed
+    moved = [None, *fields.rebase_actions(again, case.action_type)]
+    return [
+        Mistake(rank, words, convention, change_observations=again, change_actions=one, windowed=True) for one in moved
+    ]
 
 
-def span(case: Case) -> int:
-    """Return how many control steps a model sees."""
+def span(case: AdapterCase) -> int:
+    """Return the number of control steps that a history spans."""
     return (case.history - 1) * case.stride + 1
 
 
-def last(seen: Sequence[Obs], count: int) -> list[Obs]:
-    """Return as many observations as a model sees, the first one repeated."""
-    kept = list(seen[-count:])
-    return [kept[0]] * (count - len(kept)) + kept
+def last_padded(observations: Sequence[Obs], count: int) -> list[Obs]:
+    """Return the last `count` observations, padded by the first one."""
+    window = list(observations[-count:])
+    return [window[0]] * (count - len(window)) + window

@@ -1,4 +1,4 @@
-"""A usual mistake of an adapter, by the change that undoes it: of the block, of what is shown, read or commanded."""
+"""A common mistake of an adapter, as the change that undoes it: of block, observations, model inputs or actions."""
 
 from __future__ import annotations
 
@@ -16,68 +16,68 @@ if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
 
 Obs = Observation
-Given = Mapping[str, np.ndarray]
-"""An action step, or what was observed of the robot: numbers by key."""
+ArrayMap = Mapping[str, np.ndarray]
+"""An action step, or an observed robot state: arrays by key."""
 Steps = list[dict[str, np.ndarray]]
-Step = Optional[Given]
-"""An action step; None where a change cannot tell what it would be."""
-Episode = list[ObservationDict]
-"""Observations that are shown, oldest first."""
-Shown = Callable[[Sequence[Obs]], Episode]
-"""Returns what is shown instead of the observations of an episode, oldest first."""
-Commanded = Callable[[Sequence[Sequence[Given]], Sequence[Obs], Sequence[int]], list[list[Step]]]
-"""Returns what the answers of an episode become, of its true observations and the places of the questions in them."""
-Place = tuple[Union[str, int], ...]
-"""Keys and positions that lead to a value of the block."""
+OptionalStep = Optional[ArrayMap]
+"""An action step; None where a change cannot determine it."""
+ObservationList = list[ObservationDict]
+"""Observations that are sent to the policy, oldest first."""
+ObservationChange = Callable[[Sequence[Obs]], ObservationList]
+"""Returns the observations to send in place of those of an episode, oldest first."""
+ActionChange = Callable[[Sequence[Sequence[ArrayMap]], Sequence[Obs], Sequence[int]], list[list[OptionalStep]]]
+"""Returns changed answers of an episode, given the answers, the observations and the observation index of each call."""
+BlockPath = tuple[Union[str, int], ...]
+"""Keys and indices that lead to a value of the block."""
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake, by what undoes it. It is applied in one of four ways: `edits`, `encoded`, or around the adapter.
+    """One mistake, as the change that undoes it: `edits`, `input_change`, or changes of observations and actions.
 
-    Around an adapter, `shown` changes the observations, and the episode is played again: as many observations,
-    questions at the same places. Mistakes that share one `shown` share one play. If `windowed`, each question is an
-    episode of its own: `shown` gets the observations up to the question, what it returns is shown, and the last is
-    asked about. `commanded` changes the answers, and asks the model nothing.
+    `change_observations` changes the observations, and the episode is run again with calls at the same indices.
+    Mistakes that share one `change_observations` share one rollout. If `windowed`, each call is an episode by itself:
+    `change_observations` gets the observations up to the call, the policy is sent what it returns, and answers the
+    last. `change_actions` changes the answers and needs no inference.
 
     Attributes:
         rank: 0 for the likeliest.
-        words: what the model means, where the adapter does otherwise: "unit: deg (state)".
-        convention: its name.
-        edits: of the block: by place the new value; `edits.GONE` takes it out.
-        encoded: of what the adapter's own `encode` makes, as `xpl.worker.encoded.play` takes it.
-        geometry: of pictures of another size, all but the filter; "" for other mistakes.
-        shown: of what the adapter is shown, or None.
-        commanded: of what it answers, or None.
-        windowed: whether each question is played alone.
+        description: what the model expects and the adapter does not: "unit: deg (state)".
+        convention: name of its convention.
+        edits: new values of the block by path; `edits.REMOVE` removes one.
+        input_change: change of the inputs that the adapter's `encode` returns, as `xpl.worker.encoded.play` takes it.
+        geometry: of images of another size, all but the filter; "" for other mistakes.
+        change_observations: change of the observations, or None.
+        change_actions: change of the answers, or None.
+        windowed: whether each call is run as an episode by itself.
     """
 
     rank: int
-    words: str
+    description: str
     convention: str
-    edits: Mapping[Place, Any] | None = field(default=None, hash=False)
-    encoded: Entry | None = field(default=None, hash=False)
+    edits: Mapping[BlockPath, Any] | None = field(default=None, hash=False)
+    input_change: Entry | None = field(default=None, hash=False)
     geometry: str = ""
-    shown: Shown | None = None
-    commanded: Commanded | None = None
+    change_observations: ObservationChange | None = None
+    change_actions: ActionChange | None = None
     windowed: bool = False
 
 
 @dataclass(frozen=True)
-class Case:
-    """What is known of an adapter whose mistake is looked for.
+class AdapterCase:
+    """Facts about an adapter whose mistake is searched.
 
     Attributes:
         embodiment: the robot.
         action_type: joint or ee.
-        block: its model_io block; empty where it has none.
-        folders: where files of statistics may lie.
-        templates: of instructions that its authors' code writes.
-        cameras: that it reads; none where it reads no pictures.
-        reads: fields of the state that it reads, without an arm's prefix; None where that is not known.
-        history: observations that it keeps.
+        block: its model_io block; empty if it has none.
+        folders: folders of statistics files.
+        templates: templates of instructions in its authors' code.
+        cameras: cameras that it reads.
+        reads: fields of the state that it reads, without an arm's prefix; None if unknown.
+        history: number of observations in its history.
         stride: control steps between them.
-        instructions: texts of the scripted episodes; none where it reads no text.
+        instructions: texts of the scripted episodes; empty if it reads no text.
     """
 
     embodiment: Embodiment

@@ -1,4 +1,4 @@
-"""A part of a model's vector: what it reads of the robot's state, and what it makes of the model's numbers."""
+"""A part of a model's vector: conversion from the robot's state to the model's numbers, and back."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Part(ABC):
     """One part of a vector.
 
     Attributes:
-        kind: its word in the block.
-        label: how findings call it.
-        key: key of the standard's state that it is about, "" for fill.
-        width: numbers that it has.
-        reference: what it is counted from in an action, None if the whole vector says that.
-        applied: where a change of pose is applied: fixed, body or numbers.
+        kind: its key in the block.
+        label: its name in findings.
+        key: key of the standard's state, "" for fill.
+        width: number of values.
+        reference: base of its values in an action, None for that of the whole vector.
+        applied: frame of a pose delta: fixed, body or numbers.
     """
 
     kind: str
@@ -45,14 +45,14 @@ class Part(ABC):
 
     @abstractmethod
     def write(self, values: Numbers) -> Numbers:
-        """Return absolute numbers (..., width) as the standard's; what that is depends on the part."""
+        """Return absolute values (..., width) of the model as the standard's; their form depends on the part."""
 
     def add(self, base: Numbers, change: Numbers) -> Numbers:
-        """Return absolute numbers, (width,): a change of `base`."""
+        """Return the absolute values (width,) of a delta to `base`."""
         return base + change
 
     def subtract(self, values: Numbers, base: Numbers) -> Numbers:
-        """Return the change that leads from `base` to `values`, (width,)."""
+        """Return the delta (width,) from `base` to `values`."""
         return values - base
 
 
@@ -60,29 +60,29 @@ def arm_of(embodiment: Embodiment, side: str) -> Arm:
     """Return an arm by its name in the spec: single, left or right.
 
     Raises:
-        ConversionError: if the robot has no such arm.
+        ConversionError: the robot has no such arm.
     """
     arms = list(embodiment.data["arms"])
     if side not in arms:
-        raise ConversionError(f"{embodiment.name} has no arm {side!r}; say one of {', '.join(arms)}")
+        raise ConversionError(f"{embodiment.name} has no arm {side!r}; expected one of {', '.join(arms)}")
     return embodiment.arms[arms.index(side)]
 
 
-def of(state: State, key: str, width: int) -> Numbers:
-    """Return the numbers (width,) float64 of a field of a state.
+def state_field(state: State, key: str, width: int) -> Numbers:
+    """Return a field of a state, (width,) float64.
 
     Raises:
-        ObservationError: if it is missing, or is no such numbers.
+        ObservationError: it is missing, or no such array of finite numbers.
     """
     if key not in state:
         raise ObservationError(f"the state has no {key!r}, which the model_io block reads; it has {', '.join(state)}")
     try:
-        given = np.asarray(state[key])
+        array = np.asarray(state[key])
     except ValueError:  # lists of unequal lengths
         raise ObservationError(f"{key} holds lists of unequal lengths, expected {width} numbers") from None
-    if given.dtype.kind not in "biuf":  # numpy would read numbers out of texts
-        raise ObservationError(f"{key} holds {given.dtype}, expected numbers")
-    values = given.astype(np.float64)
+    if array.dtype.kind not in "biuf":  # numpy would parse numbers in strings
+        raise ObservationError(f"{key} holds {array.dtype}, expected numbers")
+    values = array.astype(np.float64)
     if values.shape != (width,):
         raise ObservationError(f"{key} has shape {values.shape}, expected ({width},)")
     if not np.isfinite(values).all():

@@ -1,4 +1,4 @@
-"""What an adapter's `encode` returns, whatever it is made of: its arrays, tensors and texts, and these changed."""
+"""Traversal and change of the arrays, tensors and texts that an adapter's `encode` returns."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import numpy as np
 from xpl.contract import Observation
 from xpl.wire.arrays import ArrayError, as_array
 
-Change = Callable[[Any], Any]
-"""Returns what takes the place of a leaf."""
+LeafChange = Callable[[Any], Any]
+"""Returns the replacement of a leaf."""
 EncodeOne = Callable[[Observation], Any]
 """An adapter's `encode`, of one environment."""
 
 _DEEPEST = 6
 _LEAST = 12
-"""Pixels that a side of a picture has at least."""
+"""Least number of pixels of a side of an image."""
 
 
-class UnfitError(ValueError):
-    """A change has no meaning for what this adapter's model reads."""
+class NoEffectError(ValueError):
+    """A change does not apply to the inputs of this adapter's model."""
 
 
 def leaves(value: object, depth: int = _DEEPEST) -> Iterator[Any]:
-    """Yield the arrays and texts of a value, in their order; arrays as numpy's."""
+    """Yield the arrays and texts of a value in order, arrays as numpy arrays."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
@@ -40,21 +40,21 @@ def leaves(value: object, depth: int = _DEEPEST) -> Iterator[Any]:
             yield array
 
 
-def changed(value: object, change: Change, depth: int = _DEEPEST) -> Any:
+def map_leaves(value: object, change: LeafChange, depth: int = _DEEPEST) -> Any:
     """Return a value with its arrays and texts changed.
 
     Args:
         value: arrays, tensors, texts, and maps and lists of these.
-        change: returns what becomes of an array or a text; None leaves it.
-        depth: how deep maps and lists are followed.
+        change: returns the replacement of an array or a text; None keeps it.
+        depth: levels of maps and lists that are traversed.
     """
     if isinstance(value, str):
         result = change(value)
         return value if result is None else result
     if isinstance(value, Mapping):
-        return {key: changed(item, change, depth - 1) if depth else item for key, item in value.items()}
+        return {key: map_leaves(item, change, depth - 1) if depth else item for key, item in value.items()}
     if isinstance(value, (list, tuple)) and not _is_vector(value):
-        items = [changed(item, change, depth - 1) if depth else item for item in value]
+        items = [map_leaves(item, change, depth - 1) if depth else item for item in value]
         return type(value)(*items) if hasattr(value, "_fields") else type(value)(items)
     array = _array(value)
     result = None if array is None else change(array)
@@ -78,7 +78,7 @@ def _array(value: object) -> Any:
 
 
 def _like(value: object, array: np.ndarray) -> Any:
-    """Return an array as what it came from: a tensor of the same device, an array, a list."""
+    """Return an array in the type of `value`: a tensor of the same device, an array, a list."""
     if isinstance(value, np.ndarray):
         return array if value.dtype.kind != "f" else array.astype(value.dtype, copy=False)
     if hasattr(value, "new_tensor"):
@@ -87,7 +87,7 @@ def _like(value: object, array: np.ndarray) -> Any:
 
 
 def channel_axis(array: Any) -> int | None:
-    """Return which axis of a picture, or of several in one array, holds its colours; None for what is no picture."""
+    """Return the channel axis of an image, or of several in one array; None for anything else."""
     if isinstance(array, str) or array.ndim < 3:
         return None
     height, width, last = array.shape[-3:]
@@ -97,41 +97,41 @@ def channel_axis(array: Any) -> int | None:
 
 
 def is_vector(leaf: Any) -> bool:
-    """Tell whether an encoded array holds numbers of a state."""
+    """Return whether an input array holds a state vector."""
     return not isinstance(leaf, str) and leaf.dtype.kind == "f" and leaf.ndim in (1, 2) and leaf.shape[-1] > 3
 
 
-def pictures(value: Any, change: Callable[[Any, int], Any]) -> Any:
-    """Return encoded inputs with their pictures changed.
+def map_images(value: Any, change: Callable[[Any, int], Any]) -> Any:
+    """Return model inputs with their images changed.
 
     Args:
         value: encoded inputs.
-        change: of a picture and the axis of its colours; None leaves it.
+        change: returns the replacement of (image, channel axis); None keeps it.
     """
 
     def changed_one(array: Any) -> Any:
         axis = channel_axis(array)
         return None if axis is None else change(array, axis)
 
-    return changed(value, changed_one)
+    return map_leaves(value, changed_one)
 
 
-def vectors(value: Any, width: int, change: Callable[[Any], Any]) -> Any:
-    """Return encoded inputs, or what a model answered, with the vectors of a width changed.
+def map_vectors(value: Any, width: int, change: Callable[[Any], Any]) -> Any:
+    """Return model inputs or answers with the vectors of a width changed.
 
     Raises:
-        UnfitError: if there is none.
+        NoEffectError: there is none.
     """
-    seen = False
+    is_found = False
 
     def changed_one(leaf: Any) -> Any:
-        nonlocal seen
+        nonlocal is_found
         if channel_axis(leaf) is not None or isinstance(leaf, str) or leaf.ndim < 1 or leaf.shape[-1] != width:
             return None
-        seen = True
+        is_found = True
         return change(leaf)
 
-    result = changed(value, changed_one)
-    if not seen:
-        raise UnfitError("no vector of this width")
+    result = map_leaves(value, changed_one)
+    if not is_found:
+        raise NoEffectError("no vector of this width")
     return result

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.catalogue import Case, Convention, Mistake, fields
+from xpl.catalogue import AdapterCase, Convention, Mistake, fields
 from xpl.catalogue.convention import kinds
-from xpl.catalogue.edits import alike, everywhere, parts, word
+from xpl.catalogue.edits import copy_between_state_and_action, mistakes_at_sites, parts, set_key
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,23 +22,23 @@ UNITS = {"rad": 1.0, "deg": float(np.rad2deg(1.0))}
 """What a radian is in each unit."""
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     sites = parts(case.block, "joints", "hand") if case.block else []
     for unit in ("deg", "rad"):
-        yield from everywhere(sites, 0, f"unit: {unit}", _NAME, word("unit", unit, "rad"))
-    yield from alike(case.block, ["joints"], "unit", _NAME) if case.block else ()
+        yield from mistakes_at_sites(sites, 0, f"unit: {unit}", _NAME, set_key("unit", unit, "rad"))
+    yield from copy_between_state_and_action(case.block, ["joints"], "unit", _NAME) if case.block else ()
 
 
-def _around(case: Case) -> Iterator[Mistake]:
+def _io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     for change in _changes(case.embodiment):
-        yield from fields.mistakes(change, case)
+        yield from fields.field_mistakes(change, case)
 
 
-def _changes(embodiment: Embodiment) -> Iterator[fields.Change]:
-    for later, told, prefixes in fields.scopes(embodiment.prefixes):
+def _changes(embodiment: Embodiment) -> Iterator[fields.FieldChange]:
+    for extra_rank, label, prefixes in fields.arm_scopes(embodiment.prefixes):
         keys = [prefix + spec.State.ARM_JOINT_STATE for prefix in prefixes]
-        yield fields.linear(later, f"unit{told}: deg", _NAME, keys, UNITS["deg"])
-        yield fields.linear(later, f"unit{told}: rad, not deg", _NAME, keys, 1 / UNITS["deg"])
+        yield fields.linear(extra_rank, f"unit{label}: deg", _NAME, keys, UNITS["deg"])
+        yield fields.linear(extra_rank, f"unit{label}: rad, not deg", _NAME, keys, 1 / UNITS["deg"])
     if embodiment.arms[0].gripper != "parallel_gripper":
         hands = [prefix + spec.State.EE_JOINT_STATE for prefix in embodiment.prefixes]
         yield fields.linear(0, "unit of hands: deg", _NAME, hands, UNITS["deg"])
@@ -47,8 +47,8 @@ def _changes(embodiment: Embodiment) -> Iterator[fields.Change]:
 
 CONVENTION = Convention(
     _NAME,
-    in_block=_in_block,
-    around=_around,
+    config_mistakes=_config_mistakes,
+    io_mistakes=_io_mistakes,
     keys={"joints": ["unit"], "hand": ["unit"]},
     applies=lambda block: bool({"joints", "hand"} & kinds(block)),
 )

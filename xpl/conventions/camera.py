@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xpl.catalogue import Case, Convention, Mistake, pictures, walk
+from xpl.catalogue import AdapterCase, Convention, Mistake, image_changes, walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from xpl.catalogue.edits import Block
-    from xpl.catalogue.mistake import Place
+    from xpl.catalogue.mistake import BlockPath
 
 _NAME = "camera"
 
@@ -23,27 +23,27 @@ def _likely(one: str, other: str) -> int:
     return 0 if "wrist" in one and "wrist" in other else 1
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     entries = case.block.get("images") or []
     used = list(dict.fromkeys(camera for entry in entries for camera in entry["cameras"]))
     for one, other in sorted(itertools.combinations(used, 2), key=lambda pair: _likely(*pair)):
         places = {one: other, other: one}
-        edits: dict[Place, Any] = {
+        edits: dict[BlockPath, Any] = {
             ("images", index, "cameras"): [places.get(camera, camera) for camera in entry["cameras"]]
             for index, entry in enumerate(entries)
             if set(entry["cameras"]) & {one, other}
         }
         yield Mistake(_likely(one, other), f"cameras: {one} and {other} exchanged", _NAME, edits)
     for index, entry in enumerate(entries):
-        yield from _others(index, entry, case.embodiment.cameras)
+        yield from _camera_mistakes(index, entry, case.embodiment.cameras)
 
 
-def _others(index: int, entry: Block, known: Sequence[str]) -> Iterator[Mistake]:
+def _camera_mistakes(index: int, entry: Block, robot_cameras: Sequence[str]) -> Iterator[Mistake]:
     cameras = list(entry["cameras"])
 
     def listed(rank: int, order: Sequence[str], words: str) -> Mistake:
-        told = f"cameras: {words} ({entry['input']})"
-        return Mistake(rank, told, _NAME, {("images", index, "cameras"): list(order)})
+        label = f"cameras: {words} ({entry['input']})"
+        return Mistake(rank, label, _NAME, {("images", index, "cameras"): list(order)})
 
     if len(cameras) > 2:
         for order in itertools.islice(itertools.permutations(cameras), 1, 25):
@@ -51,30 +51,32 @@ def _others(index: int, entry: Block, known: Sequence[str]) -> Iterator[Mistake]
     if len(cameras) == 2:
         yield listed(1, cameras[::-1], ", ".join(cameras[::-1]))
     for position, camera in enumerate(cameras):
-        for other in known:
+        for other in robot_cameras:
             if other not in cameras:
                 changed = [*cameras[:position], other, *cameras[position + 1 :]]
                 yield listed(2, changed, f"{other} instead of {camera}")
 
 
-def _around(case: Case) -> Iterator[Mistake]:
+def _io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     cameras = case.cameras
     for one, other in itertools.combinations(cameras, 2):
         words = f"cameras: {one} and {other} exchanged"
-        yield Mistake(_likely(one, other), words, _NAME, shown=pictures.placed({one: other, other: one}))
+        yield Mistake(
+            _likely(one, other), words, _NAME, change_observations=image_changes.swap_cameras({one: other, other: one})
+        )
     for one, other in itertools.permutations(cameras, 2):
         words = f"cameras: {other} instead of {one}"
-        yield Mistake(2, words, _NAME, shown=pictures.placed({one: other}))
+        yield Mistake(2, words, _NAME, change_observations=image_changes.swap_cameras({one: other}))
     for turned in (1, -1) if len(cameras) > 2 else ():
         order = [*cameras[turned:], *cameras[:turned]]
-        shown = pictures.placed(dict(zip(cameras, order)))
-        yield Mistake(2, f"cameras: {', '.join(order)}", _NAME, shown=shown)
+        swap = image_changes.swap_cameras(dict(zip(cameras, order)))
+        yield Mistake(2, f"cameras: {', '.join(order)}", _NAME, change_observations=swap)
 
 
-def _in_inputs(case: Case) -> Iterator[Mistake]:
+def _input_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     if case.cameras:
         words = "stack: two pictures the other way (width or height)"
-        yield Mistake(2, words, _NAME, encoded={"kind": "beside"})
+        yield Mistake(2, words, _NAME, input_change={"kind": "beside"})
 
 
 def _beside(value: Any, _how: object) -> Any:
@@ -87,14 +89,14 @@ def _beside(value: Any, _how: object) -> Any:
             return np.concatenate(np.split(array, 2, columns), rows)
         return np.concatenate(np.split(array, 2, rows), columns) if height == 2 * width else None
 
-    return walk.pictures(value, change)
+    return walk.map_images(value, change)
 
 
 CONVENTION = Convention(
     _NAME,
-    in_block=_in_block,
-    around=_around,
-    in_inputs=_in_inputs,
-    kinds={"beside": _beside},
+    config_mistakes=_config_mistakes,
+    io_mistakes=_io_mistakes,
+    input_mistakes=_input_mistakes,
+    input_changes={"beside": _beside},
     keys={"images": ["cameras", "stack"]},
 )

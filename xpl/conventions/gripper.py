@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.catalogue import Case, Convention, Mistake, fields, walk
+from xpl.catalogue import AdapterCase, Convention, Mistake, fields, walk
 from xpl.catalogue.convention import kinds
-from xpl.catalogue.edits import Block, Change, everywhere, parts, without, word
-from xpl.catalogue.part import Numbers, Part, State, arm_of, of
+from xpl.catalogue.edits import Block, EntryChange, mistakes_at_sites, parts, remove_key, set_key
+from xpl.catalogue.part import Numbers, Part, State, arm_of, state_field
 from xpl.errors import ConversionError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _NAME = "gripper"
 _PARALLEL = "parallel_gripper"
 
 
-class Gripper(Part):
+class GripperPart(Part):
     """A parallel gripper: its opening, 0 closed and 1 open, between the model's two values."""
 
     kind = "gripper"
@@ -48,7 +48,7 @@ class Gripper(Part):
 
     def read(self, state: State) -> Numbers:
         """Return the numbers (width,) of a state."""
-        opening = of(state, self.key, 1)
+        opening = state_field(state, self.key, 1)
         result: Numbers = self._closed + opening * (self._open - self._closed)
         return result
 
@@ -68,7 +68,7 @@ class Gripper(Part):
 
 
 @dataclass(frozen=True)
-class Range:
+class GripperRange:
     """What a model says for closed and open.
 
     Attributes:
@@ -83,70 +83,70 @@ class Range:
     called: str = ""
 
     @property
-    def told(self) -> str:
+    def label(self) -> str:
         """The two in words."""
         return self.called or f"closed {self.closed:g}, open {self.open:g}"
 
-    def of(self, other: Range) -> tuple[float, float]:
+    def scale_and_offset_from(self, other: GripperRange) -> tuple[float, float]:
         """Return scale and offset that lead from the numbers of another range to this one's."""
         scale = (self.open - self.closed) / (other.open - other.closed)
         return scale, self.closed - scale * other.closed
 
-    def before(self, other: Range) -> tuple[float, float]:
+    def opening_scale_and_offset(self, other: GripperRange) -> tuple[float, float]:
         """Return scale and offset of an opening that another range has to see, so that its numbers are this one's."""
         span = other.open - other.closed
         return (self.open - self.closed) / span, (self.closed - other.closed) / span
 
 
-PLAIN, TURNED = Range(0, 0.0, 1.0), Range(0, 1.0, 0.0)
+PLAIN, INVERTED = GripperRange(0, 0.0, 1.0), GripperRange(0, 1.0, 0.0)
 FIXED = (
     PLAIN,
-    TURNED,
-    Range(1, -1.0, 1.0),
-    Range(1, 1.0, -1.0),
-    Range(2, 0.0, 100.0),
-    Range(2, 100.0, 0.0),
-    Range(2, 0.0, 255.0),
-    Range(2, 255.0, 0.0),
+    INVERTED,
+    GripperRange(1, -1.0, 1.0),
+    GripperRange(1, 1.0, -1.0),
+    GripperRange(2, 0.0, 100.0),
+    GripperRange(2, 100.0, 0.0),
+    GripperRange(2, 0.0, 255.0),
+    GripperRange(2, 255.0, 0.0),
 )
 """The standard's and OpenVLA's, robosuite's, percent, and Robotiq's counts."""
 
 
-def ranges(stroke: float | None) -> list[Range]:
+def ranges(stroke: float | None) -> list[GripperRange]:
     """Return the ranges that models were met with, for a gripper that opens by `stroke`, m, or by nobody knows what."""
-    found = list(FIXED)
-    for later, metres, of_what in ((0, stroke, "between the fingers"), (1, (stroke or 0) / 2, "of a finger")):
+    candidates = list(FIXED)
+    for extra_rank, metres, of_what in ((0, stroke, "between the fingers"), (1, (stroke or 0) / 2, "of a finger")):
         if metres:
-            found += [
-                Range(later, 0.0, metres, f"metres {of_what}"),
-                Range(1 + later, 0.0, 1000 * metres, f"millimetres {of_what}"),
-                Range(2, 0.0, 100 * metres, f"centimetres {of_what}"),
-                Range(2 + later, metres, 0.0, f"metres {of_what}, closed and open exchanged"),
+            candidates += [
+                GripperRange(extra_rank, 0.0, metres, f"metres {of_what}"),
+                GripperRange(1 + extra_rank, 0.0, 1000 * metres, f"millimetres {of_what}"),
+                GripperRange(2, 0.0, 100 * metres, f"centimetres {of_what}"),
+                GripperRange(2 + extra_rank, metres, 0.0, f"metres {of_what}, closed and open exchanged"),
             ]
-    return found
+    return candidates
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     if not case.block:
         return
     sites = parts(case.block, "gripper")
-    yield from everywhere(sites, 0, "gripper: closed and open exchanged", _NAME, _exchanged)
+    yield from mistakes_at_sites(sites, 0, "gripper: closed and open exchanged", _NAME, _swap_ends)
     for one in ranges(case.embodiment.arms[0].stroke):
-        told = f"gripper: closed {one.closed:g}, open {one.open:g}"
-        yield from everywhere(sites, one.rank, told, _NAME, _ended(one))
-    for factor, told in ((2.0, "open is twice as much"), (0.5, "open is half as much")):
-        yield from everywhere(sites, 1, f"gripper: {told}", _NAME, _scaled(factor))
-    yield from everywhere(sites, 1, "gripper: the fingers exchanged", _NAME, _fingers)
-    for told, turn in (("the second finger's sign", (1.0, -1.0)), ("the first finger's sign", (-1.0, 1.0))):
-        yield from everywhere(sites, 1, f"gripper: {told}: the other", _NAME, _signed(turn))
+        label = f"gripper: closed {one.closed:g}, open {one.open:g}"
+        yield from mistakes_at_sites(sites, one.rank, label, _NAME, _set_range(one))
+    for factor, label in ((2.0, "open is twice as much"), (0.5, "open is half as much")):
+        yield from mistakes_at_sites(sites, 1, f"gripper: {label}", _NAME, _scale_open(factor))
+    yield from mistakes_at_sites(sites, 1, "gripper: the fingers exchanged", _NAME, _swap_fingers)
+    for label, turn in (("the second finger's sign", (1.0, -1.0)), ("the first finger's sign", (-1.0, 1.0))):
+        yield from mistakes_at_sites(sites, 1, f"gripper: {label}: the other", _NAME, _flip_finger(turn))
     acts = [site for site in sites if site.group == "action"]
-    yield from everywhere(acts, 1, "gripper: no threshold", _NAME, without("threshold"))
-    yield from everywhere(acts, 2, "gripper: threshold in the middle", _NAME, _middle)
+    yield from mistakes_at_sites(acts, 1, "gripper: no threshold", _NAME, remove_key("threshold"))
+    yield from mistakes_at_sites(acts, 2, "gripper: threshold in the middle", _NAME, _set_middle_threshold)
     for value in (0.0, 0.5):
-        yield from everywhere(acts, 2, f"gripper: threshold {value:g}", _NAME, word("threshold", value))
+        yield from mistakes_at_sites(acts, 2, f"gripper: threshold {value:g}", _NAME, set_key("threshold", value))
 
 
-def _exchanged(entry: Block) -> Block:
+def _swap_ends(entry: Block) -> Block:
     return {"closed": entry["open"], "open": entry["closed"]}
 
 
@@ -154,7 +154,7 @@ def _has_fingers(entry: Block) -> bool:
     return isinstance(entry["closed"], list) or isinstance(entry["open"], list)
 
 
-def _ended(one: Range) -> Change:
+def _set_range(one: GripperRange) -> EntryChange:
     def change(entry: Block) -> Block | None:
         if _has_fingers(entry):
             return None  # another number of fingers is another width
@@ -164,7 +164,7 @@ def _ended(one: Range) -> Change:
     return change
 
 
-def _scaled(factor: float) -> Change:
+def _scale_open(factor: float) -> EntryChange:
     def change(entry: Block) -> Block | None:
         if _has_fingers(entry):
             if not (isinstance(entry["closed"], list) and isinstance(entry["open"], list)):
@@ -176,13 +176,13 @@ def _scaled(factor: float) -> Change:
     return change
 
 
-def _fingers(entry: Block) -> Block | None:
+def _swap_fingers(entry: Block) -> Block | None:
     if not isinstance(entry["open"], list) or not isinstance(entry["closed"], list):
         return None
     return {"closed": entry["closed"][::-1], "open": entry["open"][::-1]}
 
 
-def _signed(turn: Sequence[float]) -> Change:
+def _flip_finger(turn: Sequence[float]) -> EntryChange:
     """Return the change of a finger that moves the other way."""
 
     def change(entry: Block) -> Block | None:
@@ -194,28 +194,30 @@ def _signed(turn: Sequence[float]) -> Change:
     return change
 
 
-def _middle(entry: Block) -> Block | None:
-    return None if _has_fingers(entry) else word("threshold", (entry["closed"] + entry["open"]) / 2)(entry)
+def _set_middle_threshold(entry: Block) -> Block | None:
+    return None if _has_fingers(entry) else set_key("threshold", (entry["closed"] + entry["open"]) / 2)(entry)
 
 
-def _around(case: Case) -> Iterator[Mistake]:
+def _io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     for change in _changes(case.embodiment):
-        yield from fields.mistakes(change, case)
+        yield from fields.field_mistakes(change, case)
 
 
-def _changes(embodiment: Embodiment) -> Iterator[fields.Change]:
+def _changes(embodiment: Embodiment) -> Iterator[fields.FieldChange]:
     """Yield the ranges of parallel grippers.
 
     A command that is quite closed or quite open may have been clipped: what it would be otherwise is not known.
     """
-    yield from fields.sides(0, "grippers", _NAME, (spec.State.EE_JOINT_STATE,), embodiment)
+    yield from fields.swap_sides(0, "grippers", _NAME, (spec.State.EE_JOINT_STATE,), embodiment)
     if embodiment.arms[0].gripper != _PARALLEL:
         return
-    for later, told, prefixes in fields.scopes(embodiment.prefixes):
+    for extra_rank, label, prefixes in fields.arm_scopes(embodiment.prefixes):
         keys = [prefix + spec.State.EE_JOINT_STATE for prefix in prefixes]
         for rank, name, scale, offset in _openings(embodiment.arms[0].stroke):
-            change = fields.linear(rank + later, f"gripper{told}: {name}", _NAME, keys, scale, offset)
-            yield replace(change, back=fields.on(keys, partial(_unclipped, scale=scale, offset=offset)))
+            change = fields.linear(rank + extra_rank, f"gripper{label}: {name}", _NAME, keys, scale, offset)
+            yield replace(
+                change, to_standard=fields.map_fields(keys, partial(_undo_opening, scale=scale, offset=offset))
+            )
 
 
 def _openings(stroke: float | None) -> Iterator[tuple[int, str, float, float]]:
@@ -224,22 +226,22 @@ def _openings(stroke: float | None) -> Iterator[tuple[int, str, float, float]]:
     yield 0, "open is half as much", 0.5, 0.0
     yield 0, "open is twice as much", 2.0, 0.0
     seen = {(1.0, 0.0), (-1.0, 1.0), (0.5, 0.0), (2.0, 0.0)}
-    known = ranges(stroke)
-    for wanted, done in [*((one, PLAIN) for one in known), *itertools.product((PLAIN, TURNED), known)]:
-        scale, offset = wanted.before(done)
-        if not _is_known(seen, scale, offset):
-            told = wanted.told if done is PLAIN else f"{wanted.told}, not {done.told}"
-            yield max(wanted.rank, done.rank), told, scale, offset
+    candidates = ranges(stroke)
+    for model, adapter in [*((one, PLAIN) for one in candidates), *itertools.product((PLAIN, INVERTED), candidates)]:
+        scale, offset = model.opening_scale_and_offset(adapter)
+        if not _is_repeated(seen, scale, offset):
+            label = model.label if adapter is PLAIN else f"{model.label}, not {adapter.label}"
+            yield max(model.rank, adapter.rank), label, scale, offset
 
 
-def _is_known(seen: set[tuple[float, float]], scale: float, offset: float) -> bool:
+def _is_repeated(seen: set[tuple[float, float]], scale: float, offset: float) -> bool:
     key = (float(f"{scale:.9g}"), float(f"{offset:.9g}") + 0.0)
-    known = key in seen
+    is_repeated = key in seen
     seen.add(key)
-    return known
+    return is_repeated
 
 
-def _unclipped(values: Numbers, *, scale: float, offset: float) -> Numbers:
+def _undo_opening(values: Numbers, *, scale: float, offset: float) -> Numbers:
     back = np.clip((values - offset) / scale, spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN)
     if (scale, offset) == (-1.0, 1.0):  # what is clipped there is clipped here
         return back
@@ -247,23 +249,23 @@ def _unclipped(values: Numbers, *, scale: float, offset: float) -> Numbers:
     return np.where(inner, back, np.nan)
 
 
-def _in_inputs(case: Case) -> Iterator[Mistake]:
+def _input_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     groups = list(case.embodiment.dims(case.action_type).values())
-    hands = [sum(groups[: place + 1]) - 1 for place in range(1, len(groups), 2) if groups[place] == 1]
+    hands = [sum(groups[: index + 1]) - 1 for index in range(1, len(groups), 2) if groups[index] == 1]
     seen = {(1.0, 0.0)}
-    for wanted, done in itertools.permutations(FIXED, 2) if hands else ():
-        scale, offset = wanted.of(done)
-        if not _is_known(seen, scale, offset):
+    for model, adapter in itertools.permutations(FIXED, 2) if hands else ():
+        scale, offset = model.scale_and_offset_from(adapter)
+        if not _is_repeated(seen, scale, offset):
             how = {"kind": "linear", "width": sum(groups), "places": hands, "scale": scale, "offset": offset}
-            words = f"gripper as the model reads it: {wanted.told}, not {done.told}"
-            yield Mistake(max(1, wanted.rank, done.rank), words, _NAME, encoded=how)
+            words = f"gripper as the model reads it: {model.label}, not {adapter.label}"
+            yield Mistake(max(1, model.rank, adapter.rank), words, _NAME, input_change=how)
 
 
 def _linear(value: Any, how: Mapping[str, Any]) -> Any:
     """Return vectors with some numbers scaled and moved: `width` of the vectors, `places`, `scale` and `offset`.
 
     Raises:
-        UnfitError: if there is no vector of this width.
+        NoEffectError: if there is no vector of this width.
     """
 
     def change(leaf: Any) -> Any:
@@ -273,16 +275,16 @@ def _linear(value: Any, how: Mapping[str, Any]) -> Any:
         result[..., how["places"]] = result[..., how["places"]] * how["scale"] + how["offset"]
         return result
 
-    return walk.vectors(value, how["width"], change)
+    return walk.map_vectors(value, how["width"], change)
 
 
 CONVENTION = Convention(
     _NAME,
-    in_block=_in_block,
-    around=_around,
-    in_inputs=_in_inputs,
-    kinds={"linear": _linear},
+    config_mistakes=_config_mistakes,
+    io_mistakes=_io_mistakes,
+    input_mistakes=_input_mistakes,
+    input_changes={"linear": _linear},
     keys={"gripper": ["closed", "open", "threshold"]},
     applies=lambda block: "gripper" in kinds(block),
-    parts={"gripper": Gripper},
+    parts={"gripper": GripperPart},
 )

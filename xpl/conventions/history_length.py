@@ -5,54 +5,62 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from xpl.catalogue import Case, Convention, Mistake, histories
-from xpl.catalogue.edits import everywhere, word
+from xpl.catalogue import AdapterCase, Convention, Mistake, histories
+from xpl.catalogue.edits import mistakes_at_sites, set_key
 
 if TYPE_CHECKING:
-    from xpl.catalogue.mistake import Commanded, Given, Obs, Step
+    from xpl.catalogue.mistake import ActionChange, ArrayMap, Obs, OptionalStep
 
 _NAME = "history_length"
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     sites = histories.sites(case.block)
     for of in (["images", "state"], ["images"], ["state"]):
-        change = word("of", of, ["images", "state"])
-        yield from everywhere(sites[:1], 2, f"history: of: {', '.join(of)}", _NAME, change)
+        change = set_key("of", of, ["images", "state"])
+        yield from mistakes_at_sites(sites[:1], 2, f"history: of: {', '.join(of)}", _NAME, change)
     for value in dict.fromkeys(
         other for site in sites for other in (1, site.entry["length"] - 1, site.entry["length"] + 1, 2)
     ):
         if value >= 1:
-            yield from everywhere(sites, 3, f"history: length: {value}", _NAME, word("length", value))
+            yield from mistakes_at_sites(sites, 3, f"history: length: {value}", _NAME, set_key("length", value))
 
 
-def _around(case: Case) -> Iterator[Mistake]:
-    yield Mistake(1, "answers: to the observation before", _NAME, commanded=_of_question(1))
-    yield Mistake(1, "answers: to the observation after", _NAME, commanded=_of_question(-1))
+def _io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
+    yield Mistake(1, "answers: to the observation before", _NAME, change_actions=_shift_answers(1))
+    yield Mistake(1, "answers: to the observation after", _NAME, change_actions=_shift_answers(-1))
     if case.history > 1:
-        yield from histories.shown(
-            0, "history: the newest shown once more", _NAME, lambda seen: [*seen, seen[-1]], case
+        yield from histories.history_mistakes(
+            0,
+            "history: the newest shown once more",
+            _NAME,
+            lambda observations: [*observations, observations[-1]],
+            case,
         )
-        yield from histories.shown(1, "history: the newest only", _NAME, lambda seen: seen[-1:], case)
+        yield from histories.history_mistakes(
+            1, "history: the newest only", _NAME, lambda observations: observations[-1:], case
+        )
 
 
-def _of_question(later: int) -> Commanded:
+def _shift_answers(later: int) -> ActionChange:
     """Take the answer of another question of the episode; where there is none, it is not known."""
 
-    def commanded(answers: Sequence[Sequence[Given]], _seen: Sequence[Obs], _asked: Sequence[int]) -> list[list[Step]]:
-        result: list[list[Step]] = []
+    def change_actions(
+        answers: Sequence[Sequence[ArrayMap]], _observations: Sequence[Obs], _indices: Sequence[int]
+    ) -> list[list[OptionalStep]]:
+        result: list[list[OptionalStep]] = []
         for index, steps in enumerate(answers):
             other = index - later
             result.append(list(answers[other]) if 0 <= other < len(answers) else [None] * len(steps))
         return result
 
-    return commanded
+    return change_actions
 
 
 CONVENTION = Convention(
     _NAME,
-    in_block=_in_block,
-    around=_around,
+    config_mistakes=_config_mistakes,
+    io_mistakes=_io_mistakes,
     keys={"history": ["length", "of"], "images": ["history"], "vectors": ["history"], "block": ["history"]},
-    applies=histories.are_there,
+    applies=histories.has_history,
 )

@@ -4,30 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from xpl.catalogue import Case, Convention, Mistake, histories
-from xpl.catalogue.edits import everywhere, word
+from xpl.catalogue import AdapterCase, Convention, Mistake, histories
+from xpl.catalogue.edits import mistakes_at_sites, set_key
 
 _NAME = "history_padding"
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     for pad in ("zeros", "repeat"):
-        change = word("pad", pad, "repeat")
-        yield from everywhere(histories.sites(case.block), 0, f"history: pad: {pad}", _NAME, change)
+        change = set_key("pad", pad, "repeat")
+        yield from mistakes_at_sites(histories.sites(case.block), 0, f"history: pad: {pad}", _NAME, change)
 
 
-def _around(case: Case) -> Iterator[Mistake]:
+def _io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     if case.history < 2:
         return
     between = histories.span(case) - 2
     words = "history: the first observation instead of those before"
-    yield from histories.shown(2, words, _NAME, lambda seen: [seen[0], *[seen[0]] * between, seen[-1]], case)
+    yield from histories.history_mistakes(2, words, _NAME, lambda obs: [obs[0], *[obs[0]] * between, obs[-1]], case)
 
 
 CONVENTION = Convention(
     _NAME,
-    in_block=_in_block,
-    around=_around,
+    config_mistakes=_config_mistakes,
+    io_mistakes=_io_mistakes,
     keys={"history": ["pad", "mask"]},
-    applies=histories.are_there,
+    applies=histories.has_history,
 )

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xpl.catalogue import Case, Convention, Mistake, Stage, pictures, walk
-from xpl.catalogue.edits import everywhere, word
+from xpl.catalogue import AdapterCase, Convention, Mistake, ValueTransform, image_changes, walk
+from xpl.catalogue.edits import mistakes_at_sites, set_key
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -15,35 +15,39 @@ if TYPE_CHECKING:
 _NAME = "image_channels"
 
 
-def ordered(values: np.ndarray, channels: str) -> np.ndarray:
+def reorder_channels(values: np.ndarray, channels: str) -> np.ndarray:
     """Return images (..., 3) of red, green and blue in the order of `channels`: rgb or bgr; its own inverse."""
     return values[..., ::-1] if channels == "bgr" else values
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     for colours in ("bgr", "rgb"):
-        yield from everywhere(pictures.sites(case.block), 0, f"channels: {colours}", _NAME, word("channels", colours))
+        yield from mistakes_at_sites(
+            image_changes.sites(case.block), 0, f"channels: {colours}", _NAME, set_key("channels", colours)
+        )
 
 
-def _around(case: Case) -> Iterator[Mistake]:
-    yield from pictures.shown(0, "channels: red and blue exchanged", _NAME, lambda one: ordered(one, "bgr"), case)
+def _io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
+    yield from image_changes.image_mistakes(
+        0, "channels: red and blue exchanged", _NAME, lambda one: reorder_channels(one, "bgr"), case
+    )
 
 
-def _in_inputs(case: Case) -> Iterator[Mistake]:
+def _input_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     if case.cameras:
-        yield Mistake(0, "channels: red and blue exchanged", _NAME, encoded={"kind": "colours"})
+        yield Mistake(0, "channels: red and blue exchanged", _NAME, input_change={"kind": "colours"})
 
 
-def _exchanged(value: Any, _how: object) -> Any:
-    return walk.pictures(value, lambda array, axis: np.ascontiguousarray(np.flip(array, axis)))
+def _swap_red_and_blue(value: Any, _how: object) -> Any:
+    return walk.map_images(value, lambda array, axis: np.ascontiguousarray(np.flip(array, axis)))
 
 
 CONVENTION = Convention(
     _NAME,
-    in_block=_in_block,
-    around=_around,
-    in_inputs=_in_inputs,
-    kinds={"colours": _exchanged},
-    images={"channels": Stage(ordered, ordered)},
+    config_mistakes=_config_mistakes,
+    io_mistakes=_io_mistakes,
+    input_mistakes=_input_mistakes,
+    input_changes={"colours": _swap_red_and_blue},
+    images={"channels": ValueTransform(reorder_channels, reorder_channels)},
     keys={"images": ["channels"]},
 )

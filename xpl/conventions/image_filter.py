@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from xpl.catalogue import Case, Convention, Mistake, pictures
-from xpl.catalogue.edits import Block, everywhere
-from xpl.catalogue.pictures import Steps, StepsChange, inside, stepped
+from xpl.catalogue import AdapterCase, Convention, Mistake, image_changes
+from xpl.catalogue.edits import Block, mistakes_at_sites
+from xpl.catalogue.image_changes import Steps, StepsChange, change_steps, set_in_steps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,20 +29,22 @@ FILTERS: tuple[tuple[str, bool], ...] = (
 """Filter and antialias, the likeliest first."""
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
-    sites = pictures.sites(case.block)
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
+    sites = image_changes.sites(case.block)
     for value in (True, False):
-        edit = stepped(inside(_RESAMPLED, "antialias", value, default=False))
-        yield from everywhere(sites, 1, f"antialias: {str(value).lower()}", _NAME, edit)
+        edit = change_steps(set_in_steps(_RESAMPLED, "antialias", value, default=False))
+        yield from mistakes_at_sites(sites, 1, f"antialias: {str(value).lower()}", _NAME, edit)
     for kind in dict.fromkeys(name for name, _ in FILTERS):
         for antialias, rank in ((None, 1), (True, 2), (False, 2)):
-            told = f"filter: {kind}" + ("" if antialias is None else f", antialias: {str(antialias).lower()}")
-            yield from everywhere(sites, rank, told, _NAME, stepped(_filtered(kind, antialias)))
+            label = f"filter: {kind}" + ("" if antialias is None else f", antialias: {str(antialias).lower()}")
+            yield from mistakes_at_sites(sites, rank, label, _NAME, change_steps(_set_filter(kind, antialias)))
     for kind in ("float", "uint8"):
-        yield from everywhere(sites, 2, f"as: {kind}", _NAME, stepped(inside(_RESAMPLED, "as", kind, "uint8")))
+        yield from mistakes_at_sites(
+            sites, 2, f"as: {kind}", _NAME, change_steps(set_in_steps(_RESAMPLED, "as", kind, "uint8"))
+        )
 
 
-def _filtered(kind: str, antialias: bool | None) -> StepsChange:  # noqa: FBT001 - a word of the block
+def _set_filter(kind: str, antialias: bool | None) -> StepsChange:  # noqa: FBT001 - a word of the block
     def change(steps: Steps) -> Steps:
         more = {} if antialias is None else {"antialias": antialias}
         return [
@@ -60,4 +62,6 @@ def _resizes(block: Block) -> bool:
     return any(set(_RESAMPLED) & set(step) for step in steps)
 
 
-CONVENTION = Convention(_NAME, in_block=_in_block, keys={"steps": ["filter", "antialias", "as"]}, applies=_resizes)
+CONVENTION = Convention(
+    _NAME, config_mistakes=_config_mistakes, keys={"steps": ["filter", "antialias", "as"]}, applies=_resizes
+)

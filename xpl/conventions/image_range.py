@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xpl.catalogue import Case, Convention, Mistake, pictures, walk
-from xpl.catalogue.edits import GONE, Block, Change, everywhere
+from xpl.catalogue import AdapterCase, Convention, Mistake, image_changes, walk
+from xpl.catalogue.edits import REMOVE, Block, EntryChange, mistakes_at_sites
 from xpl.errors import ConversionError
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ RANGES: tuple[tuple[int, list[float]], ...] = (
 """By likelihood, what 0 and 255 become."""
 
 
-class Pixels:
+class PixelScaling:
     """Bytes as the numbers of an image input.
 
     Args:
@@ -88,15 +88,15 @@ def as_bytes(values: np.ndarray) -> np.ndarray:
 # -- mistakes ----------------------------------------------------------------------------------------------------------
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
-    sites = pictures.sites(case.block)
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
+    sites = image_changes.sites(case.block)
     for rank, span in RANGES:
-        yield from everywhere(sites, rank, f"range: {span}", _NAME, _ranged(span))
-    yield from everywhere(sites, 2, "dtype: uint8", _NAME, _as_bytes)
-    yield from everywhere(sites, 0, "mean and std: none", _NAME, _without_mean)
+        yield from mistakes_at_sites(sites, rank, f"range: {span}", _NAME, _set_range(span))
+    yield from mistakes_at_sites(sites, 2, "dtype: uint8", _NAME, _as_bytes)
+    yield from mistakes_at_sites(sites, 0, "mean and std: none", _NAME, _without_mean)
     for name, (mean, std) in MEANS.items():
-        yield from everywhere(sites, 1, f"mean and std: {name}", _NAME, _with_mean(mean, std))
-    yield from everywhere(sites, 2, "mean and std in the other order of channels", _NAME, _mean_reversed)
+        yield from mistakes_at_sites(sites, 1, f"mean and std: {name}", _NAME, _with_mean(mean, std))
+    yield from mistakes_at_sites(sites, 2, "mean and std in the other order of channels", _NAME, _mean_reversed)
 
 
 def _as_float(entry: Block) -> dict[str, Any]:
@@ -104,27 +104,27 @@ def _as_float(entry: Block) -> dict[str, Any]:
 
 
 def _as_bytes(entry: Block) -> Block | None:
-    return None if entry["dtype"] == "uint8" else {"dtype": "uint8", "range": GONE, "mean": GONE, "std": GONE}
+    return None if entry["dtype"] == "uint8" else {"dtype": "uint8", "range": REMOVE, "mean": REMOVE, "std": REMOVE}
 
 
-def _ranged(span: Sequence[float]) -> Change:
+def _set_range(span: Sequence[float]) -> EntryChange:
     def change(entry: Block) -> Block | None:
         if entry["dtype"] == "float32" and list(entry.get("range", [0, 1])) == span:
             return None
-        return {"range": GONE if span == [0, 1] else span, **_as_float(entry)}
+        return {"range": REMOVE if span == [0, 1] else span, **_as_float(entry)}
 
     return change
 
 
 def _without_mean(entry: Block) -> Block | None:
-    return {"mean": GONE, "std": GONE} if {"mean", "std"} & set(entry) else None
+    return {"mean": REMOVE, "std": REMOVE} if {"mean", "std"} & set(entry) else None
 
 
-def _with_mean(mean: Sequence[float], std: Sequence[float]) -> Change:
+def _with_mean(mean: Sequence[float], std: Sequence[float]) -> EntryChange:
     def change(entry: Block) -> Block | None:
         if (entry.get("mean"), entry.get("std")) == (mean, std):
             return None
-        return {"mean": mean, "std": std, "range": GONE, **_as_float(entry)}
+        return {"mean": mean, "std": std, "range": REMOVE, **_as_float(entry)}
 
     return change
 
@@ -134,16 +134,18 @@ def _mean_reversed(entry: Block) -> Block | None:
     return turned if any(entry[key] != values for key, values in turned.items()) else None
 
 
-def _around(case: Case) -> Iterator[Mistake]:
+def _io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     for words, scale, offset in (("0 to 1, not -1 to 1", 0.5, 127.5), ("-1 to 1, not 0 to 1", 2.0, -255.0)):
-        yield from pictures.shown(1, f"range: {words}", _NAME, partial(_linear, scale=scale, offset=offset), case)
+        yield from image_changes.image_mistakes(
+            1, f"range: {words}", _NAME, partial(_linear, scale=scale, offset=offset), case
+        )
 
 
 def _linear(picture: np.ndarray, *, scale: float, offset: float) -> np.ndarray:
     return np.clip(np.rint(picture * scale + offset), 0, _BYTES).astype(np.uint8)
 
 
-def _in_inputs(case: Case) -> Iterator[Mistake]:
+def _input_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     if not case.cameras:
         return
     forms = [(rank, f"range: {span}", [[span[0]] * 3, [span[1]] * 3]) for rank, span in RANGES]
@@ -152,24 +154,24 @@ def _in_inputs(case: Case) -> Iterator[Mistake]:
     for name, (mean, std) in MEANS.items():
         if name == "0.5":  # which is the range from -1 to 1
             continue
-        for told, order in (("", slice(None)), (", of the other order of channels", slice(None, None, -1))):
+        for label, order in (("", slice(None)), (", of the other order of channels", slice(None, None, -1))):
             ends = list(zip(mean[order], std[order]))
             black = [-one / other for one, other in ends]
             white, white_of_bytes = ([(most - one) / other for one, other in ends] for most in (1, _BYTES))
-            forms.append((1 + bool(told), f"mean and std: {name}{told}", [black, white]))
-            of_bytes.append((2, f"mean and std: {name}{told}, of 0 to 255", [black, white_of_bytes]))
+            forms.append((1 + bool(label), f"mean and std: {name}{label}", [black, white]))
+            of_bytes.append((2, f"mean and std: {name}{label}, of 0 to 255", [black, white_of_bytes]))
     for (rank, words, to), (other_rank, other, of) in [
         *itertools.permutations(forms, 2),
         *itertools.product(forms, of_bytes),
     ]:
-        told = other[len("range: ") :] if words.startswith("range: ") and other.startswith("range: ") else other
+        label = other[len("range: ") :] if words.startswith("range: ") and other.startswith("range: ") else other
         how = {"kind": "scaled", "of": of, "to": to}
-        yield Mistake(max(rank, other_rank), f"{words}, not {told}", _NAME, encoded=how)
+        yield Mistake(max(rank, other_rank), f"{words}, not {label}", _NAME, input_change=how)
     for layout in ("hwc", "chw"):
-        yield Mistake(1, f"layout: {layout}", _NAME, encoded={"kind": "layout", "to": layout})
+        yield Mistake(1, f"layout: {layout}", _NAME, input_change={"kind": "layout", "to": layout})
 
 
-def _scaled(value: Any, how: Entry) -> Any:
+def _rescale(value: Any, how: Entry) -> Any:
     """Return pictures whose black and white are others.
 
     Args:
@@ -177,7 +179,7 @@ def _scaled(value: Any, how: Entry) -> Any:
         how: `of` and `to`: what black and white are by channel now, and what they become.
 
     Raises:
-        UnfitError: if the pictures cannot be of these numbers.
+        NoEffectError: if the pictures cannot be of these numbers.
     """
     (black, white), (new_black, new_white) = (np.asarray(how[name], np.float64) for name in ("of", "to"))
 
@@ -185,27 +187,27 @@ def _scaled(value: Any, how: Entry) -> Any:
         last = np.moveaxis(array, axis, -1).astype(np.float64)
         share = (last - black) / (white - black)
         if share.min() < -1e-3 or share.max() > 1.001 or np.ptp(share) < 0.25:
-            raise walk.UnfitError(f"pictures from {array.min():.3g} to {array.max():.3g}")
+            raise walk.NoEffectError(f"pictures from {array.min():.3g} to {array.max():.3g}")
         return np.moveaxis(new_black + share * (new_white - new_black), -1, axis).astype(np.float32)
 
-    return walk.pictures(value, change)
+    return walk.map_images(value, change)
 
 
-def _laid_out(value: Any, how: Entry) -> Any:
+def _set_layout(value: Any, how: Entry) -> Any:
     """Return pictures whose axes are in another order: `to` is hwc or chw."""
 
     def change(array: Any, axis: int) -> Any:
-        wanted = -1 if how["to"] == "hwc" else -3
-        return None if axis == wanted else np.ascontiguousarray(np.moveaxis(array, axis, wanted))
+        target_axis = -1 if how["to"] == "hwc" else -3
+        return None if axis == target_axis else np.ascontiguousarray(np.moveaxis(array, axis, target_axis))
 
-    return walk.pictures(value, change)
+    return walk.map_images(value, change)
 
 
 CONVENTION = Convention(
     _NAME,
-    in_block=_in_block,
-    around=_around,
-    in_inputs=_in_inputs,
-    kinds={"scaled": _scaled, "layout": _laid_out},
+    config_mistakes=_config_mistakes,
+    io_mistakes=_io_mistakes,
+    input_mistakes=_input_mistakes,
+    input_changes={"scaled": _rescale, "layout": _set_layout},
     keys={"images": ["layout", "dtype", "range", "mean", "std"]},
 )

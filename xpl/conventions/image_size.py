@@ -12,9 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xpl.catalogue import Case, Convention, Mistake, Step, pictures
-from xpl.catalogue.edits import Block, everywhere
-from xpl.catalogue.pictures import Steps, StepsChange, inside, lacking, prepended, replaced, stepped
+from xpl.catalogue import AdapterCase, Convention, GeometryStep, Mistake, image_changes
+from xpl.catalogue.edits import Block, mistakes_at_sites
+from xpl.catalogue.image_changes import (
+    Steps,
+    StepsChange,
+    change_steps,
+    prepend_step,
+    remove_steps,
+    replace_steps,
+    set_in_steps,
+)
 from xpl.conventions.image_filter import FILTERS
 from xpl.errors import ConversionError
 from xpl.resample import resize
@@ -108,33 +116,35 @@ def _to(how: Entry, _before: object) -> tuple[int, int]:
 # -- mistakes ----------------------------------------------------------------------------------------------------------
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
-    sites = pictures.sites(case.block)
-    yield from everywhere(sites, 1, "resize instead of letterbox", _NAME, stepped(_converted("letterbox", "resize")))
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
+    sites = image_changes.sites(case.block)
+    yield from mistakes_at_sites(
+        sites, 1, "resize instead of letterbox", _NAME, change_steps(_replace_step("letterbox", "resize"))
+    )
     for rank, box in BOXES:
-        change = stepped(_converted("resize", "letterbox", box))
-        yield from everywhere(sites, 1 + rank, f"letterbox instead of resize{_told(box)}", _NAME, change)
-    yield from everywhere(sites, 1, "no crop", _NAME, stepped(lacking("crop")))
+        change = change_steps(_replace_step("resize", "letterbox", box))
+        yield from mistakes_at_sites(sites, 1 + rank, f"letterbox instead of resize{_format_box(box)}", _NAME, change)
+    yield from mistakes_at_sites(sites, 1, "no crop", _NAME, change_steps(remove_steps("crop")))
     for fraction in FRACTIONS:
         crop = {"crop": {"fraction": fraction}}
-        told = f"crop: {{fraction: {fraction:.6g}}}"
-        yield from everywhere(sites, 3, f"{told} first", _NAME, stepped(prepended(crop)))
-        yield from everywhere(sites, 2, told, _NAME, stepped(replaced("crop", crop)))
+        label = f"crop: {{fraction: {fraction:.6g}}}"
+        yield from mistakes_at_sites(sites, 3, f"{label} first", _NAME, change_steps(prepend_step(crop)))
+        yield from mistakes_at_sites(sites, 2, label, _NAME, change_steps(replace_steps("crop", crop)))
     for anchor in ("center", "bottom_right", "top_left"):
-        edit = stepped(inside(("letterbox",), "anchor", anchor, "center"))
-        yield from everywhere(sites, 2, f"anchor: {anchor}", _NAME, edit)
+        edit = change_steps(set_in_steps(("letterbox",), "anchor", anchor, "center"))
+        yield from mistakes_at_sites(sites, 2, f"anchor: {anchor}", _NAME, edit)
     for fill in (0, 114, *(box["fill"] for _, box in BOXES if "fill" in box)):
-        edit = stepped(inside(("letterbox",), "fill", fill, 0))
-        yield from everywhere(sites, 2, f"fill: {fill}", _NAME, edit)
-    yield from everywhere(sites, 1, "to: height and width exchanged", _NAME, _exchanged)
-    yield from everywhere(sites, 3, "steps in the other order", _NAME, stepped(lambda steps: steps[::-1]))
+        edit = change_steps(set_in_steps(("letterbox",), "fill", fill, 0))
+        yield from mistakes_at_sites(sites, 2, f"fill: {fill}", _NAME, edit)
+    yield from mistakes_at_sites(sites, 1, "to: height and width exchanged", _NAME, _swap_height_and_width)
+    yield from mistakes_at_sites(sites, 3, "steps in the other order", _NAME, change_steps(lambda steps: steps[::-1]))
 
 
-def _told(box: Entry) -> str:
+def _format_box(box: Entry) -> str:
     return "".join(f", {key}: {value}" for key, value in box.items())
 
 
-def _exchanged(entry: Block) -> Block | None:
+def _swap_height_and_width(entry: Block) -> Block | None:
     """Exchange height and width of the size that the model reads."""
     steps = [
         {word: {**how, "to": how["to"][::-1]} if isinstance(how, Mapping) and "to" in how else how}
@@ -144,12 +154,12 @@ def _exchanged(entry: Block) -> Block | None:
     return {"steps": steps} if steps != list(entry.get("steps", ())) else None
 
 
-def _converted(one: str, other: str, more: Block | None = None) -> StepsChange:
-    kept = {"to", "filter", "antialias", "as"}
+def _replace_step(one: str, other: str, more: Block | None = None) -> StepsChange:
+    common_keys = {"to", "filter", "antialias", "as"}
 
     def change(steps: Steps) -> Steps:
         return [
-            {other: {**{key: value for key, value in step[one].items() if key in kept}, **(more or {})}}
+            {other: {**{key: value for key, value in step[one].items() if key in common_keys}, **(more or {})}}
             if one in step
             else step
             for step in steps
@@ -158,19 +168,21 @@ def _converted(one: str, other: str, more: Block | None = None) -> StepsChange:
     return change
 
 
-def _around(case: Case) -> Iterator[Mistake]:
+def _io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     for how in ("padded", "cropped", "stretched"):
-        yield from pictures.shown(1, f"{how} to a square", _NAME, partial(_squared, how=how), case)
+        yield from image_changes.image_mistakes(1, f"{how} to a square", _NAME, partial(_make_square, how=how), case)
     if not case.cameras:
         return
-    for wanted, done in itertools.permutations((1, *FRACTIONS), 2):
-        told = "no crop" if wanted == 1 else f"crop: {wanted:.6g}"
-        words = told if done == 1 else f"{told}, not {done:.6g}"
-        change = pictures.seen(partial(_framed, wanted=wanted, done=done), case.cameras)
-        yield Mistake(2, words, _NAME, shown=change)
+    for model_fraction, adapter_fraction in itertools.permutations((1, *FRACTIONS), 2):
+        label = "no crop" if model_fraction == 1 else f"crop: {model_fraction:.6g}"
+        words = label if adapter_fraction == 1 else f"{label}, not {adapter_fraction:.6g}"
+        change = image_changes.change_images(
+            partial(_recrop, model_fraction=model_fraction, adapter_fraction=adapter_fraction), case.cameras
+        )
+        yield Mistake(2, words, _NAME, change_observations=change)
 
 
-def _squared(picture: np.ndarray, *, how: str) -> np.ndarray:
+def _make_square(picture: np.ndarray, *, how: str) -> np.ndarray:
     height, width = picture.shape[:2]
     if how == "cropped":
         return _crop(picture, {"to": [min(height, width)] * 2})
@@ -180,46 +192,46 @@ def _squared(picture: np.ndarray, *, how: str) -> np.ndarray:
     return _uncropped(picture, None, (side, side))
 
 
-def _framed(picture: np.ndarray, *, wanted: float, done: float) -> np.ndarray:
+def _recrop(picture: np.ndarray, *, model_fraction: float, adapter_fraction: float) -> np.ndarray:
     """Return a picture whose middle, as much as the adapter cuts out, is the middle that the model should see."""
-    kept = _crop(picture, {"fraction": wanted})
-    height, width = (int(np.ceil(size / done)) for size in kept.shape[:2])
-    return _uncropped(kept, None, (height, width))
+    crop = _crop(picture, {"fraction": model_fraction})
+    height, width = (int(np.ceil(size / adapter_fraction)) for size in crop.shape[:2])
+    return _uncropped(crop, None, (height, width))
 
 
-def _in_inputs(case: Case) -> Iterator[Mistake]:
-    for place, (kind, antialias) in enumerate(FILTERS if case.cameras else ()):
+def _input_mistakes(case: AdapterCase) -> Iterator[Mistake]:
+    for number, (kind, antialias) in enumerate(FILTERS if case.cameras else ()):
         words = f"filter: {kind}" + (", antialias" if antialias and kind != "lanczos" else "")
         how = {"filter": kind, "antialias": antialias}
         made: list[tuple[int, str, list[dict[str, Any]]]] = [(0, "resize", [{"resize": how}])]
-        made += [(rank, f"letterbox{_told(box)}", [{"letterbox": {**how, **box}}]) for rank, box in BOXES]
+        made += [(rank, f"letterbox{_format_box(box)}", [{"letterbox": {**how, **box}}]) for rank, box in BOXES]
         made += [
             (2, f"crop to {part:.6g}, resize", [{"crop": {"fraction": part}}, {"resize": how}]) for part in FRACTIONS
         ]
         made += [(1, "the middle square, resize", [{"square": {}}, {"resize": how}])]
         exchanged = {"kind": "resized", "steps": [{"resize": how}], "exchanged": True}
-        told = f"resize, height and width exchanged, {words}"
-        yield Mistake(1 + (place > 3), told, _NAME, encoded=exchanged, geometry="exchanged")
+        label = f"resize, height and width exchanged, {words}"
+        yield Mistake(1 + (number > 3), label, _NAME, input_change=exchanged, geometry="exchanged")
         for rank, geometry, steps in made:
-            later = 1 if rank and place > 3 else 0
+            extra_rank = 1 if rank and number > 3 else 0
             encoded = {"kind": "resized", "steps": steps}
-            yield Mistake(rank + later, f"{geometry}, {words}", _NAME, encoded=encoded, geometry=geometry)
+            yield Mistake(rank + extra_rank, f"{geometry}, {words}", _NAME, input_change=encoded, geometry=geometry)
 
 
 CONVENTION = Convention(
     _NAME,
-    in_block=_in_block,
-    around=_around,
-    in_inputs=_in_inputs,
+    config_mistakes=_config_mistakes,
+    io_mistakes=_io_mistakes,
+    input_mistakes=_input_mistakes,
     keys={"images": ["steps"], "steps": ["resize", "letterbox", "crop", "to", "fill", "anchor", "fraction"]},
     applies=lambda block: bool(block.get("images")),
     steps={
-        "resize": Step(
+        "resize": GeometryStep(
             lambda values, how: _resampled(values, how, *how["to"]),
             lambda values, how, before: _resampled(values, {**how, "as": "uint8"}, *before),
             _to,
         ),
-        "letterbox": Step(_letterboxed, _unboxed, _to),
-        "crop": Step(_crop, _uncropped, _cropped),
+        "letterbox": GeometryStep(_letterboxed, _unboxed, _to),
+        "crop": GeometryStep(_crop, _uncropped, _cropped),
     },
 )

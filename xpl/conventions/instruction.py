@@ -8,15 +8,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Callable
 
 from xpl import _spec as spec
-from xpl.catalogue import Case, Convention, Mistake, Stage, walk
+from xpl.catalogue import AdapterCase, Convention, Mistake, ValueTransform, walk
 from xpl.catalogue import convention as catalogue
-from xpl.catalogue.edits import Site, everywhere, word
+from xpl.catalogue.edits import Site, mistakes_at_sites, set_key
 from xpl.observation import get_instruction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from xpl.catalogue.mistake import Episode, Obs, Shown
+    from xpl.catalogue.mistake import Obs, ObservationChange, ObservationList
     from xpl.contract import Entry, Observation, ObservationDict
 
 _NAME = spec.Obs.INSTRUCTION
@@ -43,9 +43,11 @@ def _replaced(text: str, pairs: Mapping[str, str]) -> str:
 
 
 _STAGES = {
-    "strip": Stage(lambda text, letters: text.strip(letters) if letters else text, lambda text, _letters: text),
-    "replace": Stage(_replaced, lambda text, _pairs: text),
-    "case": Stage(lambda text, case: text.lower() if case == "lower" else text, lambda text, _case: text),
+    "strip": ValueTransform(
+        lambda text, letters: text.strip(letters) if letters else text, lambda text, _letters: text
+    ),
+    "replace": ValueTransform(_replaced, lambda text, _pairs: text),
+    "case": ValueTransform(lambda text, case: text.lower() if case == "lower" else text, lambda text, _case: text),
 }
 _OWN = frozenset(("input", "template", "empty", *_STAGES))
 """Keys of the instruction that are read here; each other is another convention's."""
@@ -60,7 +62,7 @@ def encode(text: str, how: Entry) -> str:
     """
     for key in (*_STAGES, *(key for key in how if key not in _OWN)):
         if key in how:
-            text = catalogue.found("texts", key).encode(text, how[key])
+            text = catalogue.lookup("texts", key).encode(text, how[key])
     return str(how.get("template", HOLE)).replace(HOLE, text)
 
 
@@ -73,24 +75,26 @@ def decode(text: str, how: Entry) -> str:
 # -- mistakes ----------------------------------------------------------------------------------------------------------
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     how = case.block.get(_NAME)
     if not how:
         return
     site = [Site((_NAME,), how)]
     for letters in ("lower", "keep"):
-        yield from everywhere(site, 0, f"instruction: case: {letters}", _NAME, word("case", letters, "keep"))
+        yield from mistakes_at_sites(site, 0, f"instruction: case: {letters}", _NAME, set_key("case", letters, "keep"))
     for strip in ("", " ", ".", ". ", " .", " \n", "\n"):
         rank = 0 if strip in ("", " ") else 1
-        yield from everywhere(site, rank, f"instruction: strip: {strip!r}", _NAME, word("strip", strip, ""))
+        yield from mistakes_at_sites(site, rank, f"instruction: strip: {strip!r}", _NAME, set_key("strip", strip, ""))
     for pairs in ({}, {"_": " ", "\n": " "}, {"_": " "}):
-        yield from everywhere(site, 1, f"instruction: replace: {pairs!r}", _NAME, word("replace", pairs, {}))
+        yield from mistakes_at_sites(site, 1, f"instruction: replace: {pairs!r}", _NAME, set_key("replace", pairs, {}))
     now = how.get("template", HOLE)
     for text in dict.fromkeys((*case.templates, *TEMPLATES, now.strip(), f"{now}\n", f"{now} ", now.lower())):
         if HOLE in text:
-            yield from everywhere(site, 1, f"instruction: template: {text!r}", _NAME, word("template", text, HOLE))
+            yield from mistakes_at_sites(
+                site, 1, f"instruction: template: {text!r}", _NAME, set_key("template", text, HOLE)
+            )
     for empty in ("blank", "refuse"):
-        yield from everywhere(site, 3, f"instruction: empty: {empty}", _NAME, word("empty", empty, "refuse"))
+        yield from mistakes_at_sites(site, 3, f"instruction: empty: {empty}", _NAME, set_key("empty", empty, "refuse"))
 
 
 _CHANGES: tuple[tuple[int, str, Callable[[str], str]], ...] = (
@@ -110,30 +114,32 @@ _CHANGES: tuple[tuple[int, str, Callable[[str], str]], ...] = (
 )
 
 
-def _around(case: Case) -> Iterator[Mistake]:
+def _io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     if not case.instructions:
         return
     for rank, words, change in _CHANGES:
-        yield Mistake(rank, f"instruction: {words}", _NAME, shown=_said(change))
+        yield Mistake(rank, f"instruction: {words}", _NAME, change_observations=_change_instruction(change))
     for other in dict.fromkeys(case.instructions):
-        yield Mistake(1, f"instruction: always {other!r}", _NAME, shown=_said(_always(other)))
-    yield Mistake(1, "instruction: the episode's first", _NAME, shown=_first)
+        yield Mistake(
+            1, f"instruction: always {other!r}", _NAME, change_observations=_change_instruction(_always(other))
+        )
+    yield Mistake(1, "instruction: the episode's first", _NAME, change_observations=_first_instruction)
 
 
-def blank(observations: Sequence[Obs]) -> Episode:
+def blank(observations: Sequence[Obs]) -> ObservationList:
     """Show no instruction."""
-    return _said(_always(""))(observations)
+    return _change_instruction(_always(""))(observations)
 
 
 def _always(text: str) -> Callable[[str], str]:
-    return lambda _said: text
+    return lambda _change_instruction: text
 
 
-def _said(change: Callable[[str], str]) -> Shown:
-    def shown(observations: Sequence[Obs]) -> Episode:
+def _change_instruction(change: Callable[[str], str]) -> ObservationChange:
+    def change_all(observations: Sequence[Obs]) -> ObservationList:
         return [_with(obs, change) for obs in observations]
 
-    return shown
+    return change_all
 
 
 def _with(obs: Obs, change: Callable[[str], str]) -> ObservationDict:
@@ -146,14 +152,14 @@ def _with(obs: Obs, change: Callable[[str], str]) -> ObservationDict:
     return result
 
 
-def _first(observations: Sequence[Obs]) -> Episode:
-    said = {
+def _first_instruction(observations: Sequence[Obs]) -> ObservationList:
+    first = {
         key: observations[0][key] for key in (spec.Obs.INSTRUCTION, spec.Obs.INSTRUCTIONS) if key in observations[0]
     }
-    return [{**obs, **said} for obs in observations]
+    return [{**obs, **first} for obs in observations]
 
 
-def _in_inputs(case: Case) -> Iterator[Mistake]:
+def _input_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     if not case.instructions:
         return
     for rank, letters, strip in (
@@ -166,13 +172,13 @@ def _in_inputs(case: Case) -> Iterator[Mistake]:
     ):
         how = {"kind": "text", "case": letters, "strip": strip}
         words = f"instruction: case: {letters}, strip: {strip!r}"
-        yield Mistake(rank, words, _NAME, encoded=how)
+        yield Mistake(rank, words, _NAME, input_change=how)
         for template in dict.fromkeys((*case.templates, *TEMPLATES)):
-            told = f"{words}, template: {template!r}"
-            yield Mistake(rank + 1, told, _NAME, encoded={**how, "template": template})
+            label = f"{words}, template: {template!r}"
+            yield Mistake(rank + 1, label, _NAME, input_change={**how, "template": template})
 
 
-_DONE: tuple[Callable[[str], str], ...] = (
+_ADAPTER_CHANGES: tuple[Callable[[str], str], ...] = (
     str,
     lambda text: text.strip(" "),
     str.strip,
@@ -186,7 +192,7 @@ _DONE: tuple[Callable[[str], str], ...] = (
 """What adapters do to an instruction."""
 
 
-def written(value: object, how: Entry, obs: Observation) -> Any:
+def rewrite_texts(value: object, how: Entry, obs: Observation) -> Any:
     """Return encoded inputs whose texts have the instruction otherwise.
 
     Args:
@@ -196,33 +202,33 @@ def written(value: object, how: Entry, obs: Observation) -> Any:
         obs: the observation.
 
     Raises:
-        UnfitError: if there is no text.
+        NoEffectError: if there is no text.
     """
-    said = get_instruction(obs) or ""
-    wanted = encode(said, {key: value for key, value in how.items() if key in ("case", "strip")})
-    seen = False
+    text = get_instruction(obs) or ""
+    expected = encode(text, {key: value for key, value in how.items() if key in ("case", "strip")})
+    is_found = False
 
     def change(leaf: object) -> Any:
-        nonlocal seen
+        nonlocal is_found
         if not isinstance(leaf, str):
             return None
-        seen = True
+        is_found = True
         if "template" in how:
-            return how["template"].replace(HOLE, wanted)
-        done = max((one(said) for one in _DONE if one(said) in leaf), key=len, default="")
-        return leaf.replace(done, wanted) if done else wanted
+            return how["template"].replace(HOLE, expected)
+        current = max((one(text) for one in _ADAPTER_CHANGES if one(text) in leaf), key=len, default="")
+        return leaf.replace(current, expected) if current else expected
 
-    result = walk.changed(value, change)
-    if not seen:
-        raise walk.UnfitError("no text")
+    result = walk.map_leaves(value, change)
+    if not is_found:
+        raise walk.NoEffectError("no text")
     return result
 
 
 CONVENTION = Convention(
     _NAME,
-    in_block=_in_block,
-    around=_around,
-    in_inputs=_in_inputs,
+    config_mistakes=_config_mistakes,
+    io_mistakes=_io_mistakes,
+    input_mistakes=_input_mistakes,
     texts=_STAGES,
     keys={"block": [_NAME]},
     applies=lambda block: block.get(_NAME) is not None,

@@ -10,8 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import json_text, tables
-from xpl.catalogue import Case, Convention, Mistake
-from xpl.catalogue.edits import GONE, Block, Change, Site, at, everywhere, vectors, without, word
+from xpl.catalogue import AdapterCase, Convention, Mistake
+from xpl.catalogue.edits import (
+    REMOVE,
+    Block,
+    EntryChange,
+    Site,
+    mistakes_at_sites,
+    remove_key,
+    set_key,
+    value_at,
+    vectors,
+)
 from xpl.errors import ConversionError
 
 if TYPE_CHECKING:
@@ -47,7 +57,7 @@ class Normalization:
         self, entry: Entry | None, width: int, folders: Sequence[Path] = (), padded: int | None = None
     ) -> None:
         self._clip = (entry or {}).get("clip")
-        self._to, self._back = _Line(width), _Line(width)
+        self._to, self._back = _Affine(width), _Affine(width)
         if entry is None:
             return
         rule, epsilon = entry["rule"], entry.get("epsilon", 0.0)
@@ -82,11 +92,11 @@ class Normalization:
 
     def decode(self, values: np.ndarray) -> np.ndarray:
         """Return what was normalised to these values (..., width)."""
-        given = values if self._clip is None else np.clip(values, *self._clip)
-        return given * self._back.scale + self._back.shift
+        normalized = values if self._clip is None else np.clip(values, *self._clip)
+        return normalized * self._back.scale + self._back.shift
 
 
-class _Line:
+class _Affine:
     """By dimension: x = scale * y + shift."""
 
     def __init__(self, width: int) -> None:
@@ -98,19 +108,19 @@ class _Line:
 
 def _numbers(entry: Entry, name: str, folders: Sequence[Path], width: int, padded: int | None) -> np.ndarray:
     if "values" in entry:
-        found = entry["values"].get(name)
+        values = entry["values"].get(name)
     else:
-        found = _read(
+        values = _read(
             entry["file"], folders, [*entry.get("key", "").split("/"), entry.get("names", {}).get(name, name)]
         )
-    if found is None:
+    if values is None:
         raise ConversionError(
             f"normalize has no {name}, which the rule {entry['rule']} needs; add it to values, or name it"
         )
     try:
-        numbers = np.asarray(found, np.float64).reshape(-1)
+        numbers = np.asarray(values, np.float64).reshape(-1)
     except (TypeError, ValueError):
-        raise ConversionError(f"normalize: expected a list of numbers as {name}, got {str(found)[:80]}") from None
+        raise ConversionError(f"normalize: expected a list of numbers as {name}, got {str(values)[:80]}") from None
     if numbers.size == padded:  # openpi's own are of the padded vector
         numbers = numbers[:width]
     if numbers.shape != (width,):
@@ -127,120 +137,121 @@ def _numbers(entry: Entry, name: str, folders: Sequence[Path], width: int, padde
 def _read(file: str, folders: Sequence[Path], words: Sequence[str]) -> Any:
     path = tables.find(file, folders)
     if path is None:
-        told = ", ".join(map(str, folders)) or "no folder"
+        searched = ", ".join(map(str, folders)) or "no folder"
         raise ConversionError(
-            f"normalize names the file {file}, which is in none of: {told}; copy it, or say where in one of these it is"
+            f"normalize names the file {file}, which is in none of: {searched}; copy it, "
+            "or give its path below one of these"
         )
     return tables.read(path, words)
 
 
 # -- mistakes ----------------------------------------------------------------------------------------------------------
 
-_CALLED: dict[str, tuple[dict[str, str], ...]] = {
+_STATISTIC_NAMES: dict[str, tuple[dict[str, str], ...]] = {
     "mean_std": ({},),
     "min_max": ({},),
     "quantiles": ({"low": "q01", "high": "q99"}, {}, {"low": "q02", "high": "q98"}, {"low": "q10", "high": "q90"}),
 }
-_OFFERED = ("file", "key", "values")
+_STATISTIC_KEYS = ("file", "key", "values")
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     """Yield changes of how vectors are normalised."""
     block: Block = case.block
     if not block:
         return
     sites = [
-        Site((*place, "normalize"), entry["normalize"], group, str(entry.get("input", "")))
-        for place, group, entry in vectors(block)
+        Site((*path, "normalize"), entry["normalize"], group, str(entry.get("input", "")))
+        for path, group, entry in vectors(block)
         if entry.get("normalize") and "rule" in entry["normalize"]
     ]
-    yield from _none(block)
-    yield from _others(block, sites)
-    for rule, named in _CALLED.items():
+    yield from _without_normalization(block)
+    yield from _swap_statistics(block, sites)
+    for rule, named in _STATISTIC_NAMES.items():
         for names in named:
-            told = f"normalize: rule: {rule}" + (f" ({', '.join(names.values())})" if names else "")
-            yield from everywhere(sites, 0, told, _NAME, _ruled(rule, names))
+            label = f"normalize: rule: {rule}" + (f" ({', '.join(names.values())})" if names else "")
+            yield from mistakes_at_sites(sites, 0, label, _NAME, _set_rule(rule, names))
     for value in (0, 1e-8, 1e-6):
-        yield from everywhere(sites, 2, f"normalize: epsilon: {value:g}", _NAME, word("epsilon", value, 0))
+        yield from mistakes_at_sites(sites, 2, f"normalize: epsilon: {value:g}", _NAME, set_key("epsilon", value, 0))
     for how in ("epsilon", "keep", "zero", "shift"):
-        told = f"normalize: constant: {how}"
-        yield from everywhere(sites, 2, told, _NAME, word("constant", how, "refuse"))
-    yield from everywhere(sites, 1, "normalize: no clip", _NAME, without("clip"))
+        label = f"normalize: constant: {how}"
+        yield from mistakes_at_sites(sites, 2, label, _NAME, set_key("constant", how, "refuse"))
+    yield from mistakes_at_sites(sites, 1, "normalize: no clip", _NAME, remove_key("clip"))
     for clip in ([-1, 1], [-1.5, 1.5], [-5, 5], [-10, 10]):
         rank = 1 if clip == [-1, 1] else 3
-        yield from everywhere(sites, rank, f"normalize: clip: {clip}", _NAME, word("clip", clip, None))
-    yield from everywhere(sites, 2, "normalize: std: the root of what is said", _NAME, _powered(0.5))
-    yield from everywhere(sites, 2, "normalize: std: the square of what is said", _NAME, _powered(2.0))
-    yield from everywhere(sites, 1, "normalize: only: all", _NAME, without("only"))
-    yield from everywhere(sites, 2, "normalize: only: the others", _NAME, _inverted)
+        yield from mistakes_at_sites(sites, rank, f"normalize: clip: {clip}", _NAME, set_key("clip", clip, None))
+    yield from mistakes_at_sites(sites, 2, "normalize: std: the root of what is said", _NAME, _raise_std(0.5))
+    yield from mistakes_at_sites(sites, 2, "normalize: std: the square of what is said", _NAME, _raise_std(2.0))
+    yield from mistakes_at_sites(sites, 1, "normalize: only: all", _NAME, remove_key("only"))
+    yield from mistakes_at_sites(sites, 2, "normalize: only: the others", _NAME, _invert_mask)
     yield from _masks(block, sites)
     yield from _keys(sites, case.folders)
 
 
-def _none(block: Block) -> Iterator[Mistake]:
+def _without_normalization(block: Block) -> Iterator[Mistake]:
     sites = [
-        Site(place, entry, group, str(entry.get("input", "")))
-        for place, group, entry in vectors(block)
+        Site(path, entry, group, str(entry.get("input", "")))
+        for path, group, entry in vectors(block)
         if entry.get("normalize")
     ]
-    yield from everywhere(sites, 0, "normalize: none", _NAME, lambda _: {"normalize": GONE})
+    yield from mistakes_at_sites(sites, 0, "normalize: none", _NAME, lambda _: {"normalize": REMOVE})
 
 
-def _others(block: Block, sites: Sequence[Site]) -> Iterator[Mistake]:
+def _swap_statistics(block: Block, sites: Sequence[Site]) -> Iterator[Mistake]:
     """Yield vectors normalised by another vector's numbers."""
     for site in sites:
         for other in sites:
-            if other.place != site.place:
-                told = f"normalize: the {_called(other)}'s numbers for the {_called(site)}"
-                edits = {site.place: {**_bare(site.entry), **_offer(other.entry)}}
-                yield Mistake(0, told, _NAME, edits)
+            if other.path != site.path:
+                label = f"normalize: the {_site_name(other)}'s numbers for the {_site_name(site)}"
+                edits = {site.path: {**_rule_keys(site.entry), **_statistic_keys(other.entry)}}
+                yield Mistake(0, label, _NAME, edits)
     if len(sites) == 2:
         one, other = sites
         both = {
-            one.place: {**_bare(one.entry), **_offer(other.entry)},
-            other.place: {**_bare(other.entry), **_offer(one.entry)},
+            one.path: {**_rule_keys(one.entry), **_statistic_keys(other.entry)},
+            other.path: {**_rule_keys(other.entry), **_statistic_keys(one.entry)},
         }
-        told = f"normalize: the numbers of {_called(one)} and {_called(other)} exchanged"
-        yield Mistake(1, told, _NAME, both)
+        label = f"normalize: the numbers of {_site_name(one)} and {_site_name(other)} exchanged"
+        yield Mistake(1, label, _NAME, both)
     without = [
-        Site((*place, "normalize"), None, group, str(entry.get("input", "")))
-        for place, group, entry in vectors(block)
+        Site((*path, "normalize"), None, group, str(entry.get("input", "")))
+        for path, group, entry in vectors(block)
         if not entry.get("normalize")
     ]
     for site in without:
         for other in sites:
-            told = f"normalize: the {_called(site)} as the {_called(other)}"
-            yield Mistake(1, told, _NAME, {site.place: dict(other.entry)})
+            label = f"normalize: the {_site_name(site)} as the {_site_name(other)}"
+            yield Mistake(1, label, _NAME, {site.path: dict(other.entry)})
 
 
-def _called(site: Site) -> str:
+def _site_name(site: Site) -> str:
     return site.group + (f" {site.name}" if site.name and site.name != site.group else "")
 
 
-def _bare(entry: Block) -> dict[str, Any]:
-    return {key: value for key, value in entry.items() if key not in _OFFERED}
+def _rule_keys(entry: Block) -> dict[str, Any]:
+    return {key: value for key, value in entry.items() if key not in _STATISTIC_KEYS}
 
 
-def _offer(entry: Block) -> dict[str, Any]:
-    return {key: value for key, value in entry.items() if key in _OFFERED}
+def _statistic_keys(entry: Block) -> dict[str, Any]:
+    return {key: value for key, value in entry.items() if key in _STATISTIC_KEYS}
 
 
-def _ruled(rule: str, names: Mapping[str, str]) -> Change:
+def _set_rule(rule: str, names: Mapping[str, str]) -> EntryChange:
     def change(entry: Block) -> Block | None:
         offered = entry.get("values")
         if offered is not None:
             fits = not names and set(_NAMES[rule]) <= set(offered)
             return {"rule": rule} if fits and entry["rule"] != rule else None
-        said = {key: entry.get("names", {}).get(key, key) for key in _NAMES[rule]}
-        wanted = {key: names.get(key, key) for key in _NAMES[rule]}
-        if entry["rule"] == rule and said == wanted:
+        names_now = {key: entry.get("names", {}).get(key, key) for key in _NAMES[rule]}
+        new_names = {key: names.get(key, key) for key in _NAMES[rule]}
+        if entry["rule"] == rule and names_now == new_names:
             return None
-        return {"rule": rule, "names": dict(names) or GONE}
+        return {"rule": rule, "names": dict(names) or REMOVE}
 
     return change
 
 
-def _powered(by: float) -> Change:
+def _raise_std(by: float) -> EntryChange:
     """Return the change of standard deviations that are variances, or are taken for them."""
 
     def change(entry: Block) -> Block | None:
@@ -252,18 +263,18 @@ def _powered(by: float) -> Change:
     return change
 
 
-def _inverted(entry: Block) -> Block | None:
+def _invert_mask(entry: Block) -> Block | None:
     return {"only": [not one for one in entry["only"]]} if "only" in entry else None
 
 
 def _masks(block: Block, sites: Sequence[Site]) -> Iterator[Mistake]:
     """Yield normalisation of all but grippers, as OpenVLA masks them."""
     for site in sites:
-        listed = at(block, site.place[:-1])["parts"]
+        listed = value_at(block, site.path[:-1])["parts"]
         mask = _arms(listed)
         if mask and False in mask and site.entry.get("only") != mask:
-            told = f"normalize: only: all but grippers ({_called(site)})"
-            yield Mistake(2, told, _NAME, {(*site.place, "only"): mask})
+            label = f"normalize: only: all but grippers ({_site_name(site)})"
+            yield Mistake(2, label, _NAME, {(*site.path, "only"): mask})
 
 
 def _arms(parts: Sequence[Block]) -> list[bool] | None:
@@ -293,8 +304,8 @@ def _keys(sites: Sequence[Site], folders: Sequence[Path]) -> Iterator[Mistake]:
         names = [entry.get("names", {}).get(key, key) for key in _NAMES[entry["rule"]]]
         for key in _entries(entry["file"], folders, names):
             if key != entry.get("key", ""):
-                told = f"normalize: key: {key or 'none'} ({_called(site)})"
-                yield Mistake(1, told, _NAME, {(*site.place, "key"): key})
+                label = f"normalize: key: {key or 'none'} ({_site_name(site)})"
+                yield Mistake(1, label, _NAME, {(*site.path, "key"): key})
 
 
 # -- files of statistics: other data sets, other robots, the other vector ----------------------------------------------
@@ -314,22 +325,22 @@ def _entries(file: str, folders: Sequence[Path], names: Sequence[str]) -> list[s
         document = json_text.parse(path.read_bytes())
     except (OSError, json_text.JsonError):
         return []
-    found = []
+    keys = []
     for key in _walk(document, (), names):
-        found.append(key)
-        if len(found) == _MOST:
+        keys.append(key)
+        if len(keys) == _MOST:
             break
-    return found
+    return keys
 
 
 def _prefixes(path: Path, names: Sequence[str]) -> list[str]:
     """Return what stands before the last dot of arrays of all of these names: `action` of `action.mean`."""
     try:
-        there = set(tables.names(path))
+        arrays = set(tables.names(path))
     except (OSError, ConversionError):
         return []
-    known = sorted({name.rpartition(".")[0] for name in there if "." in name})
-    return [key for key in known if all(f"{key}.{name}" in there for name in names)][:_MOST]
+    prefixes = sorted({name.rpartition(".")[0] for name in arrays if "." in name})
+    return [key for key in prefixes if all(f"{key}.{name}" in arrays for name in names)][:_MOST]
 
 
 def _walk(document: Any, way: tuple[str, ...], names: Sequence[str], depth: int = 8) -> Iterator[str]:
@@ -348,21 +359,23 @@ _MOST_NUMBERS = 40
 """Normalisations by numbers of the adapter's own that are tried at most."""
 
 
-def _in_inputs(_case: Case) -> Iterator[Mistake]:
+def _input_mistakes(_case: AdapterCase) -> Iterator[Mistake]:
     for number in range(_MOST_NUMBERS):
-        yield Mistake(1, "normalize: other numbers", _NAME, encoded={"kind": "normalized", "number": number})
-        yield Mistake(1, "normalize: other numbers of a part", _NAME, encoded={"kind": "segmented", "number": number})
+        yield Mistake(1, "normalize: other numbers", _NAME, input_change={"kind": "normalized", "number": number})
+        yield Mistake(
+            1, "normalize: other numbers of a part", _NAME, input_change={"kind": "segmented", "number": number}
+        )
 
 
-def _is_there(block: Block) -> bool:
+def _has_normalization(block: Block) -> bool:
     vectors = [*(block.get("state") or ()), block.get("action") or {}]
     return any(vector.get("normalize") is not None or "pad" in vector for vector in vectors)
 
 
 CONVENTION = Convention(
     _NAME,
-    in_block=_in_block,
-    in_inputs=_in_inputs,
+    config_mistakes=_config_mistakes,
+    input_mistakes=_input_mistakes,
     keys={"normalize": ["*"], "vectors": ["pad"]},
-    applies=_is_there,
+    applies=_has_normalization,
 )

@@ -9,10 +9,10 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl import poses, rotation
-from xpl.catalogue import Case, Convention, Mistake, fields
+from xpl.catalogue import AdapterCase, Convention, Mistake, fields
 from xpl.catalogue.convention import kinds
-from xpl.catalogue.edits import alike, everywhere, parts, word
-from xpl.catalogue.fields import Numbers, on
+from xpl.catalogue.edits import copy_between_state_and_action, mistakes_at_sites, parts, set_key
+from xpl.catalogue.fields import Numbers, map_fields
 from xpl.errors import ConversionError
 
 if TYPE_CHECKING:
@@ -30,41 +30,44 @@ def tool(embodiment: Embodiment) -> np.ndarray:
     Raises:
         ConversionError: if the standard does not know it for this robot.
     """
-    known: Mapping[str, Any] | None = embodiment.data["end_effector"].get("tcp")
-    if not known:
+    tcp: Mapping[str, Any] | None = embodiment.data["end_effector"].get("tcp")
+    if not tcp:
         raise ConversionError(
             f"the standard does not know where {embodiment.name} has its fingertips; say point: flange"
         )
-    return poses.pose(known["xyz"], rotation.from_rpy(known["rpy"]))
+    return poses.pose(tcp["xyz"], rotation.from_rpy(tcp["rpy"]))
 
 
 # -- mistakes ----------------------------------------------------------------------------------------------------------
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     sites = parts(case.block, "position", "rotation") if case.block else []
     for point in reversed(POINTS):
-        yield from everywhere(sites, 0, f"point: {point}", _NAME, word("point", point, POINTS[0]))
-    yield from alike(case.block, ["rotation", "position"], "point", _NAME) if case.block else ()
+        yield from mistakes_at_sites(sites, 0, f"point: {point}", _NAME, set_key("point", point, POINTS[0]))
+    yield from copy_between_state_and_action(case.block, ["rotation", "position"], "point", _NAME) if case.block else ()
 
 
-def _around(case: Case) -> Iterator[Mistake]:
+def _io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     for change in _changes(case.embodiment):
-        yield from fields.mistakes(change, case)
+        yield from fields.field_mistakes(change, case)
 
 
-def _changes(embodiment: Embodiment) -> Iterator[fields.Change]:
-    keys = fields.poses(embodiment.prefixes)
+def _changes(embodiment: Embodiment) -> Iterator[fields.FieldChange]:
+    keys = fields.pose_fields(embodiment.prefixes)
     for hand in _tools(embodiment):
-        yield from _at_tool(hand, keys)
+        yield from _tcp_changes(hand, keys)
     for rank, axis, degrees in (
         *((2, 2, degrees) for degrees in (45, -45, 90, -90, 180, 135, -135)),
         *((3, axis, degrees) for axis in (0, 1) for degrees in (90, -90, 180)),
     ):
         turn = rotation.from_axis_angle(np.deg2rad(degrees) * np.eye(3)[axis])
-        there, back = (on(keys, fields.turned(partial(_by, turn=one))) for one in (turn, rotation.conjugate(turn)))
-        told = f"hand: turned by {degrees:+} deg about its {'xyz'[axis]}"
-        yield fields.Change(rank, told, _NAME, there, back, None)
+        there, back = (
+            map_fields(keys, fields.map_rotations(partial(_append_rotation, turn=one)))
+            for one in (turn, rotation.conjugate(turn))
+        )
+        label = f"hand: turned by {degrees:+} deg about its {'xyz'[axis]}"
+        yield fields.FieldChange(rank, label, _NAME, there, back, None)
 
 
 def _tools(embodiment: Embodiment) -> Iterator[Numbers]:
@@ -75,32 +78,32 @@ def _tools(embodiment: Embodiment) -> Iterator[Numbers]:
         return
 
 
-def _at_tool(hand: Numbers, keys: Sequence[str]) -> Iterator[fields.Change]:
-    for later, told, only in fields.PARTS:
+def _tcp_changes(hand: Numbers, keys: Sequence[str]) -> Iterator[fields.FieldChange]:
+    for extra_rank, label, only in fields.PARTS:
         # A position alone moves by what the rotation says, and that stays.
-        away = _unturned(hand) if told == " of the position" else poses.invert(hand)
-        there, back = (on(keys, only(partial(_inside, inner=one))) for one in (hand, away))
-        change = fields.Change(later, f"point{told}: tcp", _NAME, there, back, None)
+        away = _inverse_translation(hand) if label == " of the position" else poses.invert(hand)
+        there, back = (map_fields(keys, only(partial(_append_transform, inner=one))) for one in (hand, away))
+        change = fields.FieldChange(extra_rank, f"point{label}: tcp", _NAME, there, back, None)
         yield change
-        yield change.inverse(f"point{told}: flange, not tcp")
+        yield change.inverse(f"point{label}: flange, not tcp")
 
 
-def _inside(pose: Numbers, *, inner: Numbers) -> Numbers:
+def _append_transform(pose: Numbers, *, inner: Numbers) -> Numbers:
     return poses.compose(pose, inner)
 
 
-def _by(quaternion: Numbers, *, turn: Numbers) -> Numbers:
+def _append_rotation(quaternion: Numbers, *, turn: Numbers) -> Numbers:
     return rotation.multiply(quaternion, turn)
 
 
-def _unturned(hand: Numbers) -> Numbers:
+def _inverse_translation(hand: Numbers) -> Numbers:
     return np.concatenate((-hand[: spec.POSITION_DIM], rotation.identity()))
 
 
 CONVENTION = Convention(
     _NAME,
-    in_block=_in_block,
-    around=_around,
+    config_mistakes=_config_mistakes,
+    io_mistakes=_io_mistakes,
     keys={"position": ["point"], "rotation": ["point"]},
     applies=lambda block: bool({"position", "rotation"} & kinds(block)),
 )

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from xpl.catalogue import Case, Convention, Mistake
+from xpl.catalogue import AdapterCase, Convention, Mistake
 
 _NAME = "recurrent"
 
 
-def _in_inputs(_case: Case) -> Iterator[Mistake]:
-    yield Mistake(0, "state: advanced once by each observation, not twice", _NAME, encoded={"kind": "once"})
+def _input_mistakes(_case: AdapterCase) -> Iterator[Mistake]:
+    yield Mistake(0, "state: advanced once by each observation, not twice", _NAME, input_change={"kind": "once"})
 
 
 CONVENTION = Convention(
     _NAME,
-    in_inputs=_in_inputs,
+    input_mistakes=_input_mistakes,
     keys={"block": [_NAME]},
     applies=lambda block: bool(block.get(_NAME)),
 )

@@ -13,9 +13,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl import rotation
-from xpl.catalogue import Case, Convention, Mistake, fields
-from xpl.catalogue.edits import GONE, Block, Change, alike, everywhere, parts, word
-from xpl.catalogue.fields import Numbers, on
+from xpl.catalogue import AdapterCase, Convention, Mistake, fields
+from xpl.catalogue.edits import (
+    REMOVE,
+    Block,
+    EntryChange,
+    copy_between_state_and_action,
+    mistakes_at_sites,
+    parts,
+    set_key,
+)
+from xpl.catalogue.fields import Numbers, map_fields
 from xpl.errors import ConversionError
 
 if TYPE_CHECKING:
@@ -67,10 +75,10 @@ def decode(values: np.ndarray, form: str, euler: str | None = None) -> np.ndarra
     """
     array = np.asarray(values, np.float64)
     if form in ("quaternion_wxyz", "quaternion_xyzw"):
-        found = array if form == "quaternion_wxyz" else np.roll(array, 1, axis=-1)
-        if not (np.linalg.norm(found, axis=-1) > 1e-6).all():
+        quaternion = array if form == "quaternion_wxyz" else np.roll(array, 1, axis=-1)
+        if not (np.linalg.norm(quaternion, axis=-1) > 1e-6).all():
             raise ConversionError("a quaternion of the model has length zero, which is no rotation")
-        return rotation.normalise(found)
+        return rotation.normalise(quaternion)
     if form == "axis_angle":
         return rotation.from_axis_angle(array)
     if form == "euler":
@@ -134,7 +142,7 @@ def _to_euler(matrix: np.ndarray, order: str) -> np.ndarray:
 
 # -- mistakes ----------------------------------------------------------------------------------------------------------
 
-_ALIKE = (
+_SAME_WIDTH = (
     ("quaternion_wxyz", "quaternion_xyzw"),
     ("rot6d_columns", "rot6d_rows"),
     ("axis_angle", "euler"),
@@ -144,85 +152,91 @@ _ALIKE = (
 _REREAD = (*_LIKELY, "axis_angle")
 
 
-def _in_block(case: Case) -> Iterator[Mistake]:
+def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     sites = parts(case.block, "rotation") if case.block else []
-    forms = [(form, among) for among in _ALIKE for form in among if form != "euler"]
+    forms = [(form, among) for among in _SAME_WIDTH for form in among if form != "euler"]
     for form, among in forms:
-        yield from everywhere(sites, 0, f"form: {form}", _NAME, _formed(form, among))
+        yield from mistakes_at_sites(sites, 0, f"form: {form}", _NAME, _set_form(form, among))
     for order in ORDERS:
         rank = 0 if order in _LIKELY else 2
-        yield from everywhere(sites, rank, f"form: euler, euler: {order}", _NAME, _as_euler(order))
+        yield from mistakes_at_sites(sites, rank, f"form: euler, euler: {order}", _NAME, _set_euler(order))
     for form, _ in forms:
-        yield from everywhere(sites, 3, f"form: {form}", _NAME, _formed(form, ()))
+        yield from mistakes_at_sites(sites, 3, f"form: {form}", _NAME, _set_form(form, ()))
     for sign in ("any", "positive_w", "continuous"):
-        yield from everywhere(sites, 1, f"sign: {sign}", _NAME, _signed_as(sign))
-    yield from alike(case.block, ["rotation"], "form", _NAME) if case.block else ()
+        yield from mistakes_at_sites(sites, 1, f"sign: {sign}", _NAME, _set_sign(sign))
+    yield from copy_between_state_and_action(case.block, ["rotation"], "form", _NAME) if case.block else ()
 
 
-def _formed(form: str, among: Sequence[str]) -> Change:
+def _set_form(form: str, among: Sequence[str]) -> EntryChange:
     """Return the change to a form, of a rotation in another of these forms, or in any if there are none."""
 
     def change(entry: Block) -> Block | None:
         if entry["form"] == form or (among and entry["form"] not in among):
             return None
-        signed = {} if form.startswith("quaternion") else {"sign": GONE}
-        return {"form": form, "euler": GONE, **signed}
+        signed = {} if form.startswith("quaternion") else {"sign": REMOVE}
+        return {"form": form, "euler": REMOVE, **signed}
 
     return change
 
 
-def _as_euler(order: str) -> Change:
+def _set_euler(order: str) -> EntryChange:
     def change(entry: Block) -> Block | None:
         if entry["form"] not in ("euler", "axis_angle") or entry.get("euler") == order:
             return None
-        return {"form": "euler", "euler": order, "sign": GONE}
+        return {"form": "euler", "euler": order, "sign": REMOVE}
 
     return change
 
 
-def _signed_as(sign: str) -> Change:
+def _set_sign(sign: str) -> EntryChange:
     def change(entry: Block) -> Block | None:
-        return word("sign", sign, "any")(entry) if entry["form"].startswith("quaternion") else None
+        return set_key("sign", sign, "any")(entry) if entry["form"].startswith("quaternion") else None
 
     return change
 
 
-def _around(case: Case) -> Iterator[Mistake]:
-    for later, told, prefixes in fields.scopes(case.embodiment.prefixes):
-        for change in _changes(fields.poses(prefixes), told):
-            yield from fields.mistakes(replace(change, rank=change.rank + later), case)
+def _io_mistakes(case: AdapterCase) -> Iterator[Mistake]:
+    for extra_rank, label, prefixes in fields.arm_scopes(case.embodiment.prefixes):
+        for change in _changes(fields.pose_fields(prefixes), label):
+            yield from fields.field_mistakes(replace(change, rank=change.rank + extra_rank), case)
 
 
-def _changes(keys: Sequence[str], told: str) -> Iterator[fields.Change]:
-    there, back = (on(keys, fields.turned(partial(np.roll, shift=by, axis=-1))) for by in (-1, 1))
-    order = fields.Change(0, f"quaternion{told}: xyzw", _NAME, there, back, back)
+def _changes(keys: Sequence[str], label: str) -> Iterator[fields.FieldChange]:
+    there, back = (map_fields(keys, fields.map_rotations(partial(np.roll, shift=by, axis=-1))) for by in (-1, 1))
+    order = fields.FieldChange(0, f"quaternion{label}: xyzw", _NAME, there, back, back)
     yield order
-    yield order.inverse(f"quaternion{told}: wxyz, not xyzw", there)
-    inverse = on(keys, fields.turned(rotation.conjugate))
-    yield fields.Change(0, f"rotation{told}: transposed (rows for columns)", _NAME, inverse, inverse, inverse)
+    yield order.inverse(f"quaternion{label}: wxyz, not xyzw", there)
+    inverse = map_fields(keys, fields.map_rotations(rotation.conjugate))
+    yield fields.FieldChange(0, f"rotation{label}: transposed (rows for columns)", _NAME, inverse, inverse, inverse)
     for words, sign in (("w >= 0", 1.0), ("w <= 0", -1.0)):
-        signed = on(keys, fields.turned(partial(_signed, sign=sign)))
-        yield fields.Change(1, f"quaternion{told}: {words}", _NAME, signed, signed, None, ways=("state",))
-    negative = on(keys, fields.turned(np.negative))
-    yield fields.Change(1, f"quaternion{told}: the other sign", _NAME, negative, negative, None, ways=("state",))
+        signed = map_fields(keys, fields.map_rotations(partial(_force_sign, sign=sign)))
+        yield fields.FieldChange(1, f"quaternion{label}: {words}", _NAME, signed, signed, None, targets=("state",))
+    negative = map_fields(keys, fields.map_rotations(np.negative))
+    yield fields.FieldChange(
+        1, f"quaternion{label}: the other sign", _NAME, negative, negative, None, targets=("state",)
+    )
     for one, other in itertools.permutations(_REREAD, 2):
-        there = on(keys, fields.turned(partial(_reread, of=one, by=other)))
-        back = on(keys, fields.turned(partial(_reread, of=other, by=one)))
-        yield fields.Change(2, f"rotation{told}: {_called(one)}, not {_called(other)}", _NAME, there, back, back)
+        there = map_fields(keys, fields.map_rotations(partial(_reinterpret, of=one, by=other)))
+        back = map_fields(keys, fields.map_rotations(partial(_reinterpret, of=other, by=one)))
+        yield fields.FieldChange(
+            2, f"rotation{label}: {_form_name(one)}, not {_form_name(other)}", _NAME, there, back, back
+        )
     for words, factor in (("twice", 2.0), ("half", 0.5)):
-        there, back = (on(keys, fields.turned(partial(_powered, by=one))) for one in (1 / factor, factor))
-        yield fields.Change(1, f"turn{told}: {words} the angle", _NAME, there, back, back, ways=("action",))
+        there, back = (
+            map_fields(keys, fields.map_rotations(partial(_scale_angle, by=one))) for one in (1 / factor, factor)
+        )
+        yield fields.FieldChange(1, f"turn{label}: {words} the angle", _NAME, there, back, back, targets=("action",))
 
 
-def _signed(quaternion: Numbers, *, sign: float) -> Numbers:
+def _force_sign(quaternion: Numbers, *, sign: float) -> Numbers:
     return np.where(quaternion[..., :1] * sign < 0, -quaternion, quaternion)
 
 
-def _powered(quaternion: Numbers, *, by: float) -> Numbers:
+def _scale_angle(quaternion: Numbers, *, by: float) -> Numbers:
     return rotation.from_axis_angle(by * rotation.to_axis_angle(quaternion))
 
 
-def _reread(quaternion: Numbers, *, of: str, by: str) -> Numbers:
+def _reinterpret(quaternion: Numbers, *, of: str, by: str) -> Numbers:
     """Return the rotation that one form's numbers mean in another."""
     return decode(encode(quaternion, *_form(of)), *_form(by))
 
@@ -231,11 +245,11 @@ def _form(name: str) -> tuple[str, str | None]:
     return (name, None) if name == "axis_angle" else ("euler", name)
 
 
-def _called(name: str) -> str:
+def _form_name(name: str) -> str:
     return name if name == "axis_angle" else f"euler {name}"
 
 
-def _in_inputs(_case: Case) -> Iterator[Mistake]:
+def _input_mistakes(_case: AdapterCase) -> Iterator[Mistake]:
     for rank, words, turn in (
         (0, "rotation: rows for columns, or columns for rows", "transposed"),
         (1, "rotation: two columns, number by number", "interleaved"),
@@ -246,9 +260,13 @@ def _in_inputs(_case: Case) -> Iterator[Mistake]:
         (1, "quaternion: w >= 0, w last", "positive_last"),
         (1, "quaternion: the other sign", "negative"),
     ):
-        yield Mistake(rank, words, _NAME, encoded={"kind": "rotation", "turn": turn})
+        yield Mistake(rank, words, _NAME, input_change={"kind": "rotation", "turn": turn})
 
 
 CONVENTION = Convention(
-    _NAME, in_block=_in_block, around=_around, in_inputs=_in_inputs, keys={"rotation": ["form", "euler", "sign"]}
+    _NAME,
+    config_mistakes=_config_mistakes,
+    io_mistakes=_io_mistakes,
+    input_mistakes=_input_mistakes,
+    keys={"rotation": ["form", "euler", "sign"]},
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from xpl.catalogue import Case, Convention, Mistake
+from xpl.catalogue import AdapterCase, Convention, Mistake
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -12,20 +12,20 @@ if TYPE_CHECKING:
 _NAME = "sampling"
 
 
-def _in_inputs(_case: Case) -> Iterator[Mistake]:
+def _input_mistakes(_case: AdapterCase) -> Iterator[Mistake]:
     """Yield other draws; without any of them a model draws nothing, and nothing changes."""
-    for rank, told, kind in (
+    for rank, label, kind in (
         (0, "", "own"),
         (1, ", in double precision", "double"),
         (1, ", in single precision", "single"),
     ):
-        words = f"drawn from each environment's generator{told}"
-        yield Mistake(rank, words, _NAME, encoded={"kind": "drawn", "as": kind})
+        words = f"drawn from each environment's generator{label}"
+        yield Mistake(rank, words, _NAME, input_change={"kind": "drawn", "as": kind})
 
 
 CONVENTION = Convention(
     _NAME,
-    in_inputs=_in_inputs,
+    input_mistakes=_input_mistakes,
     keys={"block": [_NAME]},
     applies=lambda block: block.get(_NAME, "none") != "none",
 )

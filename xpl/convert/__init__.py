@@ -1,10 +1,10 @@
-"""Conversions between the standard and what a model itself speaks, compiled from the block `model_io` of policy.yml.
+"""Conversions between the standard and a model's inputs and outputs, compiled from the block `model_io` of policy.yml.
 
     interface = compile_interface(manifest["model_io"], embodiment, action_type, folder=package)
-    inputs = interface.batch([[interface.encode(obs)]])        # the model's names and numbers
-    steps = interface.decode(answer, obs)                      # the standard's action steps
+    inputs = interface.batch([[interface.encode(obs)]])        # model inputs by name
+    steps = interface.decode(answer, obs)                      # action steps of the standard
 
-Every word of the block is defined in spec/v1/model_io.schema.json, with its formula and its source.
+spec/v1/model_io.schema.json defines every key of the block, with its formula and its source.
 """
 
 from __future__ import annotations

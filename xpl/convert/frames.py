@@ -1,4 +1,4 @@
-"""The pose of an arm at other points and in other frames than the standard's: flange or fingertips, world or base."""
+"""Poses of an arm at other points and in other frames: flange or TCP, world or base."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _POSITION = slice(0, spec.POSITION_DIM)
 _ROTATION = slice(spec.POSITION_DIM, spec.POSE_DIM)
 
 
-class Frame:
-    """Where a model says that a point of an arm is, beside where the standard says it.
+class PoseFrame:
+    """Conversion between the standard's flange pose in the world and a model's point and frame.
 
     Args:
         embodiment: the robot.
@@ -28,29 +28,29 @@ class Frame:
         frame: world or base.
 
     Attributes:
-        told: point and frame.
+        point_and_frame: (point, frame).
 
     Raises:
-        ConversionError: if the standard does not know what lies between the two.
+        ConversionError: the standard has no transform between the two for this robot.
     """
 
     def __init__(self, embodiment: Embodiment, side: str, point: str, frame: str) -> None:
         self._inner = poses.pose(np.zeros(3), rotation.identity()) if point == "flange" else tool(embodiment)
         self._outer = poses.pose(np.zeros(3), rotation.identity()) if frame == "world" else mount(embodiment, side)
         self.is_plain = point == "flange" and frame == "world"
-        self.told = (point, frame)
+        self.point_and_frame = (point, frame)
 
     def encode(self, flange: np.ndarray) -> np.ndarray:
-        """Return a flange's pose (..., 7) in the world as the point's pose in the frame."""
+        """Return the point's pose in the frame, (..., 7), of a flange pose (..., 7) in the world."""
         if self.is_plain:
             return np.asarray(flange, np.float64)
         return poses.compose(poses.compose(poses.invert(self._outer), flange), self._inner)
 
     def flange_rotation(self, turned: np.ndarray) -> np.ndarray:
-        """Return the rotation (..., 4) of the flange in the world, of the point's in the frame."""
+        """Return the flange's rotation in the world, (..., 4), of the point's rotation (..., 4) in the frame."""
         turn = rotation.multiply(self._outer[_ROTATION], turned)
         return rotation.multiply(turn, rotation.conjugate(self._inner[_ROTATION]))
 
     def flange_position(self, position: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        """Return where (..., 3) the flange is in the world, of where the point is, and how the flange is turned."""
+        """Return the flange's position (..., 3) in the world, of the point's position and the rotation `turn`."""
         return poses.transform(self._outer, position) - rotation.rotate(turn, self._inner[_POSITION])

@@ -1,4 +1,4 @@
-"""A model's interface, compiled from its model_io block: observations to inputs, answers to action steps, and back."""
+"""A model's interface, compiled from its model_io block: observations to inputs, outputs to actions, and back."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from xpl import _spec as spec
 from xpl.conventions import instruction
 from xpl.convert.actions import ActionOutput, Memory
-from xpl.convert.assembly import assembled
-from xpl.convert.gaps import refuse
+from xpl.convert.assembly import assemble
+from xpl.convert.gaps import refuse_gaps
 from xpl.convert.images import ImageInput
-from xpl.convert.parts import Rotation
-from xpl.convert.vectors import Vector
+from xpl.convert.parts import RotationPart
+from xpl.convert.vectors import ModelVector
 from xpl.errors import ConversionError
 from xpl.history import History
 from xpl.manifest import ModelIO
@@ -36,30 +36,33 @@ def compile_interface(
     folders: Sequence[Path] = (),
     chunk: int | None = None,
 ) -> Interface:
-    """Return the interface that a model_io block describes.
+    """Compile a model_io block.
 
     Args:
         model_io: the block `model_io` of policy.yml, valid by its schema.
         embodiment: the robot.
         action_type: joint or ee.
-        folders: where files of statistics may lie: the package, a checkpoint.
-        chunk: action steps that the manifest declares.
+        folders: folders that are searched for statistics files: the package, a checkpoint.
+        chunk: action horizon that the manifest declares, steps.
+
+    Returns:
+        The interface: `encode`, `batch`, `decode` and their inverses.
 
     Raises:
-        ConversionError: if the block leaves a value open, does not fit the robot, or its numbers cannot be had.
+        ConversionError: a value is unknown, the block does not fit the robot, or statistics are missing.
     """
-    refuse(model_io)
+    refuse_gaps(model_io)
     return Interface(model_io, embodiment, action_type, folders, chunk)
 
 
 class Interface:
-    """What a model reads and answers; see `compile_interface`.
+    """Inputs and outputs of a model; see `compile_interface`.
 
     Attributes:
-        images, states: its inputs.
-        action: its answer.
-        span: observations that have to be kept for the history that reaches back farthest.
-        masks: by the name of an input that tells which observations of a history are real: that history.
+        images, states: image inputs, and state vectors by name.
+        action: the output.
+        span: number of observations that the longest history needs.
+        masks: history of each mask input (1 for real observations, 0 for padding), by name of the input.
     """
 
     def __init__(
@@ -72,7 +75,7 @@ class Interface:
     ) -> None:
         self.images = [ImageInput(entry) for entry in model_io.get("images", ())]
         self.states = {
-            entry["input"]: Vector(entry, embodiment, folders, f"model_io.state {entry['input']}")
+            entry["input"]: ModelVector(entry, embodiment, folders, f"model_io.state {entry['input']}")
             for entry in model_io.get("state", ())
         }
         self.action = ActionOutput(model_io["action"], embodiment, action_type, folders)
@@ -80,8 +83,8 @@ class Interface:
             self.action.steps = chunk
         elif chunk is not None and self.action.steps != chunk:
             raise ConversionError(
-                f"model_io.action.steps is {self.action.steps}, and temporal.chunk {chunk}: they are the same steps; "
-                "leave one out or make them equal"
+                f"model_io.action.steps is {self.action.steps}, and temporal.chunk {chunk}: they are the same; "
+                "remove one or make them equal"
             )
         self._instruction = model_io.get(spec.Obs.INSTRUCTION)
         declared = ModelIO.parse(model_io)
@@ -98,25 +101,28 @@ class Interface:
         names += [*self._text(), *(name for name, _ in masks)]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ConversionError(f"model_io: an input is named twice: {', '.join(twice)}; each has a name of its own")
+            raise ConversionError(f"model_io: an input is named twice: {', '.join(twice)}; rename one")
 
     def encode(self, obs: Observation, memory: Memory | None = None) -> dict[str, Any]:
-        """Return the inputs that one observation makes, under the model's names, without axes of batch and time.
+        """Return the model inputs of one observation, without batch and time axes.
 
         Args:
             obs: the observation.
-            memory: of this environment; needed where a quaternion's sign follows the step before.
+            memory: of this environment; needed for quaternions with `sign: continuous`.
+
+        Returns:
+            Arrays by the model's input name; the instruction as str.
 
         Raises:
-            ObservationError: if it lacks something that the model reads.
+            ObservationError: the observation lacks something that the model reads.
         """
         inputs: dict[str, Any] = {item.name: item.encode(obs) for item in self.images}
         state = obs.get(spec.Obs.STATE)
         if self.states and not isinstance(state, Mapping):
             raise ObservationError(f"the observation has no {spec.Obs.STATE!r} map")
         for name, vector in self.states.items():
-            pieces = [self._read(item, state or {}, name, memory) for item in vector.parts]
-            inputs[name] = vector.normalized(np.concatenate(pieces)).astype(np.float32)
+            pieces = [self._read_part(item, state or {}, name, memory) for item in vector.parts]
+            inputs[name] = vector.normalize(np.concatenate(pieces)).astype(np.float32)
         inputs.update(self._text(obs))
         return inputs
 
@@ -124,46 +130,62 @@ class Interface:
         """Return the inputs of a batch of B environments.
 
         Args:
-            encodings: for each environment what `encode` made of its observations, oldest first, at most `span`; what
-                it made of one observation stands for a list of one.
+            encodings: for each environment the results of `encode` for its observations, oldest first, at most `span`;
+                or one result.
 
         Returns:
-            By input: (B, ...) arrays, (B, T, ...) where it has a history; a list of B texts for the instruction. What
-            an adapter's own `encode` adds to the block's inputs has the common history.
+            By input: (B, ...) arrays, (B, T, ...) with a history; a list of B texts for the instruction. Inputs that an
+            adapter's own `encode` adds have the common history.
         """
         result: dict[str, Any] = {}
-        shown = [[one] if isinstance(one, Mapping) else one for one in encodings]
-        for name in shown[0][-1]:
-            newest = [frames[-1][name] for frames in shown]
+        histories = [[one] if isinstance(one, Mapping) else one for one in encodings]
+        for name in histories[0][-1]:
+            newest = [frames[-1][name] for frames in histories]
             if isinstance(newest[0], str):
                 result[name] = newest
             elif (history := self.history_of(name)) is not None:
-                result[name] = np.stack([_timeline(history, [f[name] for f in frames]) for frames in shown])
+                result[name] = np.stack([_history_values(history, [f[name] for f in frames]) for frames in histories])
             else:
                 result[name] = np.stack(newest)
         for name, history in self.masks.items():
-            result[name] = np.stack([_real(history, len(frames)) for frames in shown])
+            result[name] = np.stack([_history_mask(history, len(frames)) for frames in histories])
         return result
 
     def history_of(self, name: str) -> History | None:
-        """Return the history of an input, or None where it shows the newest observation alone, as texts do."""
+        """Return the history of an input, or None if it has only the newest observation, as texts do."""
         history = self._histories.get(name, self._common)
         return history if history.length > 1 and name not in self._text() else None
 
     def decode(self, raw: object, obs: Observation, memory: Memory | None = None) -> list[dict[str, np.ndarray]]:
-        """Return the action steps of one environment's answer (H, D); `obs` is the newest observation."""
+        """Return the action steps of one environment's output.
+
+        Args:
+            raw: (H, D) model output.
+            obs: the newest observation.
+            memory: of this environment; needed if an action is a delta to the previous command.
+
+        Returns:
+            One map per step: the standard's action keys, float32 arrays, absolute.
+
+        Raises:
+            ActionError: the output makes no legal action.
+            ConversionError: the shape of the output is not the block's.
+        """
         return self.action.decode(np.asarray(raw), obs[spec.Obs.STATE], memory)
 
     def observe(self, inputs: Mapping[str, Any], like: Observation) -> dict[str, Any]:
-        """Return the observation that the model would see as these inputs: the inverse of `encode`.
+        """Return the observation of model inputs; the inverse of `encode`.
 
         Args:
-            inputs: under the model's names, without axes of batch and time.
-            like: an observation of the robot; what the inputs do not tell, and the images' sizes, are taken from it.
+            inputs: model inputs by name, without batch and time axes.
+            like: an observation of the robot; supplies the images' sizes and what the inputs do not contain.
+
+        Returns:
+            The observation.
 
         Raises:
-            ConversionError: if an input is missing, or has not the block's width.
-            ObservationError: if `like` lacks a camera.
+            ConversionError: an input is missing, or has not the block's width.
+            ObservationError: `like` lacks a camera.
         """
         lacking = [
             name for name in (*(item.name for item in self.images), *self.states, *self._text()) if name not in inputs
@@ -171,14 +193,14 @@ class Interface:
         if lacking:
             raise ConversionError(f"model_io: no input {', '.join(lacking)}; the inputs are {', '.join(inputs)}")
         vision, state = dict(like.get(spec.Obs.VISION) or {}), dict(like.get(spec.Obs.STATE) or {})
-        for item in reversed(self.images):  # of two inputs that show one camera the first counts
+        for item in reversed(self.images):  # the first of two inputs with the same camera wins
             sizes = {camera: get_image(like, camera).shape[:2] for camera in item.cameras}
             for camera, image in item.decode(np.asarray(inputs[item.name]), sizes).items():
                 vision[camera] = {**vision[camera], spec.Camera.COLOR: image}
         for name, vector in self.states.items():
-            rows = vector.denormalized(np.asarray(inputs[name], np.float64))[None]
-            columns = {item.label: values for item, values in vector.cut(rows)}
-            made = assembled(vector.parts, columns, state)
+            rows = vector.denormalize(np.asarray(inputs[name], np.float64))[None]
+            columns = {item.label: values for item, values in vector.split(rows)}
+            made = assemble(vector.parts, columns, state)
             state.update({key: values[0].astype(np.float32) for key, values in made.items()})
         result = {**like, spec.Obs.VISION: vision, spec.Obs.STATE: state}
         if self._instruction is not None:
@@ -186,13 +208,13 @@ class Interface:
             result[spec.Obs.INSTRUCTION] = instruction.decode(text, self._instruction)
         return result
 
-    def _read(self, item: Any, state: State, name: str, memory: Memory | None) -> np.ndarray:
+    def _read_part(self, item: Any, state: State, name: str, memory: Memory | None) -> np.ndarray:
         values: np.ndarray = item.read(state)
-        if not isinstance(item, Rotation) or not item.follows:
+        if not isinstance(item, RotationPart) or not item.is_continuous:
             return values
         if memory is None:
             raise ConversionError(
-                f"model_io.state {name}, {item.label}: sign: continuous follows the step before; give encode a memory"
+                f"model_io.state {name}, {item.label}: sign: continuous needs the last step; pass a memory to encode"
             )
         label = f"{name} {item.label}"
         before = memory.get(label)
@@ -202,7 +224,7 @@ class Interface:
         return values
 
     def _text(self, obs: Observation | None = None) -> dict[str, str]:
-        """Return the instruction as the model gets it, under its name; {} if it reads none."""
+        """Return the instruction as the model's input, by name; {} if the model reads none."""
         how = self._instruction
         if how is None:
             return {}
@@ -216,12 +238,12 @@ class Interface:
         return {how["input"]: instruction.encode(text, how)}
 
 
-def _timeline(history: History, values: Sequence[np.ndarray]) -> np.ndarray:
-    """Return (T, ...) values in the order of a history, of those of all observations, oldest first."""
+def _history_values(history: History, values: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the values of a history, (T, ...), of those of all observations, oldest first."""
     missing = np.zeros_like(values[0]) if history.pads_with_zeros else values[0]
     return np.stack([values[-1 - age] if age < len(values) else missing for age in history.ages])
 
 
-def _real(history: History, count: int) -> np.ndarray:
-    """Return (T,) 1 for each observation of a history that is among the newest `count`, else 0."""
+def _history_mask(history: History, count: int) -> np.ndarray:
+    """Return a mask (T,) float32: 1 for each observation of a history among the newest `count`, else 0."""
     return np.array([age < count for age in history.ages], np.float32)

@@ -1,7 +1,7 @@
-"""Parts of a model's vectors: what one arm, gripper, position or rotation is in the model's numbers, and back.
+"""Parts of a model's vectors: position, rotation and fill values in the model's units, and back.
 
-Source: spec/v1/model_io.schema.json#/$defs/part. A part reads its numbers out of a state, and writes those of a
-command into the fields of an arm; a position and a rotation of one arm make its pose together.
+Source: spec/v1/model_io.schema.json#/$defs/part. A part converts a state to the model's values, and a
+command to the fields of an arm; position and rotation of one arm together make its pose.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 from xpl import _spec as spec
 from xpl import rotation
 from xpl.catalogue import convention as catalogue
-from xpl.catalogue.part import Numbers, Part, State, arm_of, of
+from xpl.catalogue.part import Numbers, Part, State, arm_of, state_field
 from xpl.conventions import rotation as forms
 from xpl.conventions.frame import UNITS
-from xpl.convert.frames import Frame
+from xpl.convert.frames import PoseFrame
 from xpl.errors import ConversionError
 
 if TYPE_CHECKING:
@@ -27,20 +27,20 @@ _POSITION = slice(0, spec.POSITION_DIM)
 _ROTATION = slice(spec.POSITION_DIM, spec.POSE_DIM)
 
 
-class _OfPose(Part):
+class PosePart(Part):
     """A part of the pose of an arm's point."""
 
     def __init__(self, entry: Entry, embodiment: Embodiment) -> None:
         super().__init__(f"{self.kind} {entry['arm']}")
         arm = arm_of(embodiment, entry["arm"])
         self.key = arm.prefix + spec.State.EE_POSE
-        self.frame = Frame(embodiment, entry["arm"], entry.get("point", "flange"), entry.get("frame", "world"))
+        self.frame = PoseFrame(embodiment, entry["arm"], entry.get("point", "flange"), entry.get("frame", "world"))
         self.reference = entry.get("reference")
         self.applied = entry.get("applied", "fixed")
 
 
-class Position(_OfPose):
-    """Where a point of an arm is."""
+class PositionPart(PosePart):
+    """Position of a point of an arm."""
 
     kind = "position"
     width = spec.POSITION_DIM
@@ -50,20 +50,20 @@ class Position(_OfPose):
         self.unit = UNITS[entry.get("unit", "m")]
 
     def read(self, state: State) -> Numbers:
-        """Return the numbers (width,) of a state."""
-        return self.frame.encode(of(state, self.key, spec.POSE_DIM))[_POSITION] * self.unit
+        """Return the model values (width,) of a state."""
+        return self.frame.encode(state_field(state, self.key, spec.POSE_DIM))[_POSITION] * self.unit
 
     def write(self, values: Numbers) -> Numbers:
-        """Return absolute numbers (..., width) as the standard's."""
+        """Return absolute model values (..., width) in the standard's units."""
         return values / self.unit
 
-    def turned(self, change: Numbers, quaternion: Numbers) -> Numbers:
-        """Return a change that is given in the moving frame in the fixed one."""
+    def to_fixed_frame(self, change: Numbers, quaternion: Numbers) -> Numbers:
+        """Return a delta (..., 3) of the moving frame in the fixed frame."""
         return rotation.rotate(quaternion, change)
 
 
-class Rotation(_OfPose):
-    """How a point of an arm is turned."""
+class RotationPart(PosePart):
+    """Rotation of a point of an arm."""
 
     kind = "rotation"
 
@@ -74,25 +74,27 @@ class Rotation(_OfPose):
         self.width = forms.WIDTHS[self.form]
         self._sign = entry.get("sign", "any")
         if self._sign != "any" and not self.form.startswith("quaternion"):
-            raise ConversionError(f"sign is for quaternions, the form is {self.form}; leave it out")
+            raise ConversionError(f"sign is for quaternions, the form is {self.form}; remove it")
         axes = str(self._euler or "").lower()
         if any(one == two for one, two in zip(axes, axes[1:])):
-            raise ConversionError(f"euler {self._euler} turns about one axis twice in a row; say such as xyz")
+            raise ConversionError(
+                f"euler {self._euler} has the same axis twice in a row; use another order, such as xyz"
+            )
 
     def read(self, state: State) -> Numbers:
-        """Return the numbers (width,) of a state."""
-        quaternion = self.frame.encode(of(state, self.key, spec.POSE_DIM))[_ROTATION]
+        """Return the model values (width,) of a state."""
+        quaternion = self.frame.encode(state_field(state, self.key, spec.POSE_DIM))[_ROTATION]
         if self._sign == "positive_w" and quaternion[0] < 0:
             quaternion = -quaternion
         return forms.encode(quaternion, self.form, self._euler)
 
     @property
-    def follows(self) -> bool:
-        """Whether the sign of its quaternion is that of the step before."""
+    def is_continuous(self) -> bool:
+        """Whether the sign of its quaternion follows the previous step."""
         return bool(self._sign == "continuous")
 
     def scalar(self, values: Numbers) -> float:
-        """Return w of a quaternion in its form."""
+        """Return w of a quaternion (4,) of its form."""
         return float(values[0 if self.form == "quaternion_wxyz" else -1])
 
     def write(self, values: Numbers) -> Numbers:
@@ -103,7 +105,7 @@ class Rotation(_OfPose):
             raise ConversionError(f"model_io.action, {self.label}: {error}") from None
 
     def add(self, base: Numbers, change: Numbers) -> Numbers:
-        """Return the rotation that a change leads to."""
+        """Return the rotation (width,) of a delta to `base`."""
         if self.applied == "numbers":
             return base + change
         one, by = self.write(base), self.write(change)
@@ -111,7 +113,7 @@ class Rotation(_OfPose):
         return forms.encode(turned, self.form, self._euler)
 
     def subtract(self, values: Numbers, base: Numbers) -> Numbers:
-        """Return the change that leads from one rotation to another."""
+        """Return the delta (width,) from `base` to `values`."""
         if self.applied == "numbers":
             return values - base
         to, back = self.write(values), rotation.conjugate(self.write(base))
@@ -119,8 +121,8 @@ class Rotation(_OfPose):
         return forms.encode(change, self.form, self._euler)
 
 
-class Fill(Part):
-    """Numbers that mean nothing."""
+class FillPart(Part):
+    """Constant values without meaning."""
 
     kind = "fill"
 
@@ -131,30 +133,30 @@ class Fill(Part):
         self._value = entry.get("value", 0.0)
 
     def read(self, state: State) -> Numbers:
-        """Return the numbers; the state has no say."""
+        """Return the constant values (width,)."""
         del state
         return np.full(self.width, float(self._value))
 
     def write(self, values: Numbers) -> Numbers:
-        """Return absolute numbers (..., width) as the standard's."""
+        """Return absolute model values (..., width) in the standard's units."""
         return values
 
 
-_MADE: dict[str, type[Part]] = {"position": Position, "rotation": Rotation}
+_POSE_PARTS: dict[str, type[Part]] = {"position": PositionPart, "rotation": RotationPart}
 
 
-def part(entry: Entry, embodiment: Embodiment) -> Part:
+def make_part(entry: Entry, embodiment: Embodiment) -> Part:
     """Return a part of a vector from its entry in the block.
 
     Raises:
-        ConversionError: if it does not fit the robot.
+        ConversionError: it does not fit the robot.
     """
     ((kind, how),) = entry.items()
     if kind == "fill":
-        return Fill(how)
+        return FillPart(how)
     try:
-        made: type = _MADE.get(kind) or catalogue.found("parts", kind)
-        result: Part = made(how, embodiment)
+        part_class: type = _POSE_PARTS.get(kind) or catalogue.lookup("parts", kind)
+        result: Part = part_class(how, embodiment)
     except ConversionError as error:
         raise ConversionError(f"{kind} {how['arm']}: {error}") from None
     return result

@@ -1,4 +1,4 @@
-"""Vectors of a model: parts in their order, normalised, then padded."""
+"""Vectors of a model: parts in order, normalised, then padded."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from xpl.conventions.joint_order import check_joints
 from xpl.conventions.normalization import Normalization
-from xpl.convert.parts import part
+from xpl.convert.parts import make_part
 from xpl.errors import ConversionError
 
 if TYPE_CHECKING:
@@ -20,25 +20,25 @@ if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
 
 
-class Vector:
+class ModelVector:
     """Parts, normalisation and padding of one vector.
 
     Args:
-        entry: of `state`, or `action`, in the model_io block.
+        entry: an entry of `state`, or `action`, of the model_io block.
         embodiment: the robot.
-        folders: where a file of statistics may lie.
-        where: how errors call it.
+        folders: folders that are searched for statistics files.
+        where: its name in errors.
 
     Attributes:
         parts: in the model's order.
-        width: numbers of all parts.
-        padded: numbers of the model's vector.
+        width: number of values of all parts.
+        padded: number of values of the model's vector.
     """
 
     def __init__(self, entry: Entry, embodiment: Embodiment, folders: Sequence[Path], where: str) -> None:
         self._where = where
         try:
-            self.parts = [part(item, embodiment) for item in entry["parts"]]
+            self.parts = [make_part(item, embodiment) for item in entry["parts"]]
             check_joints(self.parts)
         except ConversionError as error:
             raise ConversionError(f"{where}, {error}") from None
@@ -49,37 +49,37 @@ class Vector:
         self.padded: int = entry.get("pad", self.width)
         if self.padded < self.width:
             raise ConversionError(
-                f"{where}.pad is {self.padded}, but its parts have {self.width} numbers; say at least that"
+                f"{where}.pad is {self.padded}, but its parts have {self.width} values; pad to at least that"
             )
         try:
             self._numbers = Normalization(entry.get("normalize"), self.width, folders, self.padded)
         except ConversionError as error:
             raise ConversionError(f"{where}.{error}") from None
 
-    def normalized(self, values: np.ndarray) -> np.ndarray:
-        """Return numbers (..., width) as the model gets them, (..., padded)."""
+    def normalize(self, values: np.ndarray) -> np.ndarray:
+        """Return normalised and padded values (..., padded) of values (..., width)."""
         result = self._numbers.encode(values)
         rest = self.padded - self.width
         return np.pad(result, [(0, 0)] * (result.ndim - 1) + [(0, rest)]) if rest else result
 
-    def denormalized(self, values: np.ndarray) -> np.ndarray:
-        """Return numbers (..., width) of the model's, (..., padded).
+    def denormalize(self, values: np.ndarray) -> np.ndarray:
+        """Return the values (..., width) of a model's vector (..., padded).
 
         Raises:
-            ConversionError: if there are more or fewer.
+            ConversionError: the last axis has another size, or a value is not finite.
         """
         if values.ndim < 1 or values.shape[-1] != self.padded:
             raise ConversionError(
                 f"{self._where}: expected steps of {self.padded} numbers, the model gave the shape {values.shape}; "
-                "mend its parts or pad"
+                "fix its parts or pad"
             )
-        kept = values[..., : self.width]
-        if not np.isfinite(kept).all():
+        values_of_parts = values[..., : self.width]
+        if not np.isfinite(values_of_parts).all():
             raise ConversionError(f"{self._where}: the model gave a number that is not finite")
-        return self._numbers.decode(kept)
+        return self._numbers.decode(values_of_parts)
 
-    def cut(self, values: np.ndarray) -> Iterator[tuple[Part, np.ndarray]]:
-        """Yield each part with its numbers (..., width of the part); rotations first, positions may need them."""
+    def split(self, values: np.ndarray) -> Iterator[tuple[Part, np.ndarray]]:
+        """Yield (part, values (..., width of the part)); rotations first, because positions may need them."""
         start, pieces = 0, []
         for item in self.parts:
             pieces.append((item, values[..., start : start + item.width]))

@@ -148,10 +148,10 @@ class _Shadow(Policy):
         """Compile a block model_io with plain values where it is open, or where statistics are not there."""
         if model_io is None:
             return None
-        from xpl.convert.gaps import absent, filled
+        from xpl.convert.gaps import fill_gaps, missing_files
 
-        lacking = absent(model_io, checkpoint.folders(self.config, self.policy_dir))
-        return super()._compiled(filled(model_io, self.embodiment, self.action_type, lacking))
+        lacking = missing_files(model_io, checkpoint.folders(self.config, self.policy_dir))
+        return super()._compiled(fill_gaps(model_io, self.embodiment, self.action_type, lacking))
 
     def _in_model_terms(self, interface: Interface, answer: np.ndarray, env: int) -> np.ndarray:
         """Return the chunk that a model would answer for these absolute actions (H, D) of the standard."""

@@ -1,7 +1,7 @@
 """Usual mistakes as other words of a model_io block: those that fit the robot, each with the block that it makes.
 
-for mistake, block in in_block(Case(embodiment, "joint", block=manifest["model_io"], folders=[package])):
-    mistake.words, mistake.convention, block      # "channels: bgr", "image_channels", {...}
+for mistake, block in in_block(AdapterCase(embodiment, "joint", block=manifest["model_io"], folders=[package])):
+    mistake.description, mistake.convention, block      # "channels: bgr", "image_channels", {...}
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ def in_block(case: AdapterCase, chunk: int | None = None) -> Iterator[tuple[Mist
         ConversionError: if the block itself does not fit.
     """
     found = list(catalogue.config_mistakes(case))
-    yield from ((found[place], made) for place, made in placed(case, found, chunk))
+    yield from ((found[place], made) for place, made in fitting_blocks(case, found, chunk))
 
 
-def placed(
+def fitting_blocks(
     case: AdapterCase, mistakes: Iterable[Mistake], chunk: int | None = None
 ) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield the places of those of some mistakes that fit, each block once, and none that is as the block is.
@@ -52,13 +52,13 @@ def placed(
     def widths(of: Mapping[str, Any]) -> list[int]:
         return _widths(compile_interface(of, case.embodiment, case.action_type, case.folders, chunk))
 
-    wanted, seen = widths(block), {_same(block)}
+    wanted, seen = widths(block), {_canonical(block)}
     for place, mistake in enumerate(mistakes):
         try:
             made = apply_edits(block, mistake.edits or {})
         except (KeyError, IndexError, TypeError):  # of two mistakes one takes out what the other changes
             continue
-        text = _same(made)
+        text = _canonical(made)
         if text in seen:
             continue
         seen.add(text)
@@ -70,7 +70,7 @@ def placed(
             yield place, made
 
 
-def _same(block: Mapping[str, Any]) -> str:
+def _canonical(block: Mapping[str, Any]) -> str:
     return json.dumps(block, sort_keys=True)
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Path = tuple[str | int, ...]
 
 
-class Standing(StrEnum):
+class Certainty(StrEnum):
     """How well something is known; the later one counts where several apply."""
 
     KNOWN = "known"
@@ -41,7 +41,7 @@ class Statement:
 
     where: tuple[str, ...]
     value: str
-    standing: Standing
+    standing: Certainty
     why: str = ""
 
     def document(self) -> dict[str, Any]:
@@ -64,11 +64,11 @@ def statements(manifest: Manifest) -> dict[str, tuple[Statement, ...]]:
             places.setdefault((convention, path[:-1]), {})[str(path[-1])] = value
     if manifest.temporal.chunk is not None:
         places["chunk", ("temporal",)] = {"chunk": manifest.temporal.chunk}
-    standings = _standings(manifest)
+    standings = _certainties(manifest)
     for (convention, path), values in places.items():
         hits = [standings[held] for held in standings if _touches(held, path, values)]
-        standing = max((one for one, _ in hits), key=list(Standing).index, default=Standing.KNOWN)
-        told = ", ".join(f"{key}: {_flow(value)}" for key, value in values.items())
+        standing = max((one for one, _ in hits), key=list(Certainty).index, default=Certainty.KNOWN)
+        told = ", ".join(f"{key}: {_format_value(value)}" for key, value in values.items())
         why = "; ".join(dict.fromkeys(why for _, why in hits))
         _add(found.setdefault(convention, []), Statement((written(path) or "model_io",), told, standing, why))
     return {convention: tuple(told) for convention, told in found.items()}
@@ -97,12 +97,12 @@ def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
         yield path, value
 
 
-def _standings(manifest: Manifest) -> dict[Path, tuple[Standing, str]]:
+def _certainties(manifest: Manifest) -> dict[Path, tuple[Certainty, str]]:
     """Return by path below the block, or below policy.yml, what is not known there, and why."""
-    found = {one.path: (Standing.ASSUMED, one.why) for one in manifest.assumed}
+    found = {one.path: (Certainty.ASSUMED, one.why) for one in manifest.assumed}
     block = {} if manifest.model_io is None else manifest.model_io.data
     found = {path[1:] if path[:1] == ("model_io",) else path: told for path, told in found.items()}
-    return found | {gap.path: (Standing.UNKNOWN, gap.reason) for gap in gaps(block)}
+    return found | {gap.path: (Certainty.UNKNOWN, gap.reason) for gap in gaps(block)}
 
 
 def _touches(held: Path, path: Path, values: Mapping[str, Any]) -> bool:
@@ -110,7 +110,7 @@ def _touches(held: Path, path: Path, values: Mapping[str, Any]) -> bool:
     return any(held == (*path, key)[: len(held)] for key in values)
 
 
-def _flow(value: object) -> str:
+def _format_value(value: object) -> str:
     """Return a value as YAML writes it on one line; one that is open as a question mark."""
     import yaml
 

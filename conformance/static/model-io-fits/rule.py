@@ -13,7 +13,7 @@ from xpl import _spec as sdk
 from xpl import checkpoint, get_embodiment, robots
 from xpl.contract import Entry
 from xpl.convert import ConversionError, Interface, compile_interface
-from xpl.convert.gaps import filled
+from xpl.convert.gaps import fill_gaps
 from xpl.manifest import CameraNeeds
 from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
 from xpl_cli.audit.static.manifests import place_in
@@ -61,7 +61,7 @@ def model_io_fits(source: Source) -> Iterator[Finding | Proof]:
             continue
         try:
             embodiment = get_embodiment(robot)
-            block = filled(model_io, embodiment, action_type, lacking)
+            block = fill_gaps(model_io, embodiment, action_type, lacking)
             interface = compile_interface(block, embodiment, action_type, folders, manifest.temporal.chunk)
             _convert(interface, manifest.cameras, block)
         except ConversionError as error:

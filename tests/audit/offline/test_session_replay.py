@@ -10,12 +10,12 @@ import numpy as np
 from xpl.catalogue import Mistake
 from xpl_cli.audit.offline.search.perturbed_adapter import PerturbedAdapter
 from xpl_cli.audit.offline.search.session_replay import SessionReplay
-from xpl_cli.model_io.pairs import Session
-from xpl_cli.model_io.script import played, whole
+from xpl_cli.model_io.pairs import PairSession
+from xpl_cli.model_io.script import full_script, with_episode_numbers
 
-CALLS = whole(1)
+CALLS = full_script(1)
 ANSWERS: Any = tuple(tuple({} for _ in call.ask) for call in CALLS if call.ask)
-SESSION = Session("piper_single", "joint", 0, {"cam_head": (24, 32)}, 1, CALLS, ANSWERS)
+SESSION = PairSession("piper_single", "joint", 0, {"cam_head": (24, 32)}, 1, CALLS, ANSWERS)
 UNCHANGED = Mistake(0, "", "camera", change_observations=lambda seen: [{**obs, "told": len(seen)} for obs in seen])
 
 
@@ -24,9 +24,9 @@ def test_episodes_that_are_passed_are_begun() -> None:
     course = SessionReplay(SESSION)
     last = SESSION.questions[-1]
     calls = course.calls_for([last.number])
-    asked = [(call, episode) for call, episode in played(calls) if call.ask]
+    asked = [(call, episode) for call, episode in with_episode_numbers(calls) if call.ask]
     assert {episode for _, episode in asked} == {last.episode} == {2}
-    shown = [episode for call, episode in played(calls) if call.show]
+    shown = [episode for call, episode in with_episode_numbers(calls) if call.show]
     assert shown.count(0) == shown.count(1) == 1
     assert len(course.calls_for([0])) < len(calls)
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.data import made
 from xpl import get_embodiment, trajectory
-from xpl.convert.frames import Frame
+from xpl.convert.frames import PoseFrame
 from xpl_cli.basics import parallel
 from xpl_cli.basics.errors import UnknownNameError
 from xpl_cli.data.formats import image_codec
@@ -98,7 +98,7 @@ def test_a_mapping_leads_to_the_standard_and_back(libero: Path, tmp_path: Path, 
     np.testing.assert_allclose(episode.read("state/ee_joint_states")[:, 0], fingers[:, 0] / 0.04)
     np.testing.assert_array_equal(next(episode.frames("vision/cam_head/colors")), made.picture(0))
     assert {"action/ee_poses", "action/ee_joint_states", "dones"} <= set(episode.columns)
-    tool = Frame(get_embodiment("panda_libero"), "single", "tcp", "world")
+    tool = PoseFrame(get_embodiment("panda_libero"), "single", "tcp", "world")
     moved = tool.encode(episode.read("action/ee_poses"))[:, :3] - tool.encode(episode.read("state/ee_poses"))[:, :3]
     np.testing.assert_allclose(moved, source.read("actions")[:, :3] * 0.05, atol=1e-12)
     converted(tmp_path / "xpl", tmp_path / "back", "lerobot-v3.0", by="libero", images="png")
@@ -193,7 +193,7 @@ def test_what_a_format_cannot_hold_is_said(tmp_path: Path, libero: Path, convert
     (tmp_path / "mine.yml").write_text("robot: panda_libero\naction: { columns: [] }\n", encoding="utf-8")
     with pytest.raises(DataError, match=r"mine\.yml:\d+:\d+"):
         converted(libero, tmp_path / "set", "xpl", by=str(tmp_path / "mine.yml"))
-    with pytest.raises(DataError, match="is there already"):
+    with pytest.raises(DataError, match="exists already"):
         converted(libero, source, "lerobot-v3.0")
     for to, images in (("lerobot-v3.0", "raw"), ("xpl", "video")):
         with pytest.raises(DataError, match="--images"):

@@ -12,8 +12,8 @@ from tests.support.adapters import sights
 from xpl import get_embodiment
 from xpl.convert import compile_interface
 from xpl_cli.model_io import script
-from xpl_cli.model_io.show import numbers, robot, scene, seen
-from xpl_cli.model_io.show.subject import subject
+from xpl_cli.model_io.show import numbers, report, robot_figure, scene
+from xpl_cli.model_io.show.shown_adapter import load_adapter
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 
 def test_the_state_is_told_in_both_words(tmp_path: Path) -> None:
-    what = subject(package.load(sights.made(tmp_path / "P", sights.block())), {})
-    found = seen.look(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
+    what = load_adapter(package.load(sights.made(tmp_path / "P", sights.block())), {})
+    found = report.report_from_block(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
     (vector,) = found.vectors
     first, gripper, padding = vector.numbers[0], vector.numbers[6], vector.numbers[-1]
     assert (first.part, first.name, first.unit) == ("joints left", "joint1", "deg")
@@ -37,8 +37,8 @@ def test_the_state_is_told_in_both_words(tmp_path: Path) -> None:
 
 
 def test_a_command_that_begins_by_holding_still_shows_what_deltas_are(tmp_path: Path) -> None:
-    what = subject(package.load(sights.made(tmp_path / "P", sights.block())), {})
-    found = seen.look(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
+    what = load_adapter(package.load(sights.made(tmp_path / "P", sights.block())), {})
+    found = report.report_from_block(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
     joint, gripper = found.action[1], found.action[6]
     before, after = (entry["values"] for entry in (joint.standard[0], {"values": joint.values["before"]}))
     assert after[0] == pytest.approx(0, abs=1e-4)
@@ -61,14 +61,16 @@ def test_every_word_of_the_block_has_a_table_and_a_figure(name: str) -> None:
         found = numbers.of_state(entry, vector, values, observation["state"], case.embodiment)
         assert len(found) == vector.width + (vector.padded > vector.width)
         assert all(one.name for one in found)
-        read.append(robot.Read(entry["input"], entry, vector, vector.denormalized(values.astype(np.float64))))
+        read.append(
+            robot_figure.ReadVector(entry["input"], entry, vector, vector.denormalize(values.astype(np.float64)))
+        )
     steps = support.steps(case, np.random.default_rng(0), 4)
     answer = interface.action.encode(steps, observation["state"], {})
     found = numbers.of_action(case.model_io["action"], interface, answer, steps, case.embodiment)
     assert len(found) == interface.action.vector.width + (
         interface.action.vector.padded > interface.action.vector.width
     )
-    drawn = robot.figures(case.embodiment, observation["state"], read, steps)
+    drawn = robot_figure.figures(case.embodiment, observation["state"], read, steps)
     assert len({figure.label for figure in drawn}) == 3
     for figure in drawn:
         assert "nan" not in figure.svg()
@@ -85,10 +87,10 @@ def test_a_pose_is_drawn_where_its_words_say() -> None:
         "action": {"reference": "absolute", "parts": [*parts, FINGER]},
     }
     interface = compile_interface(model_io, body, "ee")
-    observation = script.Scene(body, {}).observation(0, 1)
+    observation = script.ScriptedScene(body, {}).observation(0, 1)
     values = interface.encode(observation)["s"].astype(np.float64)
-    (mark,) = robot._marks(
-        body, robot.Read("s", model_io["state"][0], interface.states["s"], values), observation["state"]
+    (mark,) = robot_figure._marks(
+        body, robot_figure.ReadVector("s", model_io["state"][0], interface.states["s"], values), observation["state"]
     )
     assert mark.pose[:3] == pytest.approx(observation["state"]["tcp_pose"][:3], abs=1e-5)
     assert abs(mark.pose[3:] @ observation["state"]["tcp_pose"][3:]) == pytest.approx(1, abs=1e-5)

@@ -12,7 +12,7 @@ import pytest
 from tests.support.adapters.model_io import CASES, observation, steps
 from xpl import get_embodiment
 from xpl.convert import ConversionError, compile_interface
-from xpl.convert.gaps import absent, filled, gaps
+from xpl.convert.gaps import fill_gaps, gaps, missing_files
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def test_all_that_is_open_is_named_in_one_sentence() -> None:
 
 
 def test_the_rest_of_an_open_block_converts() -> None:
-    interface = compile_interface(filled(OPEN, ROBOT, "joint"), ROBOT, "joint")
+    interface = compile_interface(fill_gaps(OPEN, ROBOT, "joint"), ROBOT, "joint")
     obs = observation("franka_single")
     inputs = interface.encode(obs)
     assert inputs["image"].shape == (8, 8, 3)
@@ -97,7 +97,7 @@ def test_a_block_converts_with_any_one_value_open(name: str) -> None:
         block = opened(case.model_io, path)
         assert [gap.path for gap in gaps(block)] == [path]
         interface = compile_interface(
-            filled(block, case.embodiment, case.action_type), case.embodiment, case.action_type
+            fill_gaps(block, case.embodiment, case.action_type), case.embodiment, case.action_type
         )
         if path[0] in ("images", "state"):
             interface.encode(obs, {})
@@ -113,9 +113,9 @@ def test_statistics_that_are_not_there_are_told_once(tmp_path: Path) -> None:
         "state": [{"input": "s", **vector, "normalize": normalize}],
         "action": {"reference": "absolute", **vector, "normalize": normalize},
     }
-    assert absent(model_io, [tmp_path]) == ["stats.json"]
-    made = filled(model_io, ROBOT, "joint", absent(model_io, [tmp_path]))
+    assert missing_files(model_io, [tmp_path]) == ["stats.json"]
+    made = fill_gaps(model_io, ROBOT, "joint", missing_files(model_io, [tmp_path]))
     assert "normalize" not in made["action"]
     (tmp_path / "stats.json").write_text("{}")
-    assert absent(model_io, [tmp_path]) == []
-    assert filled(model_io, ROBOT, "joint", absent(model_io, [tmp_path])) == model_io
+    assert missing_files(model_io, [tmp_path]) == []
+    assert fill_gaps(model_io, ROBOT, "joint", missing_files(model_io, [tmp_path])) == model_io

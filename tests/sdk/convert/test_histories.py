@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.support.adapters.model_io import observation
 from tests.support.examples import examples
 from xpl.convert import ConversionError, compile_interface
-from xpl.convert.gaps import filled, gaps
+from xpl.convert.gaps import fill_gaps, gaps
 from xpl.embodiment import get_embodiment
 from xpl.manifest import Manifest
 from xpl.policy import Policy
@@ -163,7 +163,7 @@ def test_each_of_its_values_may_be_open(place: tuple[Any, ...], key: str) -> Non
         compile_interface(block, ROBOT, "joint")
     assert f"leaves a value open that conversions need: {gap.where} (not in the config)" in str(raised.value)
     assert gap.where.endswith(f"history.{key}")
-    interface = compile_interface(filled(block, ROBOT, "joint"), ROBOT, "joint")
+    interface = compile_interface(fill_gaps(block, ROBOT, "joint"), ROBOT, "joint")
     assert interface.batch([interface.encode(_at(1))])["q"].shape[-1] == 7
 
     settled = copy.deepcopy(block)

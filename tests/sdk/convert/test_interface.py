@@ -212,7 +212,7 @@ def test_a_change_in_the_moving_frame_needs_the_rotation() -> None:
     ("raw", "told"),
     [
         (np.zeros((8, 7)), "expected steps of 8 numbers, the model gave the shape .8, 7."),
-        (np.zeros((7, 8)), "expected at least 8 steps .first 0, and those handed on., the model gave the shape .7, 8."),
+        (np.zeros((7, 8)), "expected at least 8 steps .first 0, and those used., the model gave the shape .7, 8."),
         (np.zeros(8), "expected at least 8 steps"),
         (np.full((8, 8), np.nan), "the model gave a number that is not finite"),
     ],

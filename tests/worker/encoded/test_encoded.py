@@ -11,7 +11,7 @@ import pytest
 from tests.support.adapters.model_io import observation
 from xpl import rotation
 from xpl.catalogue import convention as catalogue
-from xpl.catalogue.walk import UnfitError, changed, leaves
+from xpl.catalogue.walk import NoEffectError, leaves, map_leaves
 from xpl.conventions import instruction
 from xpl.convert.images import ImageInput
 from xpl.policy import Policy
@@ -47,7 +47,7 @@ Pair = namedtuple("Pair", "one other")  # noqa: PYI024 - of any types
 
 
 def _changed(kind: str, value: Any, how: Any) -> Any:
-    return catalogue.found("kinds", kind)(value, how)
+    return catalogue.lookup("input_changes", kind)(value, how)
 
 
 def test_all_that_encode_may_return_is_walked_through() -> None:
@@ -58,7 +58,7 @@ def test_all_that_encode_may_return_is_walked_through() -> None:
         "d": 7,
     }
     assert [str(np.shape(leaf)) for leaf in leaves(value)] == ["(4,)", "(3,)", "()", "(2,)"]
-    twice = changed(value, lambda leaf: leaf + leaf)
+    twice = map_leaves(value, lambda leaf: leaf + leaf)
     assert twice["a"].dtype == np.float32
     assert twice["a"].tolist() == [2.0] * 4
     assert twice["b"][0].array.tolist() == [2.0] * 3
@@ -75,7 +75,7 @@ def test_black_and_white_become_others() -> None:
     for axes in ((0, 1, 2), (2, 0, 1)):
         result = _changed("scaled", {"i": image.transpose(axes)}, {"of": of, "to": to})["i"]
         assert np.allclose(result, ((2 * image - 1) * [1, 2, 3]).transpose(axes), atol=1e-5)
-    with pytest.raises(UnfitError, match="pictures from"):
+    with pytest.raises(NoEffectError, match="pictures from"):
         _changed("scaled", image * 255, {"of": of, "to": to})
     assert _changed("scaled", {"v": np.ones(9)}, {"of": of, "to": to})["v"].tolist() == [1.0] * 9
 
@@ -123,9 +123,9 @@ def test_pictures_get_their_size_before_the_adapter(own: list[Any], turned: bool
 
 def test_an_adapter_without_pictures_or_with_ways_of_its_own_is_left() -> None:
     obs = observation("franka_single", 3, (48, 64))
-    with pytest.raises(UnfitError, match="no pictures"):
+    with pytest.raises(NoEffectError, match="no pictures"):
         pictures.Resized(lambda _: np.ones(3), obs)
-    with pytest.raises(UnfitError, match="the adapter changes pictures"):
+    with pytest.raises(NoEffectError, match="the adapter changes pictures"):
         pictures.Resized(lambda seen: _seen(seen, {"crop": {"fraction": 0.5}}, STRETCH), obs)
 
 
@@ -140,9 +140,9 @@ def test_an_adapter_without_pictures_or_with_ways_of_its_own_is_left() -> None:
 )
 def test_the_instruction_within_a_prompt(written: Any, how: dict[str, Any], wanted: str) -> None:
     obs = observation("franka_single", instruction="  Fold IT. ")
-    assert instruction.written({"p": written("  Fold IT. "), "n": np.ones(3)}, how, obs)["p"] == wanted
-    with pytest.raises(UnfitError, match="no text"):
-        instruction.written({"n": np.ones(3)}, how, obs)
+    assert instruction.rewrite_texts({"p": written("  Fold IT. "), "n": np.ones(3)}, how, obs)["p"] == wanted
+    with pytest.raises(NoEffectError, match="no text"):
+        instruction.rewrite_texts({"n": np.ones(3)}, how, obs)
 
 
 def test_orders_of_vectors() -> None:
@@ -151,7 +151,7 @@ def test_orders_of_vectors() -> None:
     assert result["q"].tolist() == [3, 0, 1, 2]
     assert result["h"].tolist() == [[3, 0, 1, 2], [7, 4, 5, 6]]
     assert result["r"].tolist() == [0, 1, 2]
-    with pytest.raises(UnfitError, match="no vector"):
+    with pytest.raises(NoEffectError, match="no vector"):
         _changed("ordered", {"r": np.arange(3.0)}, {"order": [3, 0, 1, 2]})
 
 
@@ -200,7 +200,7 @@ def test_quaternions_are_written_otherwise(turn: str, wanted: Any) -> None:
         assert np.allclose(result[1:5], wanted(value[1:5]))
         assert np.allclose(result[10:], wanted(value[10:]))
         assert result[5:10].tolist() == value[5:10].tolist()
-    with pytest.raises(UnfitError, match="no such rotation"):
+    with pytest.raises(NoEffectError, match="no such rotation"):
         turns.Turned([RNG.uniform(2, 3, 8) for _ in range(4)], {"turn": turn})
 
 
@@ -209,7 +209,7 @@ def test_some_numbers_are_scaled() -> None:
     result = _changed("linear", {"a": np.ones((2, 5)), "b": np.ones(6)}, how)
     assert result["a"].tolist() == [[1.0, 99.0, 1.0, 1.0, 99.0]] * 2
     assert result["b"].tolist() == [1.0] * 6
-    with pytest.raises(UnfitError, match="no vector"):
+    with pytest.raises(NoEffectError, match="no vector"):
         _changed("linear", np.ones(4), how)
 
 

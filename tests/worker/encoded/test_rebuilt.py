@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xpl.catalogue.walk import UnfitError
+from xpl.catalogue.walk import NoEffectError
 from xpl.convert.images import ImageInput
 from xpl.resample import resize
 from xpl.worker.encoded.rebuilt import Rebuilt
@@ -53,7 +53,7 @@ def test_two_in_one_and_bytes() -> None:
     wanted = np.hstack([_right(camera)[::-1, ::-1] for camera in CAMERAS[::-1]])
     result = Rebuilt(encode, OBS)(encode(OBS), OBS, STEPS)
     assert np.array_equal(result, wanted)
-    with pytest.raises(UnfitError, match="several pictures"):
+    with pytest.raises(NoEffectError, match="several pictures"):
         Rebuilt(encode, OBS)(encode(OBS), OBS, STEPS, exchanged=True)
 
 
@@ -67,5 +67,5 @@ def test_height_and_width_exchanged() -> None:
 
 def test_what_sees_nothing_is_left() -> None:
     for made in (np.ones(7), np.ones((*SIZE, 3))):
-        with pytest.raises(UnfitError):
+        with pytest.raises(NoEffectError):
             Rebuilt(lambda _obs, made=made: made, OBS)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.adapters.model_io import observation
-from xpl.catalogue.walk import UnfitError
+from xpl.catalogue.walk import NoEffectError
 from xpl.policy import Policy
 from xpl.worker.encoded.segments import Segments
 
@@ -40,7 +40,7 @@ def test_a_part_is_normalised_otherwise(*, half: bool, turned: bool) -> None:
     for number in range(100):
         try:
             made.append(segments.change(_encoded(SAMPLES[0], half=half, turned=turned), {"number": number}))
-        except UnfitError:
+        except NoEffectError:
             break
     words = [told for value, told in made if np.allclose(value, wanted, atol=1e-5)]
     assert words == (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.catalogue.walk import EncodeOne, UnfitError, channel_axis, leaves
+from xpl.catalogue.walk import EncodeOne, NoEffectError, channel_axis, leaves
 from xpl.conventions.image_size import FRACTIONS
 from xpl.convert.images import ImageInput
 from xpl.observation import get_image
@@ -61,12 +61,12 @@ class Resized:
         made = encode(sample)
         found = sizes(made)
         if not found:
-            raise UnfitError("no pictures")
+            raise NoEffectError("no pictures")
         for self._size in found[:2]:
             for self._cut in _CROPS:
                 if self._is_seen_through(encode, sample):
                     return
-        raise UnfitError("the adapter changes pictures that have the model's size")
+        raise NoEffectError("the adapter changes pictures that have the model's size")
 
     def __call__(self, obs: Observation, steps: Sequence[Entry]) -> dict[str, Any]:
         """Return an observation with such pictures; steps are a geometry in words of a model_io block, without `to`."""

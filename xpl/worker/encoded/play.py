@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Callable
 
 from xpl import _spec as spec
 from xpl.catalogue import convention as catalogue
-from xpl.catalogue.walk import EncodeOne, UnfitError, changed, leaves
+from xpl.catalogue.walk import EncodeOne, NoEffectError, leaves, map_leaves
 from xpl.contract import Entry, Observation
 from xpl.conventions import instruction
 from xpl.wire.arrays import as_array
@@ -101,7 +101,7 @@ def _remembering(encode: Encode) -> Encode:
             if len(known) >= _MOST_KEPT:
                 return made
             known[key] = obs, made
-        return changed(known[key][1], lambda leaf: None if isinstance(leaf, str) else leaf.copy())
+        return map_leaves(known[key][1], lambda leaf: None if isinstance(leaf, str) else leaf.copy())
 
     return remembered
 
@@ -124,7 +124,7 @@ def _once(model: Policy, _how: Entry, calls: Sequence[Mapping[str, Any]]) -> byt
     with once.around(model):
         answers = list(renewed(model, calls))
     if not once.left_out:
-        raise UnfitError("nothing is called twice")
+        raise NoEffectError("nothing is called twice")
     return result({"answers": answers})
 
 
@@ -134,13 +134,13 @@ _WHOLE = {"drawn": _drawn, "once": _once}
 
 def _batched(predicts: Callable[..., Any], how: Entry) -> Callable[..., Any]:
     """Return the model with the inputs of a batch changed."""
-    change = catalogue.found("kinds", how["kind"])
+    change = catalogue.lookup("input_changes", how["kind"])
     return lambda inputs, envs: predicts(change(inputs, how), envs)
 
 
 def _answering(predicts: Callable[..., Any], how: Entry) -> Callable[..., Any]:
     """Return the model with its answers changed."""
-    change = catalogue.found("kinds", how["kind"])
+    change = catalogue.lookup("input_changes", how["kind"])
 
     def predict(inputs: object, envs: list[int]) -> Any:
         return [change(as_array(row), how) for row in predicts(inputs, envs)]
@@ -166,8 +166,8 @@ def _wrapped(
     if kind == "resized":
         return _resized(own, encode, how, sample, known)
     if kind == "text":
-        instruction.written(encode(sample), how, sample)
-        return (lambda obs, env: instruction.written(kept(obs, env), how, obs)), {}
+        instruction.rewrite_texts(encode(sample), how, sample)
+        return (lambda obs, env: instruction.rewrite_texts(kept(obs, env), how, obs)), {}
     if kind in ("normalized", "segmented"):
         if kind not in known:
             several = kind == "segmented"
@@ -178,12 +178,12 @@ def _wrapped(
     if kind == "rotation":
         turn = turns.Turned([encode(one) for one in samples], how)
         return (lambda obs, env: turn(kept(obs, env))), {}
-    change = catalogue.found("kinds", kind)
+    change = catalogue.lookup("input_changes", kind)
     if change is None:
-        raise UnfitError(f"nobody here knows the change {kind}")
+        raise NoEffectError(f"nobody here knows the change {kind}")
     before = encode(sample)
     if _equal(change(before, how), before):
-        raise UnfitError("it changes nothing")
+        raise NoEffectError("it changes nothing")
     return (lambda obs, env: change(kept(obs, env), how)), {}
 
 
@@ -199,10 +199,10 @@ def _resized(
     if "pictures" not in known:
         known["pictures"] = _tried(pictures.Resized, encode, sample), _tried(Rebuilt, encode, sample), encode(sample)
     seen, rebuilt, before = known["pictures"]
-    if not exchanged and not isinstance(seen, UnfitError):
+    if not exchanged and not isinstance(seen, NoEffectError):
         far = pictures.apart(encode(seen(sample, steps)), before)
         return (lambda obs, env: own(seen(obs, steps), env)), {"apart": far}
-    if isinstance(rebuilt, UnfitError):
+    if isinstance(rebuilt, NoEffectError):
         raise rebuilt
     far = pictures.apart(rebuilt(before, sample, steps, exchanged=exchanged), before)
     return (lambda obs, env: rebuilt(known["kept"](obs, env), obs, steps, exchanged=exchanged)), {"apart": far}
@@ -212,7 +212,7 @@ def _tried(make: Callable[..., Any], *arguments: Any) -> Any:
     """Return what is made, or why it is not."""
     try:
         return make(*arguments)
-    except UnfitError as error:
+    except NoEffectError as error:
         return error
 
 

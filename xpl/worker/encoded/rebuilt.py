@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.catalogue.walk import EncodeOne, UnfitError, changed, channel_axis, leaves
+from xpl.catalogue.walk import EncodeOne, NoEffectError, channel_axis, leaves, map_leaves
 from xpl.convert.images import ImageInput
 from xpl.observation import get_image
 from xpl.worker.encoded.pictures import whole
@@ -70,7 +70,7 @@ class Rebuilt:
         self._cameras = [name for name, one in sample[spec.Obs.VISION].items() if spec.Camera.COLOR in one]
         black = self._planes({})
         if not black or len(self._cameras) > _MOST_CAMERAS:
-            raise UnfitError("no pictures")
+            raise NoEffectError("no pictures")
         whites = {camera: self._planes({camera: np.full(_COLOURS, 255.0)}) for camera in self._cameras}
         self._places: dict[str, list[_Place]] = {}
         for camera, white in whites.items():
@@ -78,7 +78,7 @@ class Rebuilt:
             if found:
                 self._places[camera] = found
         if not self._places:
-            raise UnfitError("no camera is seen")
+            raise NoEffectError("no camera is seen")
 
     def __call__(self, value: Any, obs: Observation, steps: Sequence[Entry], *, exchanged: bool = False) -> Any:
         """Return encoded inputs whose pictures got their size otherwise.
@@ -98,7 +98,7 @@ class Rebuilt:
             image = get_image(obs, camera)
             for place in places:
                 if exchanged and not place.is_alone:
-                    raise UnfitError("several pictures in one")
+                    raise NoEffectError("several pictures in one")
                 target = made[place.leaf][place.plane]
                 if not exchanged:
                     target = target[place.rows, place.columns]
@@ -113,7 +113,7 @@ class Rebuilt:
             array = np.moveaxis(array.reshape(*np.moveaxis(leaf, axis, -1).shape[:-3], *array.shape[1:]), -1, axis)
             return array if leaf.dtype.kind == "f" else np.rint(array).astype(leaf.dtype)
 
-        return changed(value, change)
+        return map_leaves(value, change)
 
     def _planes(self, colours: Mapping[str, np.ndarray]) -> list[np.ndarray]:
         """Return the encoded pictures of cameras of one colour, or of such pictures, the others black."""

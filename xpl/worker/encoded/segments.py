@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.catalogue.walk import EncodeOne, UnfitError, changed, channel_axis, is_vector, leaves
+from xpl.catalogue.walk import EncodeOne, NoEffectError, channel_axis, is_vector, leaves, map_leaves
 from xpl.worker.encoded.vectors import lines, of_width
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class Segments:
             if other != line
         ]
         if how["number"] >= len(wanted):
-            raise UnfitError("no such numbers")
+            raise NoEffectError("no such numbers")
         width, line, other = wanted[how["number"]]
         words, there, _ = self._lines[width][other]
         was, _, back = self._lines[width][line]
@@ -89,7 +89,7 @@ class Segments:
                     result[..., part] = there(back(result[..., part]))
             return result
 
-        return changed(value, change), f"normalize: {words}, not {was}"
+        return map_leaves(value, change), f"normalize: {words}, not {was}"
 
     def _parts(self, rows: np.ndarray, fields: Sequence[Mapping[str, np.ndarray]]) -> Iterator[_Segment]:
         """Yield the parts of a vector that are fields, normalised by one of the lines."""

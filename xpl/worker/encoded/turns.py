@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
 
-from xpl.catalogue.walk import UnfitError, changed, channel_axis, is_vector, leaves
+from xpl.catalogue.walk import NoEffectError, channel_axis, is_vector, leaves, map_leaves
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,7 +39,7 @@ class Turned:
                     vectors.setdefault(leaf.shape[-1], []).append(leaf.reshape(-1, leaf.shape[-1]).astype(np.float64))
         self._places = {width: self._found(np.concatenate(rows), found) for width, rows in vectors.items()}
         if not any(self._places.values()):
-            raise UnfitError("no such rotation")
+            raise NoEffectError("no such rotation")
 
     def __call__(self, value: Any) -> Any:
         """Return encoded inputs with rotations changed."""
@@ -53,7 +53,7 @@ class Turned:
                 result[..., part] = self._turn(result[..., part])
             return result
 
-        return changed(value, change)
+        return map_leaves(value, change)
 
     def _found(self, rows: np.ndarray, is_one: Callable[[np.ndarray], bool]) -> list[int]:
         """Return where rotations begin."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.catalogue.walk import Change, EncodeOne, UnfitError, changed, channel_axis, is_vector, leaves
+from xpl.catalogue.walk import EncodeOne, LeafChange, NoEffectError, channel_axis, is_vector, leaves, map_leaves
 
 if TYPE_CHECKING:
     from xpl.contract import Entry, Observation
@@ -19,7 +19,7 @@ _MOST_ARRAYS = 12
 _NEAR = 1e-4
 _EPSILON = 1e-6
 
-Line = tuple[str, Change, Change]
+Line = tuple[str, LeafChange, LeafChange]
 """A normalisation by its words: there and back."""
 
 
@@ -49,14 +49,14 @@ class Normalized:
         """
         number = how["number"]
         if number >= len(self._lines) or self._now is None or number == self._now:
-            raise UnfitError("no such numbers")
+            raise NoEffectError("no such numbers")
         words, there, _ = self._lines[number]
         back = self._lines[self._now][2]
 
         def change(leaf: object) -> Any:
             return there(back(leaf)) if channel_axis(leaf) is None and is_vector(leaf) else None
 
-        return changed(value, change), f"normalize: {words}, not {self._lines[self._now][0]}"
+        return map_leaves(value, change), f"normalize: {words}, not {self._lines[self._now][0]}"
 
     def _told(self, value: object, sample: Observation) -> int | None:
         """Return by which numbers the vectors are normalised now: undone, most of them are those of the state."""
@@ -92,7 +92,7 @@ def _same(value: object) -> Any:
     return value
 
 
-def _line(shift: object, scale: object) -> tuple[Change, Change]:
+def _line(shift: object, scale: object) -> tuple[LeafChange, LeafChange]:
     return lambda value: (value - shift) / scale, lambda value: value * scale + shift
 
 

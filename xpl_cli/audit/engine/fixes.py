@@ -1,4 +1,4 @@
-"""Applies the edits that findings carry: each fix whole or not at all, and never to a file that changed meanwhile."""
+"""Apply the edits of findings: each fix whole or not at all, and never to a file that changed meanwhile."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.model import Edit, Fix, TargetReport
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.packages.targets import Target
 
 _SAFE: Final = frozenset(("safe_edit",))
@@ -39,40 +39,40 @@ class _RefusedError(Exception):
 
 
 @dataclass(frozen=True)
-class Change:
+class FileChange:
     """One file before and after.
 
     Attributes:
         path: the file.
-        shown: how it is named to people.
+        display_path: the path as messages name it.
         before, after: its content.
     """
 
     path: Path
-    shown: str
+    display_path: str
     before: bytes
     after: bytes
 
 
 @dataclass
-class Plan:
-    """What fixing does.
+class FixPlan:
+    """The changes that fixes make.
 
     Attributes:
         changes: the files that change.
-        fixes: how many fixes that carries out.
-        later: how many were left because they overlap with another; once that is done they can be had too.
-        unsafe: how many were left because they are unsafe.
-        refused: why files were left alone, a sentence for each.
+        fixes: number of fixes that are applied.
+        later: number of fixes that overlap with another one; they can be applied in another run.
+        unsafe: number of fixes that were left out because they are unsafe.
+        refused: why files were not edited, a sentence for each.
     """
 
-    changes: list[Change] = field(default_factory=list)
+    changes: list[FileChange] = field(default_factory=list)
     fixes: int = 0
     later: int = 0
     unsafe: int = 0
     refused: list[str] = field(default_factory=list)
 
-    def __iadd__(self, other: Plan) -> Self:
+    def __iadd__(self, other: FixPlan) -> Self:
         self.changes += other.changes
         self.fixes += other.fixes
         self.later += other.later
@@ -81,11 +81,11 @@ class Plan:
         return self
 
     def diff(self) -> str:
-        """Return what it does as a unified diff, which `patch -p1` and `git apply` take."""
+        """Return the changes as a unified diff for `patch -p1` and `git apply`."""
         return "".join(line for change in self.changes for line in _diff(change))
 
-    def told(self, *, done: bool) -> str:
-        """Return in words what it does, or did."""
+    def summary(self, *, done: bool) -> str:
+        """Return a summary in words: what would change, or what was changed if `done`."""
         number, files = amount(self.fixes, "fix", "fixes"), amount(len(self.changes), "file")
         lines = [f"{number} {'applied to' if done else 'would change'} {files}"]
         if self.later:
@@ -102,8 +102,10 @@ class Plan:
         """
         for change in self.changes:
             if not change.path.is_file() or change.path.read_bytes() != change.before:
-                raise UserError(f"{change.shown} changed while it was audited: nothing was fixed", hint="run again")
-        done: list[Change] = []
+                raise UserError(
+                    f"{change.display_path} changed while it was audited: nothing was fixed", hint="run again"
+                )
+        done: list[FileChange] = []
         try:
             for change in self.changes:
                 write_file(change.path, change.after, stat.S_IMODE(change.path.stat().st_mode))
@@ -112,19 +114,19 @@ class Plan:
             for written in done:
                 write_file(written.path, written.before, stat.S_IMODE(written.path.stat().st_mode))
             raise UserError(
-                f"{change.shown} cannot be written, nothing was fixed: {error.strerror or error}"
+                f"{change.display_path} cannot be written, nothing was fixed: {error.strerror or error}"
             ) from error
 
 
-def plan_all(targets: Sequence[Target], options: Options, *, unsafe: bool = False) -> Plan:
+def plan_all(targets: Sequence[Target], options: AuditOptions, *, unsafe: bool = False) -> FixPlan:
     """Return what the fixes of the static gate would do to packages; other gates have none.
 
     Args:
         targets: the packages.
         options: what to run; without the static gate nothing is fixed.
-        unsafe: also fixes that may change behaviour that is right.
+        unsafe: include fixes that may change correct behaviour.
     """
-    result = Plan()
+    result = FixPlan()
     if Gate.STATIC not in options.gates:
         return result
     reports = audit_all(targets, replace(options, gates=(Gate.STATIC,), progress=Progress()))
@@ -133,52 +135,52 @@ def plan_all(targets: Sequence[Target], options: Options, *, unsafe: bool = Fals
     return result
 
 
-def plan(folder: Path, report: TargetReport, *, unsafe: bool = False) -> Plan:
+def plan(folder: Path, report: TargetReport, *, unsafe: bool = False) -> FixPlan:
     """Return what the fixes of a report would do to a package.
 
     Args:
         folder: the package.
         report: what an audit found.
-        unsafe: also fixes that may change behaviour that is right.
+        unsafe: include fixes that may change correct behaviour.
     """
-    found = [
+    fixes = [
         finding.fix
         for result in report.results
         for finding in result.findings
         if finding.fix is not None and finding.fix.edits and finding.fix.kind in _ALL
     ]
-    wanted = list(dict.fromkeys(fix for fix in found if fix.kind in (_ALL if unsafe else _SAFE)))
-    result = Plan(unsafe=sum(fix.kind not in _SAFE for fix in found) if not unsafe else 0)
+    selected = list(dict.fromkeys(fix for fix in fixes if fix.kind in (_ALL if unsafe else _SAFE)))
+    result = FixPlan(unsafe=sum(fix.kind not in _SAFE for fix in fixes) if not unsafe else 0)
     documents: dict[str, _Document] = {}
-    for name in sorted({edit.path for fix in wanted for edit in fix.edits}):
+    for name in sorted({edit.path for fix in selected for edit in fix.edits}):
         try:
             documents[name] = _Document.read(folder, name, report.contents.get(name))
         except _RefusedError as why:
             result.refused.append(f"{report.path}/{name} {why}")
-    possible = [fix for fix in wanted if all(edit.path in documents for edit in fix.edits)]
-    chosen = _apart(possible)
+    possible = [fix for fix in selected if all(edit.path in documents for edit in fix.edits)]
+    chosen = _without_overlaps(possible)
     result.later = len(possible) - len(chosen)
     _compose(result, chosen, documents, report.path)
     return result
 
 
-def _compose(result: Plan, chosen: list[Fix], documents: dict[str, _Document], shown: str) -> None:
+def _compose(result: FixPlan, chosen: list[Fix], documents: dict[str, _Document], display_path: str) -> None:
     """Add the changes that fixes make. Where one would break a file, all fixes of that file are left out."""
     for name in sorted({edit.path for fix in chosen for edit in fix.edits}):
         try:
-            _edited(name, documents[name], chosen)
+            _apply_edits(name, documents[name], chosen)
         except _RefusedError as why:
-            result.refused.append(f"{shown}/{name} {why}")
+            result.refused.append(f"{display_path}/{name} {why}")
             chosen = [fix for fix in chosen if all(edit.path != name for edit in fix.edits)]
     result.fixes = len(chosen)
     for name in sorted({edit.path for fix in chosen for edit in fix.edits}):
         document = documents[name]
-        after = _edited(name, document, chosen)
+        after = _apply_edits(name, document, chosen)
         if after != document.content:
-            result.changes.append(Change(document.path, f"{shown}/{name}", document.content, after))
+            result.changes.append(FileChange(document.path, f"{display_path}/{name}", document.content, after))
 
 
-def _edited(name: str, document: _Document, chosen: Iterable[Fix]) -> bytes:
+def _apply_edits(name: str, document: _Document, chosen: Iterable[Fix]) -> bytes:
     edits = dict.fromkeys(edit for fix in chosen for edit in fix.edits if edit.path == name)
     text = document.edited(edits)
     if _parses(name, document.text) and not _parses(name, text):
@@ -186,7 +188,7 @@ def _edited(name: str, document: _Document, chosen: Iterable[Fix]) -> bytes:
     return document.encoded(text)
 
 
-def _apart(fixes: list[Fix]) -> list[Fix]:
+def _without_overlaps(fixes: list[Fix]) -> list[Fix]:
     """Return the fixes that can be carried out together, earlier ones first."""
     chosen: list[Fix] = []
     taken: list[Edit] = []
@@ -255,7 +257,7 @@ class _Document:
         starts = [0, *accumulate(map(len, lines))]
         newline = "\r\n" if "\r\n" in self.text else "\n"
 
-        def place(line: int, column: int) -> int:
+        def offset(line: int, column: int) -> int:
             length = len(lines[line - 1].rstrip("\r\n")) if line <= len(lines) else 0
             if not 1 <= line <= len(starts) or not 1 <= column <= length + 1:
                 raise _RefusedError(f"has no line {line}, column {column}; that is a fault of a rule")
@@ -263,7 +265,7 @@ class _Document:
 
         text = self.text
         for edit in sorted(edits, key=_range, reverse=True):
-            start, end = place(edit.line, edit.column), place(edit.end_line, edit.end_column)
+            start, end = offset(edit.line, edit.column), offset(edit.end_line, edit.end_column)
             text = text[:start] + edit.text.replace("\n", newline) + text[end:]
         return text
 
@@ -294,9 +296,9 @@ def _parses(name: str, text: str) -> bool:
     return True
 
 
-def _diff(change: Change) -> Iterator[str]:
+def _diff(change: FileChange) -> Iterator[str]:
     before, after = (_lines(content) for content in (change.before, change.after))
-    name = change.shown.removeprefix("/")
+    name = change.display_path.removeprefix("/")
     for line in difflib.unified_diff(before, after, f"a/{name}", f"b/{name}"):
         yield line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n"
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl.convert.actions import ActionOutput
-from xpl.convert.gaps import refuse
+from xpl.convert.gaps import refuse_gaps
 from xpl.convert.images import ImageInput
-from xpl.convert.vectors import Vector
+from xpl.convert.vectors import ModelVector
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 from xpl.errors import ConversionError
 from xpl_cli.basics import files
@@ -52,7 +52,7 @@ class DatasetMapping:
     embodiment: Embodiment
     rate_hz: float | None
     images: Mapping[str, ImageInput]
-    states: Mapping[str, Vector]
+    states: Mapping[str, ModelVector]
     action: ActionOutput
     columns: tuple[str, ...]
     shift: int
@@ -79,11 +79,11 @@ def load(name: str) -> DatasetMapping:
     where = path.name
     try:
         embodiment = get_embodiment(entry["robot"])
-        refuse(entry["model_io"])
+        refuse_gaps(entry["model_io"])
         model_io = entry["model_io"]
         images = {one["input"]: ImageInput(one) for one in model_io.get("images", ())}
         states = {
-            one["input"]: Vector(one, embodiment, [path.parent], f"state {one['input']}")
+            one["input"]: ModelVector(one, embodiment, [path.parent], f"state {one['input']}")
             for one in model_io.get("state", ())
         }
         action = ActionOutput(model_io["action"], embodiment, entry[sdk.Deploy.ACTION_TYPE], [path.parent])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.convert.assembly import assembled
+from xpl.convert.assembly import assemble
 from xpl.errors import ConversionError
 from xpl.trajectory.names import stored
 from xpl_cli.data.sets.delegating import DelegatingEpisode, DelegatingSet
@@ -161,10 +161,10 @@ class StandardizedEpisode(_MappedEpisode):
     def _state(self, where: str) -> Rows:
         parts, columns = [], {}
         for name, vector in self._mapping.states.items():
-            for item, values in vector.cut(vector.denormalized(self._column(name, where))):
+            for item, values in vector.split(vector.denormalize(self._column(name, where))):
                 parts.append(item)
                 columns[item.label] = values
-        return assembled(parts, columns, _origins(self._mapping))
+        return assemble(parts, columns, _origins(self._mapping))
 
     def _action(self, state: Rows, where: str) -> Rows:
         """Return the commands; a delta action is relative to the state of its own step."""
@@ -240,7 +240,7 @@ class NativeEpisode(_MappedEpisode):
             rows = {}
             for name, vector in self._mapping.states.items():
                 pieces = [np.concatenate([item.read(state) for item in vector.parts]) for state in states]
-                rows[name] = vector.normalized(np.stack(pieces))
+                rows[name] = vector.normalize(np.stack(pieces))
             if not self._mapping.shift:
                 rows |= self._commands(states, where)
         except (ConversionError, ValueError) as error:

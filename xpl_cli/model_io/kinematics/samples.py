@@ -12,7 +12,7 @@ from xpl import tables
 from xpl.conventions import rotation as rotations
 from xpl.conventions.joint_order import JointsPart
 from xpl.convert import ConversionError
-from xpl.convert.parts import part
+from xpl.convert.parts import make_part
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -29,7 +29,7 @@ _MOST_PARTS = 64
 
 
 @dataclass(frozen=True)
-class Columns:
+class SampleColumns:
     """One part of a vector, with its rows.
 
     Attributes:
@@ -49,7 +49,7 @@ class Columns:
     unknown: frozenset[str] = frozenset()
 
 
-def collect(model_io: Entry, folders: Sequence[Path], embodiment: Embodiment) -> list[Columns]:
+def collect(model_io: Entry, folders: Sequence[Path], embodiment: Embodiment) -> list[SampleColumns]:
     """Return the joints, positions and rotations of a block's samples; of each as many rows, of the same moments.
 
     Args:
@@ -78,13 +78,13 @@ def collect(model_io: Entry, folders: Sequence[Path], embodiment: Embodiment) ->
 
 def _columns(
     model_io: Entry, entry: Entry, where: str, folders: Sequence[Path], embodiment: Embodiment
-) -> Iterator[Columns]:
+) -> Iterator[SampleColumns]:
     vector, leads = _vector(model_io, entry, where)
     if _is_open(vector["parts"]) or len(vector["parts"]) > _MOST_PARTS:
         raise ConversionError(f"{where}: its parts are open, or more than {_MOST_PARTS}")
     rows = _rows(entry, where, folders)
     parts = _closed(vector["parts"], rows.shape[1], embodiment)
-    made = [part({kind: how}, embodiment) for kind, how, _ in parts]
+    made = [make_part({kind: how}, embodiment) for kind, how, _ in parts]
     widths = sorted(
         {sum(item.width for item in made), *([vector["pad"]] if isinstance(vector.get("pad"), int) else [])}
     )
@@ -98,7 +98,7 @@ def _columns(
         told = how.get("reference") or vector.get("reference") or _ABSOLUTE
         is_whole = not isinstance(one, JointsPart) or one.is_whole  # a part of an arm leads nowhere
         if kind in _JUDGED and told == _ABSOLUTE and is_whole:
-            yield Columns(f"{where}, {one.label}", kind, how, rows[:, start : start + one.width], leads, unknown)
+            yield SampleColumns(f"{where}, {one.label}", kind, how, rows[:, start : start + one.width], leads, unknown)
         start += one.width
 
 
@@ -113,7 +113,9 @@ def _closed(
     for item in parts:
         ((kind, how),) = item.items()
         result.append((kind, {key: value for key, value in how.items() if not _is_open(value)}, how))
-    rest = [part({kind: known}, embodiment).width for kind, known, _ in result if kind != "rotation" or "form" in known]
+    rest = [
+        make_part({kind: known}, embodiment).width for kind, known, _ in result if kind != "rotation" or "form" in known
+    ]
     forms = {rotations.WIDTHS[form]: form for form in reversed(rotations.WIDTHS) if form != "euler"}
     for kind, known, _ in result:
         if kind == "rotation" and known.get("form") == "euler":

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from xpl.catalogue.part import Part
     from xpl.contract import Action, Entry, State
     from xpl.convert import Interface
-    from xpl.convert.vectors import Vector
+    from xpl.convert.vectors import ModelVector
 
 _AXES: Final = ("x", "y", "z")
 _NAMES: Final[dict[str, tuple[str, ...]]] = {
@@ -72,7 +72,7 @@ class Number:
         return asdict(self)
 
 
-def of_state(entry: Entry, vector: Vector, given: np.ndarray, state: State, robot: Embodiment) -> list[Number]:
+def of_state(entry: Entry, vector: ModelVector, given: np.ndarray, state: State, robot: Embodiment) -> list[Number]:
     """Return the numbers of a state vector.
 
     Args:
@@ -110,7 +110,7 @@ def of_action(
     """
     vector, first = interface.action.vector, interface.action.first
     rows = np.asarray(answer, np.float64)[[first, first + len(steps) - 1]]
-    before = vector.denormalized(rows)
+    before = vector.denormalize(rows)
     found = []
     for index, (name, unit, item, says, partners) in enumerate(_columns(entry, vector, robot)):
         told = item.reference or entry["reference"]
@@ -125,7 +125,7 @@ def of_action(
 
 
 def _columns(
-    entry: Entry, vector: Vector, robot: Embodiment
+    entry: Entry, vector: ModelVector, robot: Embodiment
 ) -> Iterator[tuple[str, str, Part, str, list[tuple[str, str, int, str]]]]:
     """Yield for each number its name, unit and part, what is said of it, and its partners in the standard."""
     for told, item in zip(entry["parts"], vector.parts, strict=True):
@@ -204,7 +204,7 @@ def _partners(kind: str, how: Entry, item: Part, place: int, robot: Embodiment) 
         yield f"{item.key}[{index}]", item.key, index, "rad"
 
 
-def _padding(vector: Vector, rows: np.ndarray) -> Iterator[Number]:
+def _padding(vector: ModelVector, rows: np.ndarray) -> Iterator[Number]:
     rest = vector.padded - vector.width
     if rest:
         values = {"model": rows[:, vector.width].tolist()}

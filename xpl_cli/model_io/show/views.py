@@ -11,7 +11,7 @@ import numpy as np
 from xpl.convert.images import ImageInput
 from xpl.manifest import ModelIO
 from xpl.observation import get_image
-from xpl_cli.model_io.show import looks
+from xpl_cli.model_io.show import image_transforms
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -24,7 +24,7 @@ _PLACES: Final = {"wrist": ("wrist", "hand", "gripper"), "head": ("head", "top",
 
 
 @dataclass(frozen=True)
-class View:
+class ImageView:
     """One camera in one image input.
 
     Attributes:
@@ -82,7 +82,7 @@ class View:
         }
 
 
-def views(model_io: Entry, inputs: Mapping[str, np.ndarray], observations: Sequence[Observation]) -> list[View]:
+def views(model_io: Entry, inputs: Mapping[str, np.ndarray], observations: Sequence[Observation]) -> list[ImageView]:
     """Return what a model sees, input by input, newest first.
 
     Args:
@@ -104,14 +104,14 @@ def views(model_io: Entry, inputs: Mapping[str, np.ndarray], observations: Seque
     return found
 
 
-def _of(entry: Entry, value: np.ndarray, observation: Observation, when: int) -> Iterator[View]:
+def _of(entry: Entry, value: np.ndarray, observation: Observation, when: int) -> Iterator[ImageView]:
     item = ImageInput(entry)
     taken = {camera: get_image(observation, camera) for camera in item.cameras}
     for place, (camera, values, seen) in enumerate(
-        zip(item.cameras, item.views(value), item.pictures(value), strict=True)
+        zip(item.cameras, item.views(value), item.visible_images(value), strict=True)
     ):
         notes = [*_exchanged(entry, seen, taken, camera), *_misnamed(entry, camera)]
-        yield View(
+        yield ImageView(
             item.name,
             place,
             camera,
@@ -127,9 +127,11 @@ def _of(entry: Entry, value: np.ndarray, observation: Observation, when: int) ->
 
 
 def _exchanged(entry: Entry, seen: np.ndarray, taken: Mapping[str, np.ndarray], camera: str) -> Iterator[str]:
-    yield from looks.exchanged(seen, taken[camera], entry)
-    nearest = min(taken, key=lambda name: looks.difference(seen, taken[name], entry))
-    if looks.difference(seen, taken[nearest], entry) < 0.5 * looks.difference(seen, taken[camera], entry):
+    yield from image_transforms.describe_transform(seen, taken[camera], entry)
+    nearest = min(taken, key=lambda name: image_transforms.difference(seen, taken[name], entry))
+    if image_transforms.difference(seen, taken[nearest], entry) < 0.5 * image_transforms.difference(
+        seen, taken[camera], entry
+    ):
         yield f"shows {nearest}"
 
 

@@ -161,7 +161,7 @@ def test_questions_are_asked_beside_each_other_with_their_histories(ruler: Error
     assert reset.reset
     assert [len(call.show) for call in shown] == [1, 1, 2]
     assert ask.ask == (0, 1)
-    assert {made.questions[number].shown[-1][1] for number in wanted} == {place for _, place in shown[-1].show}
+    assert {made.questions[number].recipes[-1][1] for number in wanted} == {place for _, place in shown[-1].show}
 
 
 def test_the_first_tries_are_of_all_episodes(ruler: ErrorMetric) -> None:

@@ -21,7 +21,7 @@ from xpl_cli.audit.offline.search.perturbed_adapter import PerturbedAdapter
 from xpl_cli.audit.offline.search.ranking import MistakeFamily, rank
 from xpl_cli.audit.served.rounding import OF_SPAN
 from xpl_cli.model_io.difference import differences
-from xpl_cli.model_io.explain import Explanation, Tried
+from xpl_cli.model_io.explain import Explanation, TriedChange
 from xpl_cli.model_io.patterns import Pattern
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class ObservationSearch:
                     if found.cause is None and time.monotonic() < until:
                         self.patterns += self._cameras_without_effect(around, ways.case.cameras)
                     return found
-                alone = ruler.explain_tried([Tried(_SAME.description, _SAME.convention, ruler.remaining(apart))])
+                alone = ruler.explain_tried([TriedChange(_SAME.description, _SAME.convention, ruler.remaining(apart))])
                 if alone.cause is not None:
                     crossed = self._find_shared_input(around, numbers)
                     return ruler.explain_tried([crossed(ruler.remaining(apart))]) if crossed else alone
@@ -133,9 +133,9 @@ class ObservationSearch:
 
     def _find_shared_input(
         self, apart: PerturbedAdapter, numbers: Sequence[int]
-    ) -> Callable[[Mapping[str, float]], Tried] | None:
+    ) -> Callable[[Mapping[str, float]], TriedChange] | None:
         """Return what to say if environments see only one input of each other: alike in all, it makes no difference."""
-        first = self._course.observation(*self._judgement.session.questions[0].shown[0])
+        first = self._course.observation(*self._judgement.session.questions[0].recipes[0])
         for words, convention, keys in (
             ("each environment's own instruction", sdk.Obs.INSTRUCTION, (sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS)),
             ("each environment's own pictures", "camera", (sdk.Obs.VISION,)),
@@ -145,7 +145,7 @@ class ObservationSearch:
             with self._serve_perturbed(together=True) as around:
                 one, other = around.answers(alike, numbers), apart.answers(alike, numbers)
             if one is not None and other is not None and self._are_same(one, other):
-                return functools.partial(Tried, words, convention)
+                return functools.partial(TriedChange, words, convention)
         return None
 
     @contextmanager

@@ -28,14 +28,14 @@ from xpl_cli.audit.offline.search.session_replay import SessionReplay
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.served.rounding import OF_SPAN
 from xpl_cli.basics.errors import UserError
-from xpl_cli.model_io import reading
-from xpl_cli.model_io.difference import Thread
-from xpl_cli.model_io.explain import Explanation, Tried
-from xpl_cli.model_io.fitted import fitted
-from xpl_cli.model_io.patterns import Kind, Pattern, patterns
-from xpl_cli.model_io.places import places
+from xpl_cli.model_io import reference_file
+from xpl_cli.model_io.difference import EpisodeAnswers
+from xpl_cli.model_io.explain import Explanation, TriedChange
+from xpl_cli.model_io.linear_fit import fit_linear
+from xpl_cli.model_io.number_order import order_patterns
+from xpl_cli.model_io.patterns import Pattern, PolicyKind, patterns
 from xpl_cli.model_io.record import is_free
-from xpl_cli.model_io.rigid import rigid
+from xpl_cli.model_io.rigid_fit import fit_rigid
 
 if TYPE_CHECKING:
     import numpy as np
@@ -121,7 +121,7 @@ class ParitySearch:
         judgement = self._judgement
         told = (
             *self._unseen,
-            *places(self._threads, judgement.shares, judgement.tolerance),
+            *order_patterns(self._threads, judgement.shares, judgement.tolerance),
             *(patterns(self._threads, judgement.spread, judgement.tolerance, self._kind) if is_large else ()),
         )
         explanation = replace(best.explanation, patterns=told)
@@ -168,9 +168,9 @@ class ParitySearch:
         if found.cause is not None:
             return found
         judgement = self._judgement
-        line = fitted(self._threads, judgement.shares, judgement.spread, judgement.tolerance)
+        line = fit_linear(self._threads, judgement.shares, judgement.spread, judgement.tolerance)
         fits = [] if line is None else [line]
-        fits += rigid(self._threads, judgement.shares, judgement.spread, judgement.tolerance, self._tool)
+        fits += fit_rigid(self._threads, judgement.shares, judgement.spread, judgement.tolerance, self._tool)
         fit = self._ruler.explain_tried(fits)
         return fit if fit.cause is not None or (fit.partial and not found.partial) else found
 
@@ -186,11 +186,11 @@ class ParitySearch:
             self._unseen.append(Pattern("the adapter draws no number, and the model samples", "sampling"))
         return found
 
-    def _both_ways(self, answered: MistakeAnswers) -> Tried:
+    def _both_ways(self, answered: MistakeAnswers) -> TriedChange:
         """Return a change of what goes in, with the line that what comes out is then of the golden answers, if any."""
         tried = self._ruler.score(answered)
         line = self._line(answered, tried)
-        return tried if line is None else Tried(f"{tried.words}, both ways", tried.convention, line.remaining)
+        return tried if line is None else TriedChange(f"{tried.words}, both ways", tried.convention, line.remaining)
 
     def _by_shown(self) -> Explanation | None:
         """Return what changes of what is shown explain; None if the adapter cannot be served for it."""
@@ -228,7 +228,9 @@ class ParitySearch:
                 if self._ways.seconds_left > 0:
                     yield from self._found(family, self._with_commands(family, place))
 
-    def _pairs(self, family: MistakeFamily, tried: RankingResult, pairs: Sequence[tuple[int, int]]) -> list[Tried]:
+    def _pairs(
+        self, family: MistakeFamily, tried: RankingResult, pairs: Sequence[tuple[int, int]]
+    ) -> list[TriedChange]:
         """Return what is left where both of each pair are undone, of those that are worth all questions."""
         both = family.combine(pairs) if pairs and self._ways.seconds_left > 0 else None
         if both is None:
@@ -236,20 +238,20 @@ class ParitySearch:
         named = [(tried.first_round[one], tried.first_round[other]) for one, other in both.pairs]
         return [self._ruler.score_pair(*named[at], one.answers) for at, one in rank(both, self._ruler).final_round]
 
-    def _found(self, family: MistakeFamily, tried: Sequence[Tried]) -> Iterator[ParitySearchResult]:
+    def _found(self, family: MistakeFamily, tried: Sequence[TriedChange]) -> Iterator[ParitySearchResult]:
         explanation = self._ruler.explain_tried(tried)
         if explanation.cause is not None:
             yield ParitySearchResult(explanation, in_block=self._ways.by_block and family is self._tried[0][0])
 
-    def _with_line(self, family: MistakeFamily, place: int) -> list[Tried]:
+    def _with_line(self, family: MistakeFamily, place: int) -> list[TriedChange]:
         """Return what is left where one mistake is undone, and commands are a line of the golden ones, if they are."""
         first = self._undone(family, place)
         line = None if first is None else self._line(first, self._ruler.score(first))
         if first is None or line is None:
             return []
-        return [Tried(first.words, first.convention, line.remaining, (line.words, line.convention))]
+        return [TriedChange(first.words, first.convention, line.remaining, (line.words, line.convention))]
 
-    def _with_commands(self, family: MistakeFamily, place: int) -> list[Tried]:
+    def _with_commands(self, family: MistakeFamily, place: int) -> list[TriedChange]:
         """Return what is left where one mistake is undone, and one of commands besides."""
         first = self._undone(family, place)
         if first is None or first.answers is None:
@@ -268,7 +270,7 @@ class ParitySearch:
 
     # -- what is known -------------------------------------------------------------------------------------------------
 
-    def _line(self, answered: MistakeAnswers, tried: Tried) -> Tried | None:
+    def _line(self, answered: MistakeAnswers, tried: TriedChange) -> TriedChange | None:
         """Return the line that answers under a mistake are of the golden ones, if any is."""
         judgement = self._judgement
         if answered.answers is None or max(tried.remaining.values()) <= judgement.tolerance:
@@ -276,7 +278,7 @@ class ParitySearch:
         if not _is_known(answered.answers) or len(answered.answers) != len(self._course.all_questions):
             return None
         threads = self._threads_of([answered.answers[number] for number in self._course.all_questions])
-        return fitted(threads, tried.remaining, judgement.spread, judgement.tolerance)
+        return fit_linear(threads, tried.remaining, judgement.spread, judgement.tolerance)
 
     @property
     def _tool(self) -> np.ndarray | None:
@@ -287,8 +289,8 @@ class ParitySearch:
             return None
 
     @property
-    def _kind(self) -> Kind:
-        return Kind(
+    def _kind(self) -> PolicyKind:
+        return PolicyKind(
             keeps_state=bool(self._ways.model_io.recurrent) or self._ways.manifest.temporal.kind == "memory",
             history=self._ways.manifest.reach,
             draws=self._draws or "sampling" in self._named,
@@ -298,21 +300,21 @@ class ParitySearch:
     def _named(self) -> Collection[str]:
         """The conventions that reference.py names."""
         try:
-            return reading.read_file(self._probe.package.path).conventions
+            return reference_file.read_file(self._probe.package.path).conventions
         except UserError:
             return ()
 
     @cached_property
-    def _threads(self) -> list[Thread]:
+    def _threads(self) -> list[EpisodeAnswers]:
         return self._threads_of(self._judgement.answers)
 
-    def _threads_of(self, given: Sequence[Any]) -> list[Thread]:
+    def _threads_of(self, given: Sequence[Any]) -> list[EpisodeAnswers]:
         """Return the episodes of each environment, with some answers."""
         questions, judgement = self._judgement.session.questions, self._judgement
         return [
-            Thread(
+            EpisodeAnswers(
                 self._course.observations_of(questions[episode[-1]]),
-                [questions[number].asked[-1] for number in episode],
+                [questions[number].asked_at[-1] for number in episode],
                 [judgement.golden[number] for number in episode],
                 [given[number] for number in episode],
             )
@@ -323,7 +325,7 @@ class ParitySearch:
     def _read(self) -> ReadInputs:
         """What the adapter reads, everything if it does not say that."""
         read, session = list(self._probe.package.manifest.read), self._judgement.session
-        shown = [self._course.observation(*question.shown[-1]) for question in session.questions]
+        shown = [self._course.observation(*question.recipes[-1]) for question in session.questions]
         texts = sorted({obs[sdk.Obs.INSTRUCTION] for obs in shown})
         if not read:
             return ReadInputs(list(session.cameras), None, texts)

@@ -167,7 +167,7 @@ class MistakeFamilies:
                 if len(edits) == sum(len(found[place][0].edits or {}) for place in (one, other)):
                     named.append((one, other))
                     made.append(replace(found[one][0], edits=edits))
-            fit = dict(mistakes.placed(self.case, made, self.manifest.temporal.chunk))
+            fit = dict(mistakes.fitting_blocks(self.case, made, self.manifest.temporal.chunk))
             kept = sorted(fit)
             return self._family_of_blocks(
                 [(made[place], fit[place]) for place in kept], [named[place] for place in kept]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from xpl.contract import Observation
     from xpl_cli.audit.offline.search.session_replay import SessionReplay
     from xpl_cli.audit.served.recorded_client import RecordedClient as Client
-    from xpl_cli.model_io.pairs import Chunk, Question
+    from xpl_cli.model_io.pairs import Chunk, PairQuestion
 
 
 class PerturbedAdapter:
@@ -68,7 +68,7 @@ class PerturbedAdapter:
         found: dict[int, list[Any]] = {}
         for episode in self._course.group_by_episode(numbers):
             questions = [self._course.session.questions[number] for number in episode]
-            places = [question.asked[-1] for question in questions]
+            places = [question.asked_at[-1] for question in questions]
             told = [given[number] for number in episode]
             try:
                 changed = mistake.change_actions(told, self._course.observations_of(questions[-1]), places)
@@ -109,7 +109,7 @@ class PerturbedAdapter:
         for episode in self._course.group_by_episode(numbers):
             last = session.questions[episode[-1]]
             changed.update(
-                zip(last.shown, mistake.change_observations(self._course.observations_of(last)), strict=True)
+                zip(last.recipes, mistake.change_observations(self._course.observations_of(last)), strict=True)
             )
 
         def observation(env: int, place: int) -> Observation:
@@ -129,11 +129,13 @@ class PerturbedAdapter:
                     found.update(self._run_episode(client, shown, {len(shown) - 1: question}))
             else:
                 shown = mistake.change_observations(self._course.observations_of(questions[-1]))
-                found.update(self._run_episode(client, shown, {question.asked[-1]: question for question in questions}))
+                found.update(
+                    self._run_episode(client, shown, {question.asked_at[-1]: question for question in questions})
+                )
         return found
 
     def _run_episode(
-        self, client: Client, shown: Sequence[Observation], asked: Mapping[int, Question]
+        self, client: Client, shown: Sequence[Observation], asked: Mapping[int, PairQuestion]
     ) -> dict[int, Chunk]:
         """Play one episode, and return its answers by the numbers of the questions."""
         client.reset()

@@ -15,15 +15,15 @@ from tests.support.adapters.model_io import CASES
 from tests.support.adapters.planted import Rig
 from tests.support.distributions import installing
 from tests.support.places import ROOT
-from xpl.catalogue import Case
-from xpl.catalogue.convention import applying, around, of_key
+from xpl.catalogue import AdapterCase
+from xpl.catalogue.convention import applying, convention_of_key, io_mistakes
 from xpl.convert import compile_interface
 from xpl_cli.audit.offline.demonstrations import scripted
 from xpl_cli.data.probe.probe import probe
 from xpl_cli.data.reading import open_set
-from xpl_cli.model_io import reading
+from xpl_cli.model_io import reference_file
 from xpl_cli.model_io.difference import differences, spreads
-from xpl_cli.model_io.explain import Tried, explain
+from xpl_cli.model_io.explain import TriedChange, explain
 from xpl_cli.model_io.mistakes import in_block
 from xpl_cli.standard.validate import validate
 
@@ -40,11 +40,11 @@ CASE = CASES["two arms, joint deltas"]
 def gamma(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Install the convention of docs/extending.md, and return where."""
     (text,) = re.findall(r'^```python title="xpl_tiny/gamma.py"\n(.*?)^```', PAGE, re.DOTALL | re.MULTILINE)
-    told = "\n\ndef _told(sample):\n    from xpl_cli.data.probe.answer import unknown\n"
-    told += '    yield unknown("gamma", "set", "no light was measured", "a grey card")\n'
+    probe = "\n\ndef _probe(sample):\n    from xpl_cli.data.probe.answer import unknown\n"
+    probe += '    yield unknown("gamma", "set", "no light was measured", "a grey card")\n'
     files = {
-        "outside_gamma.py": text.replace("CONVENTION =", f"{told}\n\nCONVENTION =").replace(
-            "NAME,\n", "NAME,\n    told_by=_told,\n"
+        "outside_gamma.py": text.replace("CONVENTION =", f"{probe}\n\nCONVENTION =").replace(
+            "NAME,\n", "NAME,\n    probe=_probe,\n"
         )
     }
     with installing(tmp_path, monkeypatch) as install:
@@ -68,15 +68,15 @@ def test_the_schema_and_the_conversions_know_it() -> None:
     assert validate(_block(2.2), "model_io") == []
     assert NAME in applying(_block(2.2))
     assert NAME not in applying(_block(None))
-    assert of_key(("images", 0, "gamma")) == NAME
-    reading.vocabulary.cache_clear()
-    assert reading.vocabulary()[NAME] == "gamma of pixels"
-    reading.vocabulary.cache_clear()
+    assert convention_of_key(("images", 0, "gamma")) == NAME
+    reference_file.vocabulary.cache_clear()
+    assert reference_file.vocabulary()[NAME] == "gamma of pixels"
+    reference_file.vocabulary.cache_clear()
     plain, other = (compile_interface(_block(one), CASE.embodiment, CASE.action_type).images[0] for one in (None, 2.2))
     image = np.random.default_rng(0).integers(0, 256, (48, 64, 3)).astype(np.uint8)
     assert not np.allclose(plain.view(image), other.view(image))
-    (back,) = other.pictures(other.view(image))[:1]
-    (there,) = plain.pictures(plain.view(image))[:1]
+    (back,) = other.visible_images(other.view(image))[:1]
+    (there,) = plain.visible_images(plain.view(image))[:1]
     far = np.abs(back.astype(int) - there)[there > 64]  # what is dark is rounded to fewer bytes
     assert far.max() <= 2
 
@@ -89,17 +89,19 @@ def test_the_search_names_it() -> None:
     golden, given = rig.answers(right), rig.answers(wrong)
     spread = spreads(golden)
     tried = [
-        Tried(one.words, one.convention, differences(golden, rig.answers(block), spread))
-        for one, block in in_block(Case(CASE.embodiment, CASE.action_type, wrong))
+        TriedChange(one.description, one.convention, differences(golden, rig.answers(block), spread))
+        for one, block in in_block(AdapterCase(CASE.embodiment, CASE.action_type, wrong))
         if one.convention in {NAME, "image_range", "image_channels"}
     ]
     found = explain(differences(golden, given, spread), tried, 1e-4)
     assert found.cause is not None
     assert (found.cause.convention, found.cause.words) == (NAME, "gamma: 2.2")
     shown = [
-        one for one in around(Case(CASE.embodiment, CASE.action_type, cameras=["cam_head"])) if one.convention == NAME
+        one
+        for one in io_mistakes(AdapterCase(CASE.embodiment, CASE.action_type, cameras=["cam_head"]))
+        if one.convention == NAME
     ]
-    assert [one.words for one in shown] == ["gamma: 2.2"]
+    assert [one.description for one in shown] == ["gamma: 2.2"]
 
 
 @pytest.mark.usefixtures("gamma")

@@ -19,7 +19,7 @@ from xpl.action import ActionError
 from xpl.convert import ConversionError, compile_interface
 from xpl.embodiment import get_embodiment
 from xpl_cli.model_io.difference import differences, spreads
-from xpl_cli.model_io.explain import Tried, explain
+from xpl_cli.model_io.explain import TriedChange, explain
 from xpl_cli.model_io.mistakes import in_block
 from xpl_cli.standard import spec
 
@@ -35,7 +35,7 @@ NAMES = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 
 
 def _all(case: Case, model_io: Mapping[str, Any] | None = None) -> list[tuple[Mistake, dict[str, Any]]]:
-    return list(in_block(catalogue.Case(case.embodiment, case.action_type, model_io or case.model_io)))
+    return list(in_block(catalogue.AdapterCase(case.embodiment, case.action_type, model_io or case.model_io)))
 
 
 @pytest.mark.slow
@@ -58,7 +58,7 @@ def test_the_likeliest_come_first_and_the_block_itself_is_left_alone() -> None:
     """A search that is cut short by time has tried the same every time."""
     case = CASES["two arms, joint deltas"]
     before = json.dumps(case.model_io)
-    words = [one.words for one, _ in _all(case)]
+    words = [one.description for one, _ in _all(case)]
     assert json.dumps(case.model_io) == before
     for common, rare in (
         ("channels: bgr", "fill: 114 (wrists)"),
@@ -116,7 +116,9 @@ def test_what_was_changed_is_named(name: str, convention: str, change: Any) -> N
     for one, block in _all(case, wrong):
         if one.convention == convention:
             with contextlib.suppress(ActionError):  # an opening far from 0..1
-                tried.append(Tried(one.words, one.convention, differences(model_io, rig.answers(block), spread)))
+                tried.append(
+                    TriedChange(one.description, one.convention, differences(model_io, rig.answers(block), spread))
+                )
     found = explain(before, tried, 1e-4)
     assert found.cause is not None
     assert found.cause.convention == convention
@@ -132,8 +134,8 @@ def test_the_block_of_the_documentation_has_alternatives(tmp_path: Path) -> None
     other = {"q01": [-2.0] * 16, "q99": [3.0] * 16}
     table = {"norm_stats": {"state": numbers, "actions": numbers}, "other": {"state": other}}
     (tmp_path / "norm_stats.json").write_text(json.dumps(table), encoding="utf-8")
-    found = list(in_block(catalogue.Case(get_embodiment("franka"), "joint", model_io, [tmp_path]), 50))
-    words = {one.words for one, _ in found}
+    found = list(in_block(catalogue.AdapterCase(get_embodiment("franka"), "joint", model_io, [tmp_path]), 50))
+    words = {one.description for one, _ in found}
     assert "normalize: rule: mean_std" in words
     assert "normalize: the action's numbers for the state" in words
     assert "normalize: key: other/state (state)" in words
@@ -143,4 +145,4 @@ def test_the_block_of_the_documentation_has_alternatives(tmp_path: Path) -> None
 def test_a_block_that_does_not_fit_is_an_error() -> None:
     case = CASES["two arms, joint deltas"]
     with pytest.raises(ConversionError, match="no arm 'left'"):
-        list(in_block(catalogue.Case(get_embodiment("franka_single"), "joint", case.model_io)))
+        list(in_block(catalogue.AdapterCase(get_embodiment("franka_single"), "joint", case.model_io)))

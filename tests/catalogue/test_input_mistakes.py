@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from xpl.catalogue import Case
+from xpl.catalogue import AdapterCase
 from xpl.catalogue import convention as catalogue
-from xpl.catalogue.convention import in_inputs
-from xpl.catalogue.walk import UnfitError
+from xpl.catalogue.convention import input_mistakes
+from xpl.catalogue.walk import NoEffectError
 from xpl.embodiment import get_embodiment
 from xpl_cli.audit.offline.search.loaded_adapter import _convention_of
 from xpl_cli.standard import spec
@@ -26,12 +26,12 @@ VOCABULARY = {option["const"] for option in spec.schema("model_io")["$defs"]["co
 
 def _all(robot: str = "franka", **more: Any) -> list[Mistake]:
     told = {"cameras": ("cam_head",), "instructions": ("Do it.",), "history": 2, **more}
-    return list(in_inputs(Case(get_embodiment(robot), "joint", **told)))
+    return list(input_mistakes(AdapterCase(get_embodiment(robot), "joint", **told)))
 
 
 def _how(one: Mistake) -> Mapping[str, Any]:
-    assert one.encoded is not None
-    return one.encoded
+    assert one.input_change is not None
+    return one.input_change
 
 
 def test_orders_are_of_all_numbers() -> None:
@@ -40,7 +40,7 @@ def test_orders_are_of_all_numbers() -> None:
         orders = [how["order"] for how in made if how["kind"] == "ordered" and how["way"] == "in"]
         assert all(sorted(order) == list(range(width)) for order in orders)
         assert list(range(width)) not in orders
-    by_words = {one.words: _how(one)["order"] for one in _all("franka") if _how(one)["kind"] == "ordered"}
+    by_words = {one.description: _how(one)["order"] for one in _all("franka") if _how(one)["kind"] == "ordered"}
     assert by_words["joint order: reversed"][:8] == [6, 5, 4, 3, 2, 1, 0, 7]
     there, back = by_words["parts: the arms, then the grippers"], by_words["parts: arm by arm"]
     assert [there[place] for place in back] == list(range(16))
@@ -69,7 +69,7 @@ def test_the_geometry_tells_a_filter_from_a_size() -> None:
 
 
 def test_a_history_is_reversed_where_there_is_one() -> None:
-    reversed_ = catalogue.found("kinds", "reversed")
+    reversed_ = catalogue.lookup("input_changes", "reversed")
     inputs = {"state": np.arange(8.0).reshape(2, 4), "rgb": np.zeros((2, 3, 16, 16)), "text": "Do it."}
     inputs["rgb"][1] = 1.0
     made = reversed_(inputs, {"length": 2, "of": "all"})
@@ -79,5 +79,5 @@ def test_a_history_is_reversed_where_there_is_one() -> None:
     frames = [[(np.zeros(3), "a"), (np.ones(3), "b")], [(np.ones(3), "c")]]
     turned = reversed_(frames, {"length": 2, "of": "all", "way": "batch"})
     assert [[text for _, text in one] for one in turned] == [["b", "a"], ["c"]]
-    with pytest.raises(UnfitError):
+    with pytest.raises(NoEffectError):
         reversed_(inputs, {"length": 3, "of": "all"})

@@ -1,4 +1,4 @@
-"""What changes of pictures are written with: in what is shown, and in the steps of the block."""
+"""Changes of images: in observations, and in the steps of the block."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.catalogue import convention as catalogue
-from xpl.catalogue.edits import GONE, Block, Change, Site
-from xpl.catalogue.mistake import Case, Mistake, Obs, Shown
+from xpl.catalogue.edits import REMOVE, Block, EntryChange, Site
+from xpl.catalogue.mistake import AdapterCase, Mistake, Obs, ObservationChange
 from xpl.errors import ConversionError
 
 if TYPE_CHECKING:
@@ -18,55 +18,61 @@ if TYPE_CHECKING:
     from xpl.contract import Entry, ObservationDict
 
 _NOMINAL = (480, 640)
-"""Height and width for which a change of geometry has to leave the model's size."""
+"""Height and width at which a change of the steps must keep the model's input size."""
 
 Picture = np.ndarray
-Of = Callable[[Picture], Picture]
+ImageFunction = Callable[[Picture], Picture]
 
 # -- shown -------------------------------------------------------------------------------------------------------------
 
 
-def shown(rank: int, words: str, convention: str, change: Of, case: Case) -> Iterator[Mistake]:
-    """Yield a change of the pictures that are shown: of all cameras, of each, and of both wrists."""
+def image_mistakes(
+    rank: int, words: str, convention: str, change: ImageFunction, case: AdapterCase
+) -> Iterator[Mistake]:
+    """Yield a change of the images of all cameras, of each, and of both wrists."""
     cameras = case.cameras
     if not cameras:
         return
-    yield Mistake(rank, words, convention, shown=seen(change, cameras))
+    yield Mistake(rank, words, convention, change_observations=change_images(change, cameras))
     if len(cameras) > 1:
         for camera in cameras:
-            yield Mistake(rank + 1, f"{words} ({camera})", convention, shown=seen(change, [camera]))
+            yield Mistake(
+                rank + 1, f"{words} ({camera})", convention, change_observations=change_images(change, [camera])
+            )
     wrists = [camera for camera in cameras if "wrist" in camera]
     if len(cameras) > 2 and rank < 2 and len(wrists) == 2:
-        yield Mistake(rank + 1, f"{words} (wrist cameras)", convention, shown=seen(change, wrists))
+        yield Mistake(
+            rank + 1, f"{words} (wrist cameras)", convention, change_observations=change_images(change, wrists)
+        )
 
 
-def seen(change: Of, cameras: Sequence[str]) -> Shown:
-    """Return the change of what some cameras show."""
+def change_images(change: ImageFunction, cameras: Sequence[str]) -> ObservationChange:
+    """Return the change of the images of some cameras."""
 
     def entry(camera: str, was: Entry) -> Entry:
         if camera not in cameras or spec.Camera.COLOR not in was:
             return was
         return {**was, spec.Camera.COLOR: np.ascontiguousarray(change(was[spec.Camera.COLOR]))}
 
-    return lambda observations: [_mapped(obs, entry) for obs in observations]
+    return lambda observations: [_map_vision(obs, entry) for obs in observations]
 
 
-def placed(places: Mapping[str, str]) -> Shown:
-    """Return the change that shows each camera another one's picture."""
+def swap_cameras(places: Mapping[str, str]) -> ObservationChange:
+    """Return the change that gives each camera the image of another one."""
 
     def exchanged(obs: Obs) -> ObservationDict:
         vision = obs.get(spec.Obs.VISION) or {}
-        return _mapped(obs, lambda camera, was: vision.get(places.get(camera, camera), was))
+        return _map_vision(obs, lambda camera, was: vision.get(places.get(camera, camera), was))
 
     return lambda observations: [exchanged(obs) for obs in observations]
 
 
-def dark(camera: str) -> Shown:
-    """Return the change that shows one camera's pictures black."""
-    return seen(np.zeros_like, [camera])
+def black_out(camera: str) -> ObservationChange:
+    """Return the change that makes one camera's images black."""
+    return change_images(np.zeros_like, [camera])
 
 
-def _mapped(obs: Obs, change: Callable[[str, Entry], Entry]) -> ObservationDict:
+def _map_vision(obs: Obs, change: Callable[[str, Entry], Entry]) -> ObservationDict:
     vision = obs.get(spec.Obs.VISION) or {}
     return {**obs, spec.Obs.VISION: {camera: change(camera, entry) for camera, entry in vision.items()}}
 
@@ -74,10 +80,10 @@ def _mapped(obs: Obs, change: Callable[[str, Entry], Entry]) -> ObservationDict:
 # -- in the block ------------------------------------------------------------------------------------------------------
 
 StepEntry = dict[str, Any]
-"""One of `images[].steps`: its word and how."""
+"""One of `images[].steps`: its key and parameters."""
 Steps = list[StepEntry]
 StepsChange = Callable[[Steps], Optional[Steps]]
-"""Returns what becomes of the steps of an image, or None where the change has no meaning."""
+"""Returns the new steps of an image, or None if the change does not apply."""
 
 
 def sites(block: Block) -> list[Site]:
@@ -85,22 +91,22 @@ def sites(block: Block) -> list[Site]:
     return [Site(("images", at), entry, "", entry["input"]) for at, entry in enumerate(block.get("images") or ())]
 
 
-def stepped(change: StepsChange) -> Change:
-    """Return the change of an image input that `change` makes of its steps, if its size stays."""
+def change_steps(change: StepsChange) -> EntryChange:
+    """Return the change of an image input's steps by `change`, if its size stays."""
 
     def of(entry: Block) -> Block | None:
         steps: Steps = list(entry.get("steps", ()))
         changed = change(steps)
         if changed is None or changed == steps or _size(steps) != _size(changed):
             return None
-        return {"steps": changed or GONE}
+        return {"steps": changed or REMOVE}
 
     return of
 
 
 def shape_after(word: str, how: Any, shape: tuple[int, int]) -> tuple[int, int]:
     """Return height and width after one step."""
-    step: catalogue.Step = catalogue.found("steps", word)
+    step: catalogue.GeometryStep = catalogue.lookup("steps", word)
     return step.shape(how, shape)
 
 
@@ -115,28 +121,28 @@ def _size(steps: Steps) -> tuple[int, int] | None:
     return shape
 
 
-def appended(step: StepEntry) -> StepsChange:
-    """Add a step at the end where there is none of its word."""
+def append_step(step: StepEntry) -> StepsChange:
+    """Add a step at the end if there is none of its kind."""
     return lambda steps: None if any(step.keys() == one.keys() for one in steps) else [*steps, step]
 
 
-def prepended(step: StepEntry) -> StepsChange:
-    """Add a step before the others where there is none of its word."""
+def prepend_step(step: StepEntry) -> StepsChange:
+    """Add a step before the others if there is none of its kind."""
     return lambda steps: None if not steps or any(step.keys() == one.keys() for one in steps) else [step, *steps]
 
 
-def lacking(word: str) -> StepsChange:
-    """Take all steps of a word out."""
+def remove_steps(word: str) -> StepsChange:
+    """Remove all steps of a kind."""
     return lambda steps: [step for step in steps if word not in step]
 
 
-def replaced(word: str, by: StepEntry) -> StepsChange:
-    """Put a step in the place of those of a word."""
+def replace_steps(word: str, by: StepEntry) -> StepsChange:
+    """Replace the steps of a kind by a step."""
     return lambda steps: [by if word in step else step for step in steps]
 
 
-def inside(words: Sequence[str], key: str, value: Any, default: Any) -> StepsChange:
-    """Say something in each step of some words; a default is not written."""
+def set_in_steps(words: Sequence[str], key: str, value: Any, default: Any) -> StepsChange:
+    """Set a key in each step of some kinds; a default value is not written."""
 
     def change(steps: Steps) -> Steps:
         result = []
@@ -145,8 +151,8 @@ def inside(words: Sequence[str], key: str, value: Any, default: Any) -> StepsCha
             if name not in words or how.get(key, default) == value:
                 result.append(step)
                 continue
-            told = {} if value == default else {key: value}
-            result.append({name: {**{word: one for word, one in how.items() if word != key}, **told}})
+            extra = {} if value == default else {key: value}
+            result.append({name: {**{word: one for word, one in how.items() if word != key}, **extra}})
         return result
 
     return change
