@@ -30,66 +30,58 @@ _PROFILES = ("full", "shadow")
 
 def audit(
     paths: list[Path] = typer.Argument(None, metavar="PATH...", help="Folders of adapters or environments."),
-    every: bool = typer.Option(False, "--all", help="Every package below policy/ and envs/ of this folder."),
-    gate: list[str] = typer.Option(
-        [], "--gate", help="Run only this gate: static, offline or mujoco; may be repeated."
-    ),
-    selected: list[str] = typer.Option(
-        [], "--select", help="Run only these rules: codes, their beginnings, slugs or `advice`."
-    ),
-    ignored: list[str] = typer.Option([], "--ignore", help="Leave these rules out."),
+    every: bool = typer.Option(False, "--all", help="All packages below policy/ and envs/."),
+    gate: list[str] = typer.Option([], "--gate", help="Run this gate: static, offline, mujoco; repeatable."),
+    selected: list[str] = typer.Option([], "--select", help="Run these rules: codes, code prefixes, slugs, advice."),
+    ignored: list[str] = typer.Option([], "--ignore", help="Skip these rules."),
     report_format: str = typer.Option("text", "--format", help=REPORTS_HELP, rich_help_panel="Report"),
     as_json: bool = typer.Option(False, "--json", help="The same as --format json.", rich_help_panel="Report"),
     output: list[str] = typer.Option(
         [],
         "--output",
         metavar="FILE",
-        help="Write the report to a file instead of stdout; FORMAT=FILE writes one more; may be repeated.",
+        help="File for the report; FORMAT=FILE: one more; repeatable.",
         rich_help_panel="Report",
     ),
-    fix: bool = typer.Option(
-        False, "--fix", help="Apply the safe fixes of the static gate, then audit.", rich_help_panel="Fixes"
-    ),
+    fix: bool = typer.Option(False, "--fix", help="Apply the safe fixes, then audit.", rich_help_panel="Fixes"),
     unsafe_fixes: bool = typer.Option(
         False,
         "--unsafe-fixes",
-        help="With --fix or --diff: also fixes that may change right behaviour.",
+        help="Also fixes that may change correct behaviour.",
         rich_help_panel="Fixes",
     ),
     diff: bool = typer.Option(
         False,
         "--diff",
-        help="Print the fixes as a diff without applying them; exit 1 if it is not empty.",
+        help="Print the fixes as a diff; exit 1 if there are any.",
         rich_help_panel="Fixes",
     ),
     changed_since: str | None = typer.Option(
         None,
         metavar="REF",
-        help="Audit only packages with changes since the merge base with this commit, tag or branch.",
+        help="Audit packages changed since the merge base with REF.",
     ),
-    keep_going: bool = typer.Option(False, "--keep-going", help="Run a gate although an earlier one failed."),
-    fail_on: str = typer.Option(
-        "fail", help="Mildest outcome with exit code 1: fail or warn.", rich_help_panel="Report"
-    ),
-    no_cache: bool = typer.Option(False, "--no-cache", help="Reuse and keep no results."),
+    keep_going: bool = typer.Option(False, "--keep-going", help="Continue after a gate that failed."),
+    fail_on: str = typer.Option("fail", help="Exit with 1 from this severity: fail or warn.", rich_help_panel="Report"),
+    no_cache: bool = typer.Option(False, "--no-cache", help="Do not reuse or store results."),
     profile: str | None = typer.Option(
         None,
         metavar="PROFILE",
-        help="full: with the real model; shadow: without; full where possible by default.",
+        help="full (real model) or shadow; default: best possible.",
         rich_help_panel="Adapter",
     ),
     shadow: bool = typer.Option(False, "--shadow", help="The same as --profile shadow.", rich_help_panel="Adapter"),
     task: list[str] = typer.Option(
         [],
         metavar="NAME",
-        help="Task of the MuJoCo gate; may be repeated.",
+        help="Task of the MuJoCo gate; repeatable.",
         rich_help_panel="Physics and demonstrations",
     ),
     episodes: int | None = typer.Option(
         None,
         min=1,
         metavar="N",
-        help="Episodes over which the MuJoCo gate measures success.",
+        help="Episodes of the MuJoCo gate's success rate.",
         rich_help_panel="Physics and demonstrations",
     ),
     demos: Path | None = typer.Option(
@@ -107,13 +99,13 @@ def audit(
     video: Path | None = typer.Option(
         None,
         metavar="DIR",
-        help="Save a video of every episode of the MuJoCo gate.",
+        help="Save a video of every MuJoCo episode.",
         rich_help_panel="Physics and demonstrations",
     ),
     move: bool = typer.Option(
         False,
         "--move",
-        help="Also run environments that may be real robots (`real_time`): moves them.",
+        help="Also run real-time environments: moves real robots.",
         rich_help_panel="Physics and demonstrations",
     ),
     memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP, rich_help_panel="Bounds"),
@@ -127,20 +119,20 @@ def audit(
     """Audit packages in three gates: static, offline, MuJoCo."""
     from xpl_cli.audit.engine import cache
     from xpl_cli.audit.engine.engine import audit_all
-    from xpl_cli.audit.formats.delivery import Delivery
-    from xpl_cli.audit.formats.listing import Context
-    from xpl_cli.audit.rules.clock import Clock
+    from xpl_cli.audit.formats.listing import ReportContext
+    from xpl_cli.audit.formats.output import ReportOutput
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.model import Outcome, exit_code
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.audit.rules.profiles import Profile
+    from xpl_cli.audit.rules.time_limit import TimeLimit
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError, one_of
     from xpl_cli.basics.progress import progress
     from xpl_cli.isolation import sandbox
     from xpl_cli.packages import package
 
-    delivery = Delivery.asked("json" if as_json else report_format, output)
+    delivery = ReportOutput.parse("json" if as_json else report_format, output)
     profile = _profile(profile, shadow=shadow)
     for name in gate:
         one_of("--gate", name, _GATES)
@@ -156,7 +148,7 @@ def audit(
     sandbox.check([target.path for target in targets], memory_limit=memory_limit, isolate=isolate)
     gates = tuple(Gate(name) for name in _GATES if not gate or name in gate)
     with progress() as say:
-        options = Options(
+        options = AuditOptions(
             gates=gates,
             names=tuple(selected),
             ignore=tuple(ignored),
@@ -167,7 +159,7 @@ def audit(
             profile=Profile(profile) if profile else None,
             memory_limit=memory_limit,
             isolate=isolate,
-            clock=Clock.parse(time_limit),
+            time_limit=TimeLimit.parse(time_limit),
             patience=patience,
             tasks=tuple(task),
             episodes=episodes,
@@ -187,14 +179,14 @@ def audit(
             plan.apply()
         reports = [] if diff else audit_all(targets, options)
     if plan is not None:
-        console.note(plan.told(done=not diff))
+        console.note(plan.summary(done=not diff))
     if plan is not None and diff:
         if plan.changes:
             console.data(plan.diff())
         raise typer.Exit(int(bool(plan.changes)))
-    context = Context(
+    context = ReportContext(
         fail_on=Outcome(fail_on),
-        choice=(
+        selection=(
             *_repeated("--select", selected),
             *_repeated("--ignore", ignored),
             *(("--keep-going",) if keep_going else ()),
@@ -209,7 +201,7 @@ def audit(
             *_repeated("--python", [python] if python else []),
             *_repeated("--policy-env", [policy_env] if policy_env else []),
         ),
-        beside=_repeated("--demos", [str(demos)] if demos else []),
+        demonstrations=_repeated("--demos", [str(demos)] if demos else []),
     )
     delivery.deliver(reports, context)
     raise typer.Exit(int(exit_code(reports, Outcome(fail_on))))

@@ -1,4 +1,4 @@
-"""`xpl model-io`: what the model itself reads and says."""
+"""`xpl model-io`: the inputs and outputs of a model."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from xpl_cli.basics.endings import ends
 from xpl_cli.commands.options import JSON, PATIENCE_HELP, POLICY, POLICY_ENV, PYTHON, SETTINGS
 
 if TYPE_CHECKING:
-    from xpl_cli.model_io.record import Recorded
+    from xpl_cli.model_io.record import RecordResult
 
-app = typer.Typer(help="What the model itself reads and says.", no_args_is_help=True)
+app = typer.Typer(help="Describe, record and check a model's inputs and outputs.", no_args_is_help=True)
 
 
 @app.callback()
 def model_io() -> None:
-    """What the model itself reads and says."""
+    """Describe, record and check a model's inputs and outputs."""
 
 
 @app.command()
@@ -51,7 +51,7 @@ def record(
     overrides = packages.parse_overrides(settings)
     adapter = packages.load(policy, overrides)
     with progress() as say:
-        options = recording.Options(overrides, python, policy_env, patience, say, diff)
+        options = recording.RecordOptions(overrides, python, policy_env, patience, say, diff)
         done = recording.record(adapter, options)
     path = adapter.path / names.PAIRS
     following = [shlex.join(["xpl", "audit", policy])]
@@ -69,7 +69,7 @@ def record(
     console.note(f"next: {following[0]}")
 
 
-def _document(name: str, path: str, done: Recorded) -> dict[str, Any]:
+def _document(name: str, path: str, done: RecordResult) -> dict[str, Any]:
     return {
         "policy": name,
         "path": path,
@@ -91,7 +91,7 @@ def _document(name: str, path: str, done: Recorded) -> dict[str, Any]:
     }
 
 
-def _lines(done: Recorded) -> list[str]:
+def _lines(done: RecordResult) -> list[str]:
     """Return what was recorded, for people."""
     from xpl_cli.basics.sizes import told_size
 
@@ -150,7 +150,7 @@ def reference(policy: str = POLICY, as_json: bool = JSON) -> None:
 def show(
     policy: str = POLICY,
     out: Path = typer.Option(Path("model-io-show"), metavar="DIR", help="Folder of index.html and show.png."),
-    watch: bool = typer.Option(False, "--run", help="Run the model: show what predict gets and says."),
+    watch: bool = typer.Option(False, "--run", help="Run the model: show the inputs and outputs of predict."),
     environment: str | None = typer.Option(None, metavar="NAME", help="Show an environment's first observation."),
     task: str | None = typer.Option(None, help="Its task; the first by default."),
     seed: int = typer.Option(0, min=0, help="Of its episode."),
@@ -161,7 +161,7 @@ def show(
     patience: float = typer.Option(300.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object with all numbers."),
 ) -> None:
-    """Write what the model sees and says on one page and in one picture, beside what the cameras give.
+    """Plot a model's inputs and outputs, beside the camera images, as a page and a picture.
 
     The page also has each convention: the block's values, and the lines of the authors' code that reference.py cites.
 
@@ -171,10 +171,10 @@ def show(
 
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.model_io import names, reading
-    from xpl_cli.model_io.cited import cited
-    from xpl_cli.model_io.show import scene, seen, watched, written
-    from xpl_cli.model_io.show.subject import subject as of
+    from xpl_cli.model_io import names, reference_file
+    from xpl_cli.model_io.cited_conventions import cite_conventions
+    from xpl_cli.model_io.show import output, predict_run, report, scene
+    from xpl_cli.model_io.show.shown_adapter import load_adapter as of
     from xpl_cli.packages import package as packages
 
     if environment is None and task is not None:
@@ -182,28 +182,32 @@ def show(
     overrides = packages.parse_overrides(settings)
     adapter = packages.load(policy, overrides)
     subject = of(adapter, overrides)
-    pair = None if watch or image or environment is not None else seen.of_pairs(subject)
+    pair = None if watch or image or environment is not None else report.first_pair(subject)
     answered = None
     if environment is not None:
-        episode = scene.Episode(environment, task, seed)
+        episode = scene.EnvironmentEpisode(environment, task, seed)
         view = scene.of_environment(episode, subject.robot, subject.action_type, subject.cameras)
     elif pair is not None:
         view, answered = pair[0], (pair[1], pair[2])
     else:
         view = scene.scripted(subject.package.manifest, subject.robot, subject.cameras, subject.reach)
     view = scene.photographed(view, _photos(image))
-    place = watched.Place(python, policy_env, patience)
-    known = reading.read_file(adapter.path) if (adapter.path / names.CODE).is_file() else reading.Reading()
-    conventions = cited(adapter, known, python, policy_env)
-    found = seen.run(subject, view, place) if watch else seen.look(subject, view, answered)
+    place = predict_run.RunOptions(python, policy_env, patience)
+    known = (
+        reference_file.read_file(adapter.path)
+        if (adapter.path / names.CODE).is_file()
+        else reference_file.ReferenceFile()
+    )
+    conventions = cite_conventions(adapter, known, python, policy_env)
+    found = report.report_from_run(subject, view, place) if watch else report.report_from_block(subject, view, answered)
     found = replace(found, conventions=conventions)
-    files = written.write(found, out)
+    files = output.write(found, out)
     if as_json:
         console.answer("xpl.model-io-show/1", {"files": files, **found.document()}, [])
         return
     for path in files:
         console.data(path)
-    for note in written.told(found):
+    for note in output.list_notes(found):
         console.note(note)
 
 
@@ -221,7 +225,7 @@ def _photos(image: list[str]) -> dict[str, Path]:
 
 
 @app.command()
-@ends(clean="agrees", findings="differs", not_run="nothing to judge by")
+@ends(clean="agrees", findings="differs", not_run="nothing to compare with")
 def kinematics(
     policy: str = POLICY,
     as_json: bool = JSON,
@@ -230,13 +234,13 @@ def kinematics(
     from xpl.convert import ConversionError
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError
-    from xpl_cli.model_io.kinematics import declared, witness
+    from xpl_cli.model_io.kinematics import consistency, sample_verdicts
     from xpl_cli.packages import package as packages
 
     adapter = packages.load(policy)
     try:
-        found = declared.verdicts(adapter.manifest, [adapter.path])
-    except (declared.NoWitnessError, ConversionError) as error:
+        found = sample_verdicts.judge_samples(adapter.manifest, [adapter.path])
+    except (sample_verdicts.NotJudgeableError, ConversionError) as error:
         raise UserError(f"{adapter.path}: {error}", code=ExitCode.NOT_RUN) from None
     if as_json:
         verdicts = [verdict.document() for verdict in found]
@@ -244,7 +248,7 @@ def kinematics(
     else:
         for verdict in found:
             console.data(verdict.sentence)
-    good = {witness.AGREES, witness.OPEN}
+    good = {consistency.AGREES, consistency.OPEN}
     raise typer.Exit(ExitCode.CLEAN if all(one.outcome in good for one in found) else ExitCode.FINDINGS)
 
 
@@ -259,17 +263,17 @@ def sources(
     """Quote beside each convention the line of the authors' code that reference.py cites for it."""
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode
-    from xpl_cli.model_io import reading
-    from xpl_cli.model_io.cited import cited
+    from xpl_cli.model_io import reference_file
+    from xpl_cli.model_io.cited_conventions import cite_conventions
     from xpl_cli.packages import package as packages
 
     adapter = packages.load(policy)
-    found = cited(adapter, reading.read_file(adapter.path), python, policy_env)
+    found = cite_conventions(adapter, reference_file.read_file(adapter.path), python, policy_env)
     if as_json:
         document = {"policy": adapter.name, "conventions": [one.document() for one in found]}
         console.answer("xpl.model-io-sources/1", document, [])
     else:
         for one in found:
-            for line in one.told():
+            for line in one.format_lines():
                 console.data(line)
     raise typer.Exit(ExitCode.FINDINGS if any(one.problem for one in found) else ExitCode.CLEAN)

@@ -1,4 +1,4 @@
-"""`xpl review`: what a bot says of a pull request."""
+"""`xpl review`: the comment of a bot on a pull request."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LONGEST = 1 << 20
 _STATIC_AND_OFFLINE = ("static", "offline")
 
 
-@ends(clean="nothing to mend")
+@ends(clean="no findings")
 def review(
     base: str = typer.Option(..., "--base", metavar="REV", help="What the change is to be merged into."),
     description: str | None = typer.Option(
@@ -37,14 +37,14 @@ def review(
         metavar="FILE",
         help="Write the review to a file instead of stdout. FORMAT=FILE writes the whole audit in one of its formats.",
     ),
-    no_cache: bool = typer.Option(False, "--no-cache", help="Run every rule, and keep nothing for next time."),
+    no_cache: bool = typer.Option(False, "--no-cache", help="Do not reuse or store results."),
     memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP),
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP),
     time_limit: str = typer.Option("60m", metavar="TIME", help=TIME_HELP),
     patience: float = typer.Option(30.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
     as_json: bool = JSON,
 ) -> None:
-    """Audit what a change touches. Prints one comment with the ten worst findings.
+    """Audit the packages that a change touches. Prints one comment with the ten worst findings.
 
     Compares the work tree with where it left REV. The offline gate runs the packages' code: where that is not to be
     trusted, --gate static reads only.
@@ -55,14 +55,14 @@ def review(
     from xpl_cli.agents.review import document, page
     from xpl_cli.agents.review.review import review as reviewed
     from xpl_cli.audit.engine import cache
-    from xpl_cli.audit.formats import Context
+    from xpl_cli.audit.formats import ReportContext
     from xpl_cli.audit.formats import names as format_names
-    from xpl_cli.audit.formats.delivery import Delivery
-    from xpl_cli.audit.rules.clock import Clock
+    from xpl_cli.audit.formats.output import ReportOutput
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.model import Outcome
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.audit.rules.profiles import Profile
+    from xpl_cli.audit.rules.time_limit import TimeLimit
     from xpl_cli.basics import console
     from xpl_cli.basics import output as output_file
     from xpl_cli.basics.errors import one_of
@@ -78,29 +78,29 @@ def review(
     known = format_names()
     formats = [wanted for wanted in output if wanted.partition("=")[0] in known and "=" in wanted]
     files = [Path(wanted) for wanted in output if wanted not in formats]
-    audits = Delivery(None, Delivery.asked("text", formats).files)
+    audits = ReportOutput(None, ReportOutput.parse("text", formats).files)
     for file in files:
         output_file.check(file)
     text = None if description is None else _text(description)
-    clock = Clock.parse(time_limit)
+    clock = TimeLimit.parse(time_limit)
     repository = Repository.of(Path.cwd())
     sandbox.check([repository.root], memory_limit=memory_limit, isolate=isolate)
     with progress() as say:
-        options = Options(
+        options = AuditOptions(
             gates=tuple(name for name in Gate if name in (gate or _STATIC_AND_OFFLINE)),
             names=tuple(selected),
             ignore=tuple(ignored),
             profile=Profile.SHADOW if shadow else None,
             memory_limit=memory_limit,
             isolate=isolate,
-            clock=clock,
+            time_limit=clock,
             patience=patience,
             cache=None if no_cache else cache.default_folder(),
             progress=say,
         )
-        context = Context(
+        context = ReportContext(
             fail_on=mildest,
-            choice=(
+            selection=(
                 *(part for name in selected for part in ("--select", name)),
                 *(part for name in ignored for part in ("--ignore", name)),
                 *(() if mildest is Outcome.FAIL else ("--fail-on", mildest.value)),

@@ -21,7 +21,7 @@ def explain(
     ),
     as_json: bool = JSON,
 ) -> None:
-    """Explain rules: what each checks, why, and what to do instead. Of retired ones it says what proves the same.
+    """Explain rules: what each checks, why, and what to do instead. For a retired rule: what replaces it.
 
     A convention of the model_io block is explained by itself: its values, what libraries call them, usual mistakes.
     """
@@ -60,28 +60,34 @@ def _explained_convention(names: list[str], *, as_json: bool) -> bool:
         return False
     from xpl.catalogue.convention import conventions
     from xpl_cli.basics import console
-    from xpl_cli.model_io import described
+    from xpl_cli.model_io import description
 
     one = next((one for one in conventions() if one.name == names[0]), None)
     if one is None:
         return False
-    found = described.described(one)
+    found = description.describe(one)
     if as_json:
         console.answer("xpl.convention/1", found.document(), ["xpl model-io sources POLICY"])
         return True
     from rich.markdown import Markdown
 
-    console.rich(Markdown("\n".join(described.page(found))))
+    console.rich(Markdown("\n".join(description.render_markdown(found))))
     return True
 
 
 def _ruled(name: str) -> Rule | type[DemonstrationCheck] | Retired:
     """Return a rule of packages, a check of demonstrations or a retired rule, by its code or slug."""
+    from xpl.catalogue.convention import conventions
     from xpl_cli.audit.demonstrations.catalogue import lookup
     from xpl_cli.audit.rules import retired
     from xpl_cli.audit.rules.registry import find
+    from xpl_cli.basics.errors import UnknownNameError, no_such
 
-    return lookup(name) or retired.lookup(name) or find(name)
+    try:
+        return lookup(name) or retired.lookup(name) or find(name)
+    except UnknownNameError as error:
+        known = [*error.known, *(convention.name for convention in conventions())]
+        raise no_such(f"there is no rule or convention {name!r}", name, known, listing="xpl rules") from None
 
 
 def _requirement(rule: Rule | type[DemonstrationCheck] | Retired) -> Requirement | None:

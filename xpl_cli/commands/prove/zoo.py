@@ -34,7 +34,7 @@ class _ListsAtFirst(PlainGroup):
         return super().parse_args(ctx, args)
 
 
-app = typer.Typer(cls=_ListsAtFirst, help="List the field's policies, and prove how far each runs here.")
+app = typer.Typer(cls=_ListsAtFirst, help="List published policies, and prove how far each runs.")
 
 
 @app.command(_DEFAULT)
@@ -49,7 +49,7 @@ def list_(
     from xpl_cli.standard.zoo import policies
     from xpl_cli.zoo import listing
 
-    found = listing.listed(listing.Wanted(family, robot, level))
+    found = listing.filter_policies(listing.PolicyFilter(family, robot, level))
     if as_json:
         levels = [{"level": one.number, "word": one.word, "meaning": one.meaning} for one in policies.levels()]
         told = {"levels": levels, "policies": [listing.as_json(policy) for policy in found]}
@@ -69,7 +69,7 @@ def show(name: str = _NAME, as_json: bool = JSON) -> None:
     if as_json:
         console.answer("xpl.zoo-show/1", {"policy": listing.as_json(policy)}, [f"xpl zoo prove {name} CHECKOUT"])
     else:
-        console.data(listing.told(policy))
+        console.data(listing.describe(policy))
 
 
 @app.command()

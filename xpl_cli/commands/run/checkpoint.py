@@ -15,7 +15,7 @@ from xpl_cli.commands.options import JSON, PATIENCE_HELP, POLICY, POLICY_ENV, PY
 if TYPE_CHECKING:
     from xpl_cli.lifecycle.checkpoints.specification import Specification
 
-app = typer.Typer(help="The checkpoints that policy.yml specifies.", no_args_is_help=True)
+app = typer.Typer(help="Fetch, verify and locate the checkpoints of policy.yml.", no_args_is_help=True)
 
 _NAME = typer.Argument(None, metavar="[NAME]", help="Checkpoint; ckpt_name of deploy.yml or the only one by default.")
 _ALL = typer.Option(False, "--all", help="All checkpoints of the adapter.")
@@ -23,7 +23,7 @@ _ALL = typer.Option(False, "--all", help="All checkpoints of the adapter.")
 
 @app.callback()
 def checkpoint() -> None:
-    """The checkpoints that policy.yml specifies."""
+    """Fetch, verify and locate the checkpoints of policy.yml."""
 
 
 @app.command()

@@ -11,7 +11,7 @@ def demo(
     keep: Path | None = typer.Option(None, "--keep", metavar="DIR", help="Keep the adapters in this new folder."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object instead of the commands' output."),
 ) -> None:
-    """Show the whole route, on a small adapter. Scaffolds, serves and audits it, then catches a broken copy."""
+    """Run the whole workflow on a small adapter. Scaffolds, serves and audits it, then audits a broken copy."""
     from xpl_cli import demo as route
     from xpl_cli.basics import console
 

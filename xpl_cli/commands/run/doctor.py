@@ -10,7 +10,7 @@ from xpl_cli.commands.options import JSON
 
 @ends(clean="nothing is broken", findings="something is broken")
 def doctor(as_json: bool = JSON) -> None:
-    """Try what this machine can run, and say how to mend the rest.
+    """Check what this machine can run, and how to fix the rest.
 
     What is merely absent is needed by some policies only.
     """

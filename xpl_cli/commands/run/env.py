@@ -11,7 +11,7 @@ from xpl_cli.basics.endings import ends
 from xpl_cli.commands.options import JSON
 from xpl_cli.commands.run.hand_over import hand_over
 
-app = typer.Typer(help="List, check and look at environments.", no_args_is_help=True)
+app = typer.Typer(help="List, check and render environments.", no_args_is_help=True)
 
 _NAME = typer.Argument(..., metavar="NAME", help="Environment package, or its folder.")
 _TASK = typer.Option(None, help="Task; the first by default.")
@@ -65,11 +65,11 @@ def check(
     embodiment: list[str] = typer.Option([], help="Embodiment; all by default. May be repeated."),
     setting: list[str] = typer.Option([], help="Setting; all by default. May be repeated."),
     episodes: int | None = typer.Option(None, min=1, help="Seeds of each task; all frozen ones by default."),
-    action_type: str | None = typer.Option(None, help="Control in which the expert plays; the first by default."),
+    action_type: str | None = typer.Option(None, help="Action type of the expert; the first by default."),
     workers: int | None = typer.Option(None, min=1, help="Processes; as many as there are cores by default."),
     as_json: bool = JSON,
 ) -> None:
-    """Play the frozen evaluation seeds: the expert must solve all, random actions none. Seeds are never replaced."""
+    """Run the frozen evaluation seeds: the scripted expert must solve all, random actions none."""
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode
     from xpl_cli.basics.progress import progress
@@ -139,21 +139,23 @@ def sheet(
 
 
 @app.command()
-@ends(clean="a film was written, whoever won", not_found="a name was not found", not_run="this machine cannot draw")
+@ends(
+    clean="a film was written, also of a failure", not_found="a name was not found", not_run="this machine cannot draw"
+)
 def play(
     name: str = _NAME,
     out: Path = typer.Argument(..., metavar="FILE", help="Film to write: .webp, .gif or .png (animated)."),
     task: str | None = _TASK,
     embodiment: str | None = _EMBODIMENT,
     setting: str | None = _SETTING,
-    action_type: str | None = typer.Option(None, help="Control in which the expert plays; the first by default."),
-    by: str = typer.Option("expert", help="Who plays: the environment's expert, or random actions (random)."),
+    action_type: str | None = typer.Option(None, help="Action type of the expert; the first by default."),
+    by: str = typer.Option("expert", help="expert (scripted expert) or random (random actions)."),
     seed: int = _SEED,
     camera: str | None = _CAMERA,
     renderer: str | None = _RENDERER,
     as_json: bool = JSON,
 ) -> None:
-    """Write a film of an episode, and say how it ended."""
+    """Record a film of an episode, and report its outcome."""
     from xpl_cli.basics import console
     from xpl_cli.environments import film
     from xpl_cli.environments.rollout import scenario

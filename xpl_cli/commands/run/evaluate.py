@@ -30,80 +30,78 @@ if TYPE_CHECKING:
 
 def evaluate(
     policy: str = POLICY,
-    env: str | None = typer.Option(None, "--env", help="Environment package; EVAL_ENV_TYPE decides by default."),
-    task: str | None = typer.Option(None, help="Task, A,B, a split or all; deploy.yml's or the first by default."),
-    setting: str | None = typer.Option(
-        None, help="Setting of the environment, with --out also A,B or all; the first by default."
-    ),
-    episodes: int | None = typer.Option(None, min=1, help="Episodes of each task and setting; 1 by default."),
-    num_envs: int | None = typer.Option(None, min=1, help="Environments in one batch; one for each worker by default."),
+    env: str | None = typer.Option(None, "--env", help="Environment package; default: EVAL_ENV_TYPE."),
+    task: str | None = typer.Option(None, help="Task, A,B, a split or all; default: deploy.yml's."),
+    setting: str | None = typer.Option(None, help="Setting, with --out also A,B or all; default: first."),
+    episodes: int | None = typer.Option(None, min=1, help="Episodes of each task and setting; default: 1."),
+    num_envs: int | None = typer.Option(None, min=1, help="Environments per batch; default: one per worker."),
     workers: str = typer.Option(
         "1",
         metavar="N|auto",
-        help="Processes that share them (0: none, auto: one a core); with --out, episodes at once.",
+        help="Rollout workers: N, 0 (none) or auto.",
     ),
     horizon: int | None = typer.Option(
         None,
         min=1,
-        help="Execution horizon: actions of a chunk before the next inference; deploy.py's loop by default.",
+        help="Execution horizon; default: deploy.py's loop.",
     ),
     seed: int | None = typer.Option(
         None,
         min=0,
-        help="Seed of the first episode, with --out its place among evaluation seeds; deploy.yml's by default.",
+        help="First seed or, with --out, its index.",
     ),
-    out: Path | None = typer.Option(None, metavar="DIR", help="Record the run there.", rich_help_panel="Record"),
-    resume: bool = typer.Option(False, "--resume", help="Go on with the run in --out.", rich_help_panel="Record"),
+    out: Path | None = typer.Option(None, metavar="DIR", help="Folder to record the run in.", rich_help_panel="Record"),
+    resume: bool = typer.Option(False, "--resume", help="Continue the run in --out.", rich_help_panel="Record"),
     until_width: float | None = typer.Option(
         None,
         metavar="W",
-        help="End a task once the 95 % interval of its success rate is at most W wide, such as 0.2.",
+        help="End a task when its 95 % interval is at most W wide.",
         rich_help_panel="Record",
     ),
     servers: int | None = typer.Option(
         None,
         min=1,
-        help="Policy servers; one for each worker by default, one with --policy-gpu.",
+        help="Policy servers; default: one per worker or GPU.",
         rich_help_panel="Servers and machines",
     ),
     film: int = typer.Option(
         1,
         min=0,
         metavar="N",
-        help="Save a video of the first N episodes of each task and setting.",
+        help="Film N episodes per task and setting.",
         rich_help_panel="Record",
     ),
     record: Path | None = typer.Option(
         None,
         "--record",
         metavar="DIR",
-        help="Also save the episodes there as trajectories (HDF5).",
+        help="Folder for the trajectories (HDF5).",
         rich_help_panel="Record",
     ),
     keep: str | None = typer.Option(
-        None, metavar="all|success", help="Which trajectories to save; all by default.", rich_help_panel="Record"
+        None, metavar="all|success", help="Trajectories to save; default: all.", rich_help_panel="Record"
     ),
     privileged: bool = typer.Option(False, "--privileged", help=PRIVILEGED_HELP, rich_help_panel="Record"),
     backend: str = typer.Option(
         "local",
         metavar="NAME",
-        help="Where a recorded run is executed: local, or ray (a cluster).",
+        help="local, or ray (a cluster).",
         rich_help_panel="Servers and machines",
     ),
     policy_gpus: float = typer.Option(
-        0.0, min=0.0, help="GPUs of the cluster for each policy server.", rich_help_panel="Servers and machines"
+        0.0, min=0.0, help="Cluster GPUs per policy server.", rich_help_panel="Servers and machines"
     ),
     instruction: str | None = typer.Option(
         None,
         metavar="blank|swap",
-        help="Give the policy no instruction, or another episode's, to see whether it follows it; with --out.",
+        help="Ablation: no or a wrong instruction (--out).",
         rich_help_panel="Record",
     ),
     connect: str | None = typer.Option(
         None,
         callback=values.address,
         metavar="URL",
-        help="Use a server that already runs at ws://host:port.",
+        help="Use a running policy server at ws://host:port.",
         rich_help_panel="Servers and machines",
     ),
     token_file: Path | None = typer.Option(
@@ -120,7 +118,7 @@ def evaluate(
     info: str | None = typer.Option(
         None,
         metavar="K=V,...",
-        help="The same as --set for each K=V, as launchers write it.",
+        help="Like --set for each K=V, as launchers write it.",
         rich_help_panel="Adapter",
     ),
     policy_env: str | None = POLICY_ENV,
@@ -129,13 +127,13 @@ def evaluate(
     isolate: bool = ISOLATE,
     env_gpu: str | None = typer.Option(
         None,
-        help="Accepted for launchers; the environments here need no device.",
-        rich_help_panel="Environment's process",
+        help="Ignored; launchers pass it.",
+        rich_help_panel="Environment process",
     ),
     python: str | None = PYTHON,
     as_json: bool = JSON,
 ) -> None:
-    """Play episodes in an environment; report success and score. Serves the policy for it; --out records all of it."""
+    """Run rollouts in an environment; report success rate and score."""
     from xpl import _spec as spec
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError

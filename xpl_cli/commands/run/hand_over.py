@@ -33,9 +33,9 @@ def hand_over(
     episodes: int = typer.Option(1, min=1, help="Number of episodes; a benchmark may have fewer."),
     seed: int | None = typer.Option(None, min=0, help="Seed as the benchmark counts; deploy.yml's by default."),
     workspace: Path | None = typer.Option(
-        None, metavar="DIR", help="Folder of the benchmark; what its environment variable says by default."
+        None, metavar="DIR", help="Folder of the benchmark; default: its environment variable."
     ),
-    rehearse: bool = typer.Option(False, "--rehearse", help="Call the stand-in instead: the way, and no numbers."),
+    rehearse: bool = typer.Option(False, "--rehearse", help="Run the fake benchmark instead, without results."),
     out: Path | None = typer.Option(None, metavar="DIR", help="Record the run there."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the run in --out."),
     connect: str | None = typer.Option(
@@ -49,7 +49,7 @@ def hand_over(
     eval_env: str | None = typer.Option(
         None, help="Environment whose python the launcher finds first, as for --policy-env."
     ),
-    env_gpu: str = typer.Option("0", help="Device of the simulator, as the launcher is told it."),
+    env_gpu: str = typer.Option("0", help="Device of the simulator, for the launcher."),
     hours: float = typer.Option(72.0, min=0.001, help="End the launcher after so long."),
     as_json: bool = JSON,
 ) -> None:

@@ -22,8 +22,8 @@ _INSTALL = "xpl.install/1"
 @ends(findings="with --check: not as declared")
 def install(
     name: str = typer.Argument(..., metavar="PACKAGE", help="Adapter or environment, or its folder."),
-    check: bool = typer.Option(False, "--check", help="Install nothing; say whether all is as declared."),
-    force: bool = typer.Option(False, "--force", help="Make the environment anew although it is there."),
+    check: bool = typer.Option(False, "--check", help="Install nothing; check the environment."),
+    force: bool = typer.Option(False, "--force", help="Create the environment again."),
     as_json: bool = JSON,
 ) -> None:
     """Make the Python environment that a manifest declares. Prints its interpreter."""

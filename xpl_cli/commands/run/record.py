@@ -20,53 +20,51 @@ from xpl_cli.commands.options import (
 )
 from xpl_cli.commands.run.evaluate import questions_for
 
-_IMAGES = "HxW of all cameras, `own` for the environment's sizes, or `none`; what the policy reads, or own, by default."
+_IMAGES = "Size, own or none; default: the policy's or own."
 
 
 @ends(
     clean="the set is complete",
     findings="fewer episodes than wanted",
-    not_found="environment, task or player not found",
+    not_found="environment, task or policy not found",
 )
 def record(
     env: str = typer.Argument(..., metavar="ENV", help="Environment package, or its folder."),
-    out: Path = typer.Option(..., "--out", metavar="DIR", help="Folder of the set."),
-    task: str | None = typer.Option(None, help="Task; the first by default. Also A,B, a split, or all."),
-    episodes: int = typer.Option(50, min=1, help="Episodes to keep, of each task."),
+    out: Path = typer.Option(..., "--out", metavar="DIR", help="Folder of the demonstrations."),
+    task: str | None = typer.Option(None, help="Task, A,B, a split or all; default: the first."),
+    episodes: int = typer.Option(50, min=1, help="Episodes to keep of each task."),
     policy: str | None = typer.Option(
-        None, "--policy", metavar="POLICY", help="Adapter that plays; the environment's expert by default."
+        None, "--policy", metavar="POLICY", help="Adapter that acts; default: the scripted expert."
     ),
-    embodiment: str | None = typer.Option(None, help="Embodiment; the first of the task by default."),
-    setting: str | None = typer.Option(None, help="Setting; the first by default."),
-    action_type: str | None = typer.Option(None, help="Control; the first by default."),
-    seed: int = typer.Option(0, min=0, help="Where seeds begin; evaluation seeds are left out."),
+    embodiment: str | None = typer.Option(None, help="Embodiment; default: the task's first."),
+    setting: str | None = typer.Option(None, help="Setting; default: the first."),
+    action_type: str | None = typer.Option(None, help="Action type; default: the first."),
+    seed: int = typer.Option(0, min=0, help="First seed, without evaluation seeds."),
     keep: str | None = typer.Option(
         None,
         metavar="success|all",
-        help="Which are kept; of an expert those that succeed, of others all by default.",
-        rich_help_panel="What is kept",
+        help="Default: success for the expert, all for a policy.",
+        rich_help_panel="Recording",
     ),
-    images: str | None = typer.Option(None, metavar="HxW", help=_IMAGES, rich_help_panel="What is kept"),
+    images: str | None = typer.Option(None, metavar="HxW", help=_IMAGES, rich_help_panel="Recording"),
     form: str = typer.Option(
         "jpeg",
         metavar="FORM",
-        help="How images are stored: jpeg, jpeg-padded, png or raw.",
-        rich_help_panel="What is kept",
+        help="jpeg, jpeg-padded, png or raw.",
+        rich_help_panel="Recording",
     ),
-    quality: int = typer.Option(95, min=1, max=95, help="Of JPEGs.", rich_help_panel="What is kept"),
-    no_depth: bool = typer.Option(False, "--no-depth", help="Leave depth out.", rich_help_panel="What is kept"),
-    privileged: bool = typer.Option(False, "--privileged", help=PRIVILEGED_HELP, rich_help_panel="What is kept"),
+    quality: int = typer.Option(95, min=1, max=95, help="JPEG quality.", rich_help_panel="Recording"),
+    no_depth: bool = typer.Option(False, "--no-depth", help="Do not record depth.", rich_help_panel="Recording"),
+    privileged: bool = typer.Option(False, "--privileged", help=PRIVILEGED_HELP, rich_help_panel="Recording"),
     horizon: int | None = typer.Option(
         None,
         min=1,
-        help="Actions of a chunk to execute, by our own loop; without it deploy.py's loop runs.",
+        help="Execution horizon; default: deploy.py's loop.",
         rich_help_panel="Adapter",
     ),
-    film: int = typer.Option(
-        0, min=0, metavar="N", help="Film the first N episodes of each task.", rich_help_panel="What is kept"
-    ),
-    workers: str = typer.Option("1", metavar="N|auto", help="Episodes at once; auto: one a core."),
-    resume: bool = typer.Option(False, "--resume", help="Go on with the set in --out; it may also grow so."),
+    film: int = typer.Option(0, min=0, metavar="N", help="Film N episodes per task.", rich_help_panel="Recording"),
+    workers: str = typer.Option("1", metavar="N|auto", help="Rollout workers; auto: one per core."),
+    resume: bool = typer.Option(False, "--resume", help="Continue the set in --out; --episodes may grow."),
     settings: list[str] = SETTINGS,
     policy_env: str | None = POLICY_ENV,
     eval_env: str | None = EVAL_ENV,
@@ -75,7 +73,7 @@ def record(
     python: str | None = PYTHON,
     as_json: bool = JSON,
 ) -> None:
-    """Record demonstrations as trajectories (HDF5). They are played on seeds that no evaluation uses."""
+    """Record demonstrations as trajectories (HDF5), on seeds that no evaluation uses."""
     from dataclasses import asdict
 
     from xpl.trajectory import FORMS

@@ -17,10 +17,8 @@ from xpl_cli.commands.options import (
     SETTINGS,
 )
 
-ALSO_HELP = (
-    "Also serve clients of another wire, such as openpi: NAME, or NAME:PORT; without PORT the system chooses one."
-)
-APART_HELP = "Run the adapter where it sees and signals no process but its own; --isolate does so, too."
+ALSO_HELP = "Also serve another wire: NAME or NAME:PORT, such as openpi."
+APART_HELP = "Hide other processes from the adapter."
 
 
 def serve(
@@ -31,13 +29,13 @@ def serve(
     python: str | None = PYTHON,
     policy_env: str | None = POLICY_ENV,
     gpu: list[str] = typer.Option(
-        [], metavar="ID", help="Device made visible; workers take several in turn.", rich_help_panel="Adapter"
+        [], metavar="ID", help="GPU of the adapter; workers take several in turn.", rich_help_panel="Adapter"
     ),
     workers: int = typer.Option(
-        1, metavar="N", help="Copies of the model: N clients are served at once.", rich_help_panel="Adapter"
+        1, metavar="N", help="Copies of the model; each serves a client.", rich_help_panel="Adapter"
     ),
     token_file: Path | None = typer.Option(
-        None, metavar="FILE", help="Ask clients for the bearer token in FILE.", rich_help_panel="Access"
+        None, metavar="FILE", help="Require the bearer token in FILE.", rich_help_panel="Access"
     ),
     tls_cert: Path | None = typer.Option(
         None,
@@ -50,52 +48,50 @@ def serve(
         None,
         callback=values.certificates,
         metavar="FILE",
-        help="Key of the certificate, if it is in another file.",
+        help="Key of the certificate, if in another file.",
         rich_help_panel="Access",
     ),
     insecure: bool = typer.Option(
-        False, "--insecure", help="Listen elsewhere than on loopback without a token.", rich_help_panel="Access"
+        False, "--insecure", help="Allow other addresses than loopback without a token.", rich_help_panel="Access"
     ),
     allow_host: list[str] = typer.Option(
         [],
         metavar="NAME",
-        help="A further name that clients without a token may call this server by.",
+        help="Further host name for clients without a token.",
         rich_help_panel="Access",
     ),
     allow_origin: list[str] = typer.Option(
         [],
         metavar="URL",
-        help="A web page that may speak to this server, as scheme://name:port.",
+        help="Web page that may connect (scheme://name:port).",
         rich_help_panel="Access",
     ),
     debug: bool = typer.Option(False, "--debug", help="Send tracebacks to clients.", rich_help_panel="Observation"),
     metrics: bool = typer.Option(
-        False, "--metrics", help="Offer /metrics in Prometheus' format on the same port.", rich_help_panel="Observation"
+        False, "--metrics", help="Serve Prometheus metrics at /metrics.", rich_help_panel="Observation"
     ),
     trace: Path | None = typer.Option(
         None,
         callback=values.written_on,
         metavar="FILE",
-        help="Append one JSON line for each request to FILE.",
+        help="Append a JSON line per request to FILE.",
         rich_help_panel="Observation",
     ),
     shadow: bool = typer.Option(
         False,
         "--shadow",
-        help="Do not load the model: a function of its inputs answers, for trying all the rest.",
+        help="Replace the model by a function of its inputs.",
         rich_help_panel="Adapter",
     ),
-    until_stdin_ends: bool = typer.Option(
-        False, "--until-stdin-ends", help="End when standard input ends, for whoever starts servers."
-    ),
+    until_stdin_ends: bool = typer.Option(False, "--until-stdin-ends", help="End when standard input ends."),
     unset: list[str] = typer.Option(
-        [], "--unset", metavar="KEY", help="Leave a key of deploy.yml out.", rich_help_panel="Adapter"
+        [], "--unset", metavar="KEY", help="Remove a key of deploy.yml.", rich_help_panel="Adapter"
     ),
     chdir: Path | None = typer.Option(
         None,
         callback=values.folder,
         metavar="DIR",
-        help="The adapter's working directory; its own by default.",
+        help="Working directory; default: the adapter's folder.",
         rich_help_panel="Adapter",
     ),
     memory_limit: str = typer.Option("none", metavar="SIZE", help=MEMORY_HELP, rich_help_panel="Bounds"),
@@ -106,10 +102,10 @@ def serve(
         None, min=0.1, metavar="SECONDS", help=PATIENCE_HELP, rich_help_panel="Bounds"
     ),
     renew: bool = typer.Option(
-        False, "--renew", help="Build the model anew for every client, as if served afresh.", rich_help_panel="Adapter"
+        False, "--renew", help="Load the model again for every client.", rich_help_panel="Adapter"
     ),
     also: list[str] = typer.Option([], "--also", metavar="WIRE", help=ALSO_HELP),
-    _as_json: bool = typer.Option(False, "--json", help="Changes nothing: what is printed is JSON either way."),
+    _as_json: bool = typer.Option(False, "--json", help="No effect: the output is always JSON."),
 ) -> None:
     """Serve a policy until interrupted. Prints one JSON line on stdout when it is ready."""
     from xpl import _spec as spec
