@@ -102,7 +102,7 @@ def test_the_reference_of_the_page_can_be_recorded(tmp_path: Path) -> None:
     folder = parity.made(tmp_path / "Foo", None, code=code)
     (folder / "authors").mkdir()
     (folder / "authors/policy.py").write_text(AUTHORS)
-    done = record.record(package.load(folder), record.Options())
+    done = record.record(package.load(folder), record.RecordOptions())
     assert (done.conventions, done.assumed[0]) == (12, "joint_order")
     assert len(done.assumed) == 10  # one is said to be, nine are not named
     assert set(done.pairs.provenance["reference"]) == {"reference.py", "authors/policy.py"}

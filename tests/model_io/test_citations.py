@@ -10,7 +10,7 @@ import pytest
 from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.model_io.citations import Citation, Quoted, contradiction, folders, lookup
+from xpl_cli.model_io.citations import Citation, Quotation, contradiction, folders, lookup
 from xpl_cli.packages.conventions import Value
 
 
@@ -48,7 +48,7 @@ def package(tmp_path: Path) -> Path:
     return folder
 
 
-def _quoted(package: Path, text: str) -> Quoted | None:
+def _quoted(package: Path, text: str) -> Quotation | None:
     citation = Citation.parse(text)
     assert citation is not None
     return lookup(citation, folders(package, str(package.parent / "env" / "bin" / "python")))
@@ -108,7 +108,7 @@ def test_links_out_of_a_package_are_not_followed(package: Path, tmp_path: Path) 
 def test_code_that_says_another_value_is_a_contradiction(
     code: str, definition: str, word: str, told: str | None
 ) -> None:
-    found = contradiction(Quoted(Path("a.py"), (code,), code, None), [Value(definition, word)])
+    found = contradiction(Quotation(Path("a.py"), (code,), code, None), [Value(definition, word)])
     assert (found is None) if told is None else told in str(found)
 
 

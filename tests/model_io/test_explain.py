@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from xpl_cli.model_io.explain import Explanation, Tried, explain
+from xpl_cli.model_io.explain import Explanation, TriedChange, explain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,12 +15,12 @@ BEFORE = {"arm_joint_state[0]": 0.4, "arm_joint_state[1]": 0.2, "ee_joint_state[
 FINE = 1e-4
 
 
-def _tried(words: str, convention: str = "gripper", **left: float) -> Tried:
+def _tried(words: str, convention: str = "gripper", **left: float) -> TriedChange:
     keys = {"a": "arm_joint_state[0]", "b": "arm_joint_state[1]", "c": "ee_joint_state[0]", "d": "ee_joint_state[1]"}
-    return Tried(words, convention, {**BEFORE, **{keys[name]: value for name, value in left.items()}})
+    return TriedChange(words, convention, {**BEFORE, **{keys[name]: value for name, value in left.items()}})
 
 
-def _explained(*tried: Tried, before: Mapping[str, float] = BEFORE) -> Explanation:
+def _explained(*tried: TriedChange, before: Mapping[str, float] = BEFORE) -> Explanation:
     return explain(before, tried, FINE)
 
 
@@ -29,11 +29,11 @@ def test_a_change_that_leaves_nothing_is_the_cause() -> None:
     assert found.cause is not None
     assert (found.cause.words, found.cause.convention) == ("right", "camera")
     assert found.parts == ("ee_joint_state[0]", "arm_joint_state[0]", "arm_joint_state[1]")
-    assert found.leads is found.cause
+    assert found.best is found.cause
 
 
 def test_two_changes_are_told_together() -> None:
-    both = Tried("channels: bgr", "image_channels", dict.fromkeys(BEFORE, 0.0), ("unit: deg", "angle_unit"))
+    both = TriedChange("channels: bgr", "image_channels", dict.fromkeys(BEFORE, 0.0), ("unit: deg", "angle_unit"))
     found = _explained(_tried("worse", c=2.0), both)
     assert found.cause is not None
     assert found.cause.conventions == ("image_channels", "angle_unit")
@@ -74,19 +74,19 @@ def test_parts_are_explained_by_themselves() -> None:
 
 def test_small_parts_that_fall_explain_nothing() -> None:
     before = {**BEFORE, "ee_joint_state[1]": 0.001}
-    tried = Tried("chance", "camera", {**before, "ee_joint_state[1]": 0.0})
+    tried = TriedChange("chance", "camera", {**before, "ee_joint_state[1]": 0.0})
     assert _explained(tried, before=before).text == ""
 
 
 def test_a_change_that_lowers_more_than_all_others_is_told() -> None:
     best = _tried("crop", "image_size", a=0.1, b=0.1, c=0.1)
     found = _explained(_tried("mirror", "image_orientation", c=0.7), best)
-    assert found.lowers is not None
-    assert found.lowers.words == "crop"
+    assert found.reducing is not None
+    assert found.reducing.words == "crop"
     rival = _tried("filter", "image_filter", a=0.12, b=0.1, c=0.1)
     assert _explained(best, rival).text == ""
 
 
 def test_nothing_is_told_where_nothing_explains() -> None:
-    assert _explained(_tried("no", c=0.8), Tried("broken", "chunk", {"arm_joint_state[0]": 0.0})).text == ""
+    assert _explained(_tried("no", c=0.8), TriedChange("broken", "chunk", {"arm_joint_state[0]": 0.0})).text == ""
     assert _explained(_tried("fine", a=0.0), before=dict.fromkeys(BEFORE, 1e-5)) == Explanation(1e-5, ())

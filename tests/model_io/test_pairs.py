@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from xpl_cli.basics.errors import UserError
 from xpl_cli.model_io import names, pairs, script
-from xpl_cli.model_io.pairs import Pairs, PairsError, Session
+from xpl_cli.model_io.pairs import GoldenPairs, PairsError, PairSession
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +30,9 @@ PROVENANCE = {
 }
 
 
-def session(seed: int = 0, takes: int = 1, steps: int = 2, calls: tuple[script.Call, ...] = script.brief()) -> Session:
+def session(
+    seed: int = 0, takes: int = 1, steps: int = 2, calls: tuple[script.Call, ...] = script.short_script()
+) -> PairSession:
     """Return a session with made-up answers."""
     rng = np.random.default_rng(seed)
     dims = {"arm_joint_state": 7, "ee_joint_state": 1}
@@ -39,16 +41,21 @@ def session(seed: int = 0, takes: int = 1, steps: int = 2, calls: tuple[script.C
         for call in calls
         if call.ask
     )
-    return Session("franka_single", "joint", seed, {"cam_head": (12, 16)}, takes, calls, answers)
+    return PairSession("franka_single", "joint", seed, {"cam_head": (12, 16)}, takes, calls, answers)
 
 
 @settings(max_examples=10, derandomize=True, deadline=None)
-@given(st.integers(0, 1000), st.integers(1, 3), st.integers(1, 4), st.sampled_from([script.brief(), script.whole(3)]))
+@given(
+    st.integers(0, 1000),
+    st.integers(1, 3),
+    st.integers(1, 4),
+    st.sampled_from([script.short_script(), script.full_script(3)]),
+)
 def test_what_was_written_is_read(
     tmp_path_factory: pytest.TempPathFactory, seed: int, takes: int, steps: int, calls: tuple[script.Call, ...]
 ) -> None:
     folder = tmp_path_factory.mktemp("pairs")
-    made = Pairs(PROVENANCE, (session(seed, takes, steps, calls), session(seed + 1)))
+    made = GoldenPairs(PROVENANCE, (session(seed, takes, steps, calls), session(seed + 1)))
     size = pairs.write(folder, made)
     data = (folder / names.PAIRS).read_bytes()
     assert len(data) == size
@@ -65,7 +72,7 @@ def test_what_was_written_is_read(
 
 def test_questions_know_what_was_shown_before() -> None:
     found = session().questions
-    assert [(one.env, one.episode, one.asked, [place for _, place in one.shown]) for one in found] == [
+    assert [(one.env, one.episode, one.asked_at, [place for _, place in one.recipes]) for one in found] == [
         (0, 0, (0,), [0]),
         (2, 0, (0,), [0]),
         (0, 0, (0, 2), [0, 1, 2]),
@@ -75,7 +82,7 @@ def test_questions_know_what_was_shown_before() -> None:
 
 
 def _changed(change: Callable[[dict[str, Any]], Any], folder: Path) -> None:
-    pairs.write(folder, Pairs(PROVENANCE, (session(),)))
+    pairs.write(folder, GoldenPairs(PROVENANCE, (session(),)))
     document = json.loads((folder / names.PAIRS).read_bytes())
     change(document)
     (folder / names.PAIRS).write_text(json.dumps(document))
@@ -125,9 +132,9 @@ def test_a_file_that_is_no_recording_is_refused(content: bytes, tmp_path: Path) 
 
 
 def test_a_file_that_is_too_large_is_neither_read_nor_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pairs.write(tmp_path, Pairs(PROVENANCE, (session(),)))
+    pairs.write(tmp_path, GoldenPairs(PROVENANCE, (session(),)))
     monkeypatch.setattr(names, "PAIRS_BYTES", 1000)
     with pytest.raises(PairsError, match="cannot be read"):
         pairs.read(tmp_path)
     with pytest.raises(UserError, match=r"temporal\.chunk"):
-        pairs.write(tmp_path, Pairs(PROVENANCE, (session(),)))
+        pairs.write(tmp_path, GoldenPairs(PROVENANCE, (session(),)))

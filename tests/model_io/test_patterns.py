@@ -6,21 +6,23 @@ from typing import Any
 
 import numpy as np
 
-from xpl_cli.model_io.difference import Thread, spreads
-from xpl_cli.model_io.patterns import Kind, patterns
+from xpl_cli.model_io.difference import EpisodeAnswers, spreads
+from xpl_cli.model_io.patterns import PolicyKind, patterns
 
 RNG = np.random.default_rng(1)
 GOLDEN = RNG.normal(size=(3, 2, 5, 2))
 """Of three episodes, two questions, five steps, two numbers."""
 
 
-def _seen(given: np.ndarray, kind: Kind | None = None) -> list[str]:
+def _seen(given: np.ndarray, kind: PolicyKind | None = None) -> list[str]:
     def chunks(rows: np.ndarray) -> list[list[dict[str, Any]]]:
         return [[{"arm_joint_state": values} for values in chunk] for chunk in rows]
 
-    threads = [Thread([{}, {}], [0, 1], chunks(one), chunks(two)) for one, two in zip(GOLDEN, given, strict=True)]
+    threads = [
+        EpisodeAnswers([{}, {}], [0, 1], chunks(one), chunks(two)) for one, two in zip(GOLDEN, given, strict=True)
+    ]
     spread = spreads([chunk for thread in threads for chunk in thread.golden])
-    return [one.convention for one in patterns(threads, spread, 1e-4, kind or Kind())]
+    return [one.convention for one in patterns(threads, spread, 1e-4, kind or PolicyKind())]
 
 
 def _off(*where: Any) -> np.ndarray:
@@ -33,15 +35,15 @@ def _off(*where: Any) -> np.ndarray:
 def test_a_state_that_is_not_carried_on() -> None:
     """First answers are right, and later ones are not: what that means depends on the policy."""
     given = _off(np.s_[:, 1])
-    assert _seen(given, Kind(keeps_state=True)) == ["recurrent"]
-    assert _seen(given, Kind(history=3)) == ["history_length"]
+    assert _seen(given, PolicyKind(keeps_state=True)) == ["recurrent"]
+    assert _seen(given, PolicyKind(history=3)) == ["history_length"]
     assert _seen(given) == ["action_reference"]
-    assert _seen(_off(np.s_[1, 1]), Kind(keeps_state=True)) == []
+    assert _seen(_off(np.s_[1, 1]), PolicyKind(keeps_state=True)) == []
 
 
 def test_what_is_remembered_outlives_a_reset() -> None:
-    assert _seen(_off(np.s_[1:], np.s_[0, 1]), Kind(keeps_state=True)) == ["recurrent"]
-    assert _seen(_off(np.s_[1:, 0]), Kind(history=3)) == ["history_length"]
+    assert _seen(_off(np.s_[1:], np.s_[0, 1]), PolicyKind(keeps_state=True)) == ["recurrent"]
+    assert _seen(_off(np.s_[1:, 0]), PolicyKind(history=3)) == ["history_length"]
     assert _seen(_off(np.s_[1:, 0])) == []
 
 
@@ -56,6 +58,6 @@ def test_later_steps_alone() -> None:
 
 def test_other_draws_are_random_about_zero() -> None:
     given = GOLDEN + RNG.normal(size=GOLDEN.shape) * 0.2
-    assert _seen(given, Kind(draws=True)) == ["sampling"]
+    assert _seen(given, PolicyKind(draws=True)) == ["sampling"]
     assert _seen(given) == []
-    assert _seen(_off(np.s_[:]), Kind(draws=True)) == []
+    assert _seen(_off(np.s_[:]), PolicyKind(draws=True)) == []

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def recorded(folder: Path, **overrides: Any) -> record.Recorded:
-    return record.record(package.load(folder), record.Options(overrides=overrides))
+def recorded(folder: Path, **overrides: Any) -> record.RecordResult:
+    return record.record(package.load(folder), record.RecordOptions(overrides=overrides))
 
 
 def test_a_recording_is_written_and_told(tmp_path: Path) -> None:
@@ -113,11 +113,11 @@ def test_a_reference_is_told_the_episode_so_far(tmp_path: Path) -> None:
     generators: dict[tuple[int, int], np.random.Generator] = {}
     for question in session.questions:
         shown, number, env, drawn, total, seed, _ = question.answer["arm_joint_state"][0, 0]
-        assert (shown, number, env, seed) == (len(question.shown), question.episode, question.env, 5)
+        assert (shown, number, env, seed) == (len(question.recipes), question.episode, question.env, 5)
         key = (question.episode, question.env)
         rng = generators.setdefault(key, np.random.default_rng([5, *key]))
         assert drawn == np.float32(rng.random())
-        seen = [session.scene.observation(*question.shown[place]) for place in question.asked]
+        seen = [session.scene.observation(*question.recipes[place]) for place in question.asked_at]
         assert np.isclose(total, sum(obs["state"]["ee_joint_state"][0] for obs in seen))
 
 

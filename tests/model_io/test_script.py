@@ -15,15 +15,15 @@ from xpl.convert import ConversionError
 from xpl.embodiment import embodiment_names, get_embodiment
 from xpl.kinematics import Chain
 from xpl.manifest import Manifest
-from xpl_cli.model_io import pictures, script
+from xpl_cli.model_io import script, test_images
 from xpl_cli.standard.validate import validate
 
 PLACES = [(env, place) for env in (0, 2, 5) for place in (0, 1, 2, 3, 4, 100, 101)]
 
 
-def scene(robot: str, size: tuple[int, int] = (12, 16)) -> script.Scene:
+def scene(robot: str, size: tuple[int, int] = (12, 16)) -> script.ScriptedScene:
     found = get_embodiment(robot)
-    return script.Scene(found, dict.fromkeys(found.cameras, size))
+    return script.ScriptedScene(found, dict.fromkeys(found.cameras, size))
 
 
 def shown(robot: str) -> list[dict[str, Any]]:
@@ -85,7 +85,7 @@ def test_no_two_things_look_alike() -> None:
 
 
 def test_pictures_tell_colours_directions_and_sizes_apart() -> None:
-    image = pictures.picture(0, 3, 48, 64).astype(np.int16)
+    image = test_images.test_image(0, 3, 48, 64).astype(np.int16)
     for other in (image[:, :, ::-1], image[:, ::-1], image[::-1], image[::-1, ::-1]):
         assert np.abs(other - image).mean() > 10
     assert np.abs(np.diff(image, axis=1)).mean() > 10
@@ -115,7 +115,9 @@ def test_privileged_observations_cannot_be_scripted() -> None:
         script.cameras(Manifest.parse({"inputs": {"required": ["privileged"]}}), get_embodiment("piper_single"))
 
 
-@pytest.mark.parametrize("calls", [script.whole(1), script.whole(5), script.whole(1000), script.brief()])
+@pytest.mark.parametrize(
+    "calls", [script.full_script(1), script.full_script(5), script.full_script(1000), script.short_script()]
+)
 def test_the_calls_try_what_environments_do(calls: tuple[script.Call, ...]) -> None:
     recipes = [recipe for call in calls for recipe in call.show]
     assert len(set(recipes)) == len(recipes)
@@ -130,7 +132,7 @@ def test_the_calls_try_what_environments_do(calls: tuple[script.Call, ...]) -> N
 def test_a_history_builds_up_and_is_full() -> None:
     steps: dict[int, int] = {}
     lengths = set()
-    for call in script.whole(9):
+    for call in script.full_script(9):
         steps = {} if call.reset else steps
         for env, _ in call.show:
             steps[env] = steps.get(env, 0) + 1
@@ -143,4 +145,4 @@ def test_episodes_count_resets_after_something_was_shown() -> None:
     """As `xpl.Policy` seeds them."""
     calls = [script.Call(reset=True), script.Call(show=((0, 0),)), script.Call(reset=True), script.Call(reset=True)]
     calls.append(script.Call(show=((0, 100),)))
-    assert [episode for _, episode in script.played(calls)] == [0, 0, 1, 1, 1]
+    assert [episode for _, episode in script.with_episode_numbers(calls)] == [0, 0, 1, 1, 1]

@@ -8,8 +8,8 @@ import pytest
 
 from tests.support.adapters import parity
 from xpl.manifest import Manifest
-from xpl_cli.model_io.reading import vocabulary
-from xpl_cli.model_io.statements import Standing, Statement, statements
+from xpl_cli.model_io.reference_file import vocabulary
+from xpl_cli.model_io.statements import Certainty, Statement, statements
 from xpl_cli.standard import spec
 
 
@@ -35,10 +35,10 @@ def test_a_value_that_is_assumed_or_open_says_why() -> None:
     images = [{**parity.BLOCK["images"][0], "steps": [{"mirror": {"unknown": "nobody says"}}]}]
     found = _statements(instruction=instruction, images=images)
     (told,) = found["instruction"]
-    assert (told.value, told.standing, told.why) == ("input: prompt, case: lower", Standing.ASSUMED, "as in the paper")
+    assert (told.value, told.standing, told.why) == ("input: prompt, case: lower", Certainty.ASSUMED, "as in the paper")
     (told,) = found["image_orientation"]
-    assert (told.value, told.standing, told.why) == ("mirror: ?", Standing.UNKNOWN, "nobody says")
-    assert {one.standing for name in ("camera", "gripper") for one in found[name]} == {Standing.KNOWN}
+    assert (told.value, told.standing, told.why) == ("mirror: ?", Certainty.UNKNOWN, "nobody says")
+    assert {one.standing for name in ("camera", "gripper") for one in found[name]} == {Certainty.KNOWN}
 
 
 @pytest.mark.parametrize("kind", ["joints", "gripper", "hand", "position", "rotation"])

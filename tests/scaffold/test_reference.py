@@ -9,7 +9,7 @@ from tests.support.adapters import parity
 from tests.support.peer import xpl
 from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.model_io import reading
+from xpl_cli.model_io import reference_file
 from xpl_cli.packages.conventions import applying
 from xpl_cli.scaffold import reference
 from xpl_cli.standard import answers
@@ -26,10 +26,10 @@ def _manifest(**changes: Any) -> Manifest:
 
 
 def test_it_has_the_conventions_of_the_block_each_without_a_source() -> None:
-    read = reading.read(reference.text(_manifest()))
+    read = reference_file.parse(reference.text(_manifest()))
     assert sorted(read.conventions) == applying(_manifest())
     assert read.empty == tuple(read.conventions)
-    assert read.answers
+    assert read.defines_answers
 
 
 def test_it_reads_what_the_policy_reads_and_says_nothing_of_the_model() -> None:

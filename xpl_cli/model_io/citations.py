@@ -62,7 +62,7 @@ class Citation:
 
 
 @dataclass(frozen=True)
-class Quoted:
+class Quotation:
     """What stands at a citation.
 
     Attributes:
@@ -97,7 +97,7 @@ def folders(package: Path, python: str | None = None) -> tuple[Path, ...]:
     return package, *(place for place in own if place.resolve().is_relative_to(here))
 
 
-def lookup(citation: Citation, places: Sequence[Path]) -> Quoted | None:
+def lookup(citation: Citation, places: Sequence[Path]) -> Quotation | None:
     """Return what stands at a citation, None if the file is not here.
 
     Args:
@@ -105,7 +105,7 @@ def lookup(citation: Citation, places: Sequence[Path]) -> Quoted | None:
         places: of `folders`.
     """
     # What a repository calls data/env.py is not the package's own file of that name.
-    file = _found(citation.path, places[1:] if citation.is_foreign else places)
+    file = _find_file(citation.path, places[1:] if citation.is_foreign else places)
     if file is None:
         return None
     lines = _lines(file)
@@ -113,10 +113,10 @@ def lookup(citation: Citation, places: Sequence[Path]) -> Quoted | None:
     start = max(0, citation.first - 1 - _AROUND)
     around = "\n".join(lines[start : citation.last + _AROUND])
     text = tuple(line.strip()[:_LONGEST] for line in cited)
-    return Quoted(file, text, around, _problem(citation, lines, cited), start + 1)
+    return Quotation(file, text, around, _problem(citation, lines, cited), start + 1)
 
 
-def contradiction(quoted: Quoted, values: Sequence[Value]) -> str | None:
+def contradiction(quoted: Quotation, values: Sequence[Value]) -> str | None:
     """Return how quoted code contradicts what is declared: it says another value's word, and none of the declared one.
 
     Args:
@@ -125,8 +125,8 @@ def contradiction(quoted: Quoted, values: Sequence[Value]) -> str | None:
     """
     said = set(re.findall(r"[a-z]+", quoted.around.lower().replace("2", " ")))
     for value in values:
-        others = {other: words & said for other, words in _words(value.definition).items() if other != value.word}
-        own = _words(value.definition).get(value.word, frozenset())
+        others = {other: words & said for other, words in _code_words(value.definition).items() if other != value.word}
+        own = _code_words(value.definition).get(value.word, frozenset())
         contrary = sorted(word for words in others.values() for word in words)
         if own and not own & said and contrary:
             return f"the block says {value.word}, and the code says {contrary[0]}"
@@ -134,13 +134,13 @@ def contradiction(quoted: Quoted, values: Sequence[Value]) -> str | None:
 
 
 @cache
-def _words(definition: str) -> dict[str, frozenset[str]]:
+def _code_words(definition: str) -> dict[str, frozenset[str]]:
     """Return by value of a definition of the schema the words by which code says it."""
     options = spec.schema("model_io")["$defs"][definition]["oneOf"]
     return {one["const"]: frozenset(one["x-words"]) for one in options if "x-words" in one}
 
 
-def _found(path: str, places: Sequence[Path]) -> Path | None:
+def _find_file(path: str, places: Sequence[Path]) -> Path | None:
     """Return the file that a cited path means: repositories have folders above what is installed."""
     parts = [part for part in path.split("/") if part not in ("", ".")]
     if ".." in parts:

@@ -13,14 +13,14 @@ from xpl import _spec as spec
 Step = Mapping[str, Any]
 Answers = Sequence[Sequence[Step]]
 """Of each question its chunk of action steps."""
-Given = Sequence[Sequence[Step | None]]
+PartialAnswers = Sequence[Sequence[Step | None]]
 """The same; None for steps that are not known."""
 Differences = Mapping[str, float]
 """By number of an action, such as left_ee_joint_state[0], the largest difference over all questions and steps."""
 
 
 @dataclass(frozen=True)
-class Thread:
+class EpisodeAnswers:
     """One episode of one environment.
 
     Attributes:
@@ -31,9 +31,9 @@ class Thread:
     """
 
     observations: Sequence[Any]
-    asked: Sequence[int]
+    asked_at: Sequence[int]
     golden: Answers
-    given: Answers
+    adapter: Answers
 
 
 _PLACES = (slice(0, spec.POSITION_DIM), slice(spec.POSITION_DIM, spec.POSE_DIM))
@@ -60,7 +60,7 @@ def spreads(golden: Answers) -> dict[str, float]:
     return result
 
 
-def differences(golden: Answers, given: Given, spread: Mapping[str, float]) -> dict[str, float]:
+def differences(golden: Answers, given: PartialAnswers, spread: Mapping[str, float]) -> dict[str, float]:
     """Return how far answers are from the golden ones.
 
     Quaternions of either sign are the same rotation. Steps that are not known, and numbers that are NaN, are left out,
@@ -91,7 +91,7 @@ def differences(golden: Answers, given: Given, spread: Mapping[str, float]) -> d
             if other is None or not same:
                 result[part] = np.inf
                 continue
-            far = np.abs(_nearer(key, other, values)[:, index] - values[:, index]) / spread[part]
+            far = np.abs(_align_signs(key, other, values)[:, index] - values[:, index]) / spread[part]
             result[part] = _largest(far)
     return result
 
@@ -105,7 +105,7 @@ def _groups(key: str, width: int) -> Sequence[slice]:
     return _PLACES if key.endswith(spec.State.EE_POSE) else (slice(0, width),)
 
 
-def _nearer(key: str, values: np.ndarray, to: np.ndarray) -> np.ndarray:
+def _align_signs(key: str, values: np.ndarray, to: np.ndarray) -> np.ndarray:
     """Return poses whose quaternions have the sign that is nearer to others."""
     if not key.endswith(spec.State.EE_POSE):
         return values
@@ -115,4 +115,4 @@ def _nearer(key: str, values: np.ndarray, to: np.ndarray) -> np.ndarray:
 
 
 def _one_sign(key: str, values: np.ndarray) -> np.ndarray:
-    return _nearer(key, values, np.broadcast_to(values[:1], values.shape)) if len(values) else values
+    return _align_signs(key, values, np.broadcast_to(values[:1], values.shape)) if len(values) else values

@@ -29,7 +29,7 @@ _MENDED = 1.05
 
 
 @dataclass(frozen=True)
-class Tried:
+class TriedChange:
     """A change and what remains with it.
 
     Attributes:
@@ -42,7 +42,7 @@ class Tried:
     words: str
     convention: str
     remaining: Differences
-    besides: tuple[str, str] | None = None
+    second: tuple[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -65,25 +65,25 @@ class Cause:
     after: float
     parts: tuple[str, ...]
     left: tuple[str, ...] = ()
-    besides: tuple[str, str] | None = None
+    second: tuple[str, str] | None = None
 
     @property
-    def told(self) -> str:
+    def label(self) -> str:
         """Its words, and those of the change besides."""
-        return f"`{self.words}`" + (f" and `{self.besides[0]}`" if self.besides else "")
+        return f"`{self.words}`" + (f" and `{self.second[0]}`" if self.second else "")
 
     @property
     def conventions(self) -> tuple[str, ...]:
         """What it is about."""
-        return (self.convention, *((self.besides[1],) if self.besides else ()))
+        return (self.convention, *((self.second[1],) if self.second else ()))
 
     @property
     def text(self) -> str:
         """What happens with the change."""
         if self.left:
             fall = f"the difference falls from {self.before:.2g} to {self.after:.1g}"
-            return f"consistent with {self.told}: {fall}, still above the tolerance in {ranges(self.left)}"
-        return f"with {self.told} the difference falls from {self.before:.2g} to {self.after:.1g}"
+            return f"consistent with {self.label}: {fall}, still above the tolerance in {format_parts(self.left)}"
+        return f"with {self.label} the difference falls from {self.before:.2g} to {self.after:.1g}"
 
 
 @dataclass(frozen=True)
@@ -107,29 +107,29 @@ class Explanation:
     near: Cause | None = None
     ties: tuple[Cause, ...] = ()
     partial: tuple[Cause, ...] = ()
-    lowers: Cause | None = None
+    reducing: Cause | None = None
     patterns: tuple[Pattern, ...] = ()
 
     @property
     def text(self) -> str:
         """The explanation as a finding says it, or "" if there is none."""
         if (found := self.cause or self.near) is not None:
-            others = _listed([tie.told for tie in self.ties[:3]])
+            others = _join_with_or([tie.label for tie in self.ties[:3]])
             more = f" (as with {others}: the pairs do not tell them apart)" if others else ""
             return found.text + more
-        told = [f"{one.text} in {ranges(one.parts)}" for one in self.partial]
-        if self.lowers is not None:
-            told.append(f"{self.lowers.text}, which does not explain all of it")
+        told = [f"{one.text} in {format_parts(one.parts)}" for one in self.partial]
+        if self.reducing is not None:
+            told.append(f"{self.reducing.text}, which does not explain all of it")
         return "; ".join([*told, *(pattern.words for pattern in self.patterns[:1])])
 
     @property
-    def leads(self) -> Cause | Pattern | None:
+    def best(self) -> Cause | Pattern | None:
         """What names a convention: the cause, or what comes nearest to one."""
-        found = (self.cause, self.near, *self.partial, *self.patterns, self.lowers)
+        found = (self.cause, self.near, *self.partial, *self.patterns, self.reducing)
         return next((one for one in found if one is not None), None)
 
 
-def explain(before: Differences, tried: Iterable[Tried], tolerance: float) -> Explanation:
+def explain(before: Differences, tried: Iterable[TriedChange], tolerance: float) -> Explanation:
     """Return which single change explains the differences best.
 
     Args:
@@ -143,37 +143,39 @@ def explain(before: Differences, tried: Iterable[Tried], tolerance: float) -> Ex
     if not off:
         return start
     changes = [one for one in tried if one.remaining.keys() == before.keys()]
-    whole = [cause for one in changes if (cause := _whole(one, before, off, tolerance)) is not None]
+    whole = [cause for one in changes if (cause := _full_cause(one, before, off, tolerance)) is not None]
     exact = [cause for cause in whole if not cause.left]
     if whole:
-        best, *ties = _alike(exact or whole, tolerance)
+        best, *ties = _equal_causes(exact or whole, tolerance)
         return Explanation(
             largest, tuple(off), cause=best if exact else None, near=None if exact else best, ties=tuple(ties)
         )
-    partial = _partial(changes, before, off, tolerance)
-    lowers = None if partial else _lowering(changes, before, off)
-    return Explanation(largest, tuple(off), partial=tuple(partial), lowers=lowers)
+    partial = _partial_causes(changes, before, off, tolerance)
+    lowers = None if partial else _reducing_cause(changes, before, off)
+    return Explanation(largest, tuple(off), partial=tuple(partial), reducing=lowers)
 
 
-def _whole(one: Tried, before: Differences, off: Sequence[str], tolerance: float) -> Cause | None:
+def _full_cause(one: TriedChange, before: Differences, off: Sequence[str], tolerance: float) -> Cause | None:
     after, largest = max(one.remaining.values()), max(before.values())
     if after > tolerance and after * _FACTOR > largest:
         return None
     left = tuple(part for part, value in one.remaining.items() if value > tolerance)
-    return Cause(one.words, one.convention, largest, after, tuple(off), left, one.besides)
+    return Cause(one.words, one.convention, largest, after, tuple(off), left, one.second)
 
 
-def _alike(causes: Sequence[Cause], tolerance: float) -> list[Cause]:
+def _equal_causes(causes: Sequence[Cause], tolerance: float) -> list[Cause]:
     """Return the causes that leave as little as the best one, in their order; the first of equal words counts."""
     least = max(min(cause.after for cause in causes) * _LIKE, tolerance / _FACTOR)
     found: dict[str, Cause] = {}
     for cause in causes:
         if cause.after <= least:
-            found.setdefault(cause.told, cause)
+            found.setdefault(cause.label, cause)
     return list(found.values())
 
 
-def _partial(changes: Sequence[Tried], before: Differences, off: Sequence[str], tolerance: float) -> list[Cause]:
+def _partial_causes(
+    changes: Sequence[TriedChange], before: Differences, off: Sequence[str], tolerance: float
+) -> list[Cause]:
     """Return changes that each mend some numbers and make no other worse, those that mend most first."""
     found = []
     for one in changes:
@@ -194,7 +196,7 @@ def _partial(changes: Sequence[Tried], before: Differences, off: Sequence[str], 
     return chosen
 
 
-def _lowering(changes: Sequence[Tried], before: Differences, off: Sequence[str]) -> Cause | None:
+def _reducing_cause(changes: Sequence[TriedChange], before: Differences, off: Sequence[str]) -> Cause | None:
     """Return the change that lowers the largest difference clearly, and clearly more than others."""
     largest = max(before.values())
     ranked = sorted(changes, key=lambda one: max(one.remaining.values()))
@@ -207,11 +209,11 @@ def _lowering(changes: Sequence[Tried], before: Differences, off: Sequence[str])
     return Cause(ranked[0].words, ranked[0].convention, largest, left, tuple(off))
 
 
-def ranges(parts: Sequence[str]) -> str:
+def format_parts(parts: Sequence[str]) -> str:
     """Return numbers of an action as text: left_arm_joint_state[0..6], right_ee_joint_state[0]."""
     keys: dict[str, list[int]] = {}
-    for part in sorted(parts, key=_placed):
-        key, index = _placed(part)
+    for part in sorted(parts, key=_split_part):
+        key, index = _split_part(part)
         keys.setdefault(key, []).append(index)
     told = []
     for key, indices in keys.items():
@@ -225,10 +227,10 @@ def ranges(parts: Sequence[str]) -> str:
     return ", ".join(told)
 
 
-def _placed(part: str) -> tuple[str, int]:
+def _split_part(part: str) -> tuple[str, int]:
     key, _, rest = part.partition("[")
     return key, int(rest.rstrip("]") or 0)
 
 
-def _listed(items: Sequence[str]) -> str:
+def _join_with_or(items: Sequence[str]) -> str:
     return items[0] if len(items) == 1 else ", ".join(items[:-1]) + f" or {items[-1]}" if items else ""

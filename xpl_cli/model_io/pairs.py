@@ -52,7 +52,7 @@ class PairsError(UserError):
 
 
 @dataclass(frozen=True)
-class Question:
+class PairQuestion:
     """One question of a session: what was shown up to it, and what was answered.
 
     Attributes:
@@ -69,18 +69,18 @@ class Question:
     call: int
     env: int
     episode: int
-    shown: tuple[tuple[int, int], ...]
-    asked: tuple[int, ...]
+    recipes: tuple[tuple[int, int], ...]
+    asked_at: tuple[int, ...]
     answer: Answer
 
     @property
     def where(self) -> str:
         """The question in words."""
-        return f"environment {self.env}, episode {self.episode}, observation {len(self.shown) - 1}"
+        return f"environment {self.env}, episode {self.episode}, observation {len(self.recipes) - 1}"
 
 
 @dataclass(frozen=True)
-class Session:
+class PairSession:
     """One process from its start to its end.
 
     Attributes:
@@ -99,7 +99,7 @@ class Session:
     calls: tuple[Call, ...]
     answers: tuple[tuple[Answer, ...], ...] = ()
 
-    def with_answers(self, answers: tuple[tuple[Answer, ...], ...], takes: int | None = None) -> Session:
+    def with_answers(self, answers: tuple[tuple[Answer, ...], ...], takes: int | None = None) -> PairSession:
         """Return the session with other answers, and as many takes of each question."""
         return replace(self, answers=answers, takes=self.takes if takes is None else takes)
 
@@ -109,41 +109,41 @@ class Session:
         return get_embodiment(self.embodiment)
 
     @cached_property
-    def scene(self) -> script.Scene:
+    def scene(self) -> script.ScriptedScene:
         """What makes its observations."""
-        return script.Scene(self.robot, self.cameras)
+        return script.ScriptedScene(self.robot, self.cameras)
 
     @cached_property
-    def questions(self) -> tuple[Question, ...]:
+    def questions(self) -> tuple[PairQuestion, ...]:
         """Its questions in their order."""
         return tuple(self._questions())
 
-    def _questions(self) -> Iterator[Question]:
+    def _questions(self) -> Iterator[PairQuestion]:
         shown: dict[int, list[tuple[int, int]]] = {}
         asked: dict[int, list[int]] = {}
         answers, number = iter(self.answers), 0
-        for place, (call, episode) in enumerate(script.played(self.calls)):
+        for place, (call, episode) in enumerate(script.with_episode_numbers(self.calls)):
             if call.reset:
                 shown, asked = {}, {}
             for env, moment in call.show:
                 shown.setdefault(env, []).append((env, moment))
             for env, answer in zip(call.ask, next(answers) if call.ask else (), strict=True):
                 asked.setdefault(env, []).append(len(shown[env]) - 1)
-                yield Question(number, place, env, episode, tuple(shown[env]), tuple(asked[env]), answer)
+                yield PairQuestion(number, place, env, episode, tuple(shown[env]), tuple(asked[env]), answer)
                 number += 1
 
-    def state(self, question: Question) -> dict[str, np.ndarray]:
+    def state(self, question: PairQuestion) -> dict[str, np.ndarray]:
         """Return the newest state that was shown before a question."""
-        return self.scene.state(*question.shown[-1])
+        return self.scene.state(*question.recipes[-1])
 
-    def chunk(self, question: Question, take: int = 0) -> Chunk:
+    def chunk(self, question: PairQuestion, take: int = 0) -> Chunk:
         """Return a golden answer as action steps."""
         steps = len(next(iter(question.answer.values()))[take])
         return [{key: values[take, step] for key, values in question.answer.items()} for step in range(steps)]
 
 
 @dataclass(frozen=True)
-class Pairs:
+class GoldenPairs:
     """A recording.
 
     Attributes:
@@ -153,7 +153,7 @@ class Pairs:
     """
 
     provenance: Mapping[str, Any]
-    sessions: tuple[Session, ...]
+    sessions: tuple[PairSession, ...]
     script: int = script.VERSION
 
     @property
@@ -174,7 +174,7 @@ class Pairs:
         return noise
 
 
-def write(package: Path, pairs: Pairs) -> int:
+def write(package: Path, pairs: GoldenPairs) -> int:
     """Write the file of a package, all at once, and return its bytes.
 
     Raises:
@@ -184,9 +184,9 @@ def write(package: Path, pairs: Pairs) -> int:
         "schema": spec.schema(_SCHEMA)["title"],
         "provenance": dict(pairs.provenance),
         "script": pairs.script,
-        "sessions": [_written(session) for session in pairs.sessions],
+        "sessions": [_session_entry(session) for session in pairs.sessions],
     }
-    data = _text(document).encode()
+    data = _format_document(document).encode()
     if len(data) > names.PAIRS_BYTES:
         raise UserError(
             f"the pairs take {len(data)} bytes, and {names.PAIRS} may hold {names.PAIRS_BYTES}: "
@@ -196,7 +196,7 @@ def write(package: Path, pairs: Pairs) -> int:
     return len(data)
 
 
-def read(package: Path) -> Pairs:
+def read(package: Path) -> GoldenPairs:
     """Read the file of a package.
 
     Raises:
@@ -218,13 +218,13 @@ def read(package: Path) -> Pairs:
         told = f"it was recorded by version {document['script']} of the script, and this is version {script.VERSION}"
         raise PairsError(f"{path}: {told}", hint=again)
     try:
-        sessions = tuple(_read(entry) for entry in document["sessions"])
+        sessions = tuple(_parse_session(entry) for entry in document["sessions"])
     except (ValueError, UnknownEmbodimentError) as error:
         raise PairsError(f"{path}: {error}", hint=again) from None
-    return Pairs(document["provenance"], sessions, document["script"])
+    return GoldenPairs(document["provenance"], sessions, document["script"])
 
 
-def _text(document: Mapping[str, Any]) -> str:
+def _format_document(document: Mapping[str, Any]) -> str:
     """Return the document with a line for each call, so that a difference between two recordings can be read."""
     sessions = []
     for session in document["sessions"]:
@@ -236,7 +236,7 @@ def _text(document: Mapping[str, Any]) -> str:
     return f'{head},\n "sessions": [\n' + ",\n".join(sessions) + "\n]}\n"
 
 
-def _written(session: Session) -> dict[str, Any]:
+def _session_entry(session: PairSession) -> dict[str, Any]:
     answers = iter(session.answers)
     calls: list[dict[str, Any]] = []
     for call in session.calls:
@@ -245,7 +245,7 @@ def _written(session: Session) -> dict[str, Any]:
         elif call.show:
             calls.append({"show": [list(recipe) for recipe in call.show]})
         else:
-            told = [{key: _packed(values) for key, values in answer.items()} for answer in next(answers)]
+            told = [{key: _encode_array(values) for key, values in answer.items()} for answer in next(answers)]
             calls.append({"ask": list(call.ask), "answers": told})
     return {
         "embodiment": session.embodiment,
@@ -257,7 +257,7 @@ def _written(session: Session) -> dict[str, Any]:
     }
 
 
-def _read(entry: Entry) -> Session:
+def _parse_session(entry: Entry) -> PairSession:
     """Return a session that fits its schema.
 
     Raises:
@@ -278,10 +278,10 @@ def _read(entry: Entry) -> Session:
         if not shown.issuperset(call.ask) or len(told.get("answers", ())) != len(call.ask):
             raise ValueError(f"call {number} asks about {list(call.ask)}, which was not shown, or lacks answers")
         if call.ask:
-            answers.append(tuple(_answer(answer, dims, entry["takes"], number) for answer in told["answers"]))
+            answers.append(tuple(_parse_answer(answer, dims, entry["takes"], number) for answer in told["answers"]))
         calls.append(call)
     sizes = {name: (height, width) for name, (height, width) in entry["cameras"].items()}
-    return Session(
+    return PairSession(
         embodiment=entry["embodiment"],
         action_type=entry[sdk.Deploy.ACTION_TYPE],
         seed=entry[sdk.Deploy.SEED],
@@ -292,8 +292,8 @@ def _read(entry: Entry) -> Session:
     )
 
 
-def _answer(told: Mapping[str, Any], dims: Mapping[str, int], takes: int, call: int) -> Answer:
-    found = {key: _unpacked(entry, call) for key, entry in told.items()}
+def _parse_answer(told: Mapping[str, Any], dims: Mapping[str, int], takes: int, call: int) -> Answer:
+    found = {key: _decode_array(entry, call) for key, entry in told.items()}
     steps = {values.shape[1] for values in found.values()}
     shapes = {key: values.shape for key, values in found.items()}
     if shapes != {key: (takes, *steps, width) for key, width in dims.items()}:
@@ -301,12 +301,12 @@ def _answer(told: Mapping[str, Any], dims: Mapping[str, int], takes: int, call: 
     return found
 
 
-def _packed(values: np.ndarray) -> dict[str, Any]:
+def _encode_array(values: np.ndarray) -> dict[str, Any]:
     data = np.ascontiguousarray(values, _FLOAT)
     return {"shape": list(data.shape), "float32": base64.b64encode(data.tobytes()).decode()}
 
 
-def _unpacked(entry: Entry, call: int) -> np.ndarray:
+def _decode_array(entry: Entry, call: int) -> np.ndarray:
     shape: Sequence[int] = entry["shape"]
     try:
         data = base64.b64decode(entry["float32"], validate=True)
@@ -321,7 +321,7 @@ def _unpacked(entry: Entry, call: int) -> np.ndarray:
     return values
 
 
-def stacked(chunks: Sequence[Chunk]) -> dict[str, np.ndarray]:
+def stack_takes(chunks: Sequence[Chunk]) -> dict[str, np.ndarray]:
     """Return answers to one question, of equal length, as `Answer` has them."""
     return {
         key: np.stack([[np.asarray(step[key], np.float32) for step in chunk] for chunk in chunks])

@@ -13,7 +13,7 @@ from xpl_cli.model_io.difference import columns, differences
 from xpl_cli.packages.conventions import HISTORY
 
 if TYPE_CHECKING:
-    from xpl_cli.model_io.difference import Differences, Thread
+    from xpl_cli.model_io.difference import Differences, EpisodeAnswers
 
 _SAME = 1e-6
 """Share of the span below which steps are the same."""
@@ -44,7 +44,7 @@ class Pattern:
 
 
 @dataclass(frozen=True)
-class Kind:
+class PolicyKind:
     """What is known of a policy.
 
     Attributes:
@@ -58,7 +58,9 @@ class Kind:
     draws: bool = False
 
 
-def patterns(threads: Sequence[Thread], spread: Differences, tolerance: float, kind: Kind) -> Iterator[Pattern]:
+def patterns(
+    threads: Sequence[EpisodeAnswers], spread: Differences, tolerance: float, kind: PolicyKind
+) -> Iterator[Pattern]:
     """Yield what is seen, the most telling first.
 
     Args:
@@ -67,7 +69,7 @@ def patterns(threads: Sequence[Thread], spread: Differences, tolerance: float, k
         tolerance: largest share of it that is no difference.
         kind: of policy.
     """
-    if _still(threads, spread):
+    if _is_constant(threads, spread):
         yield Pattern("every step of a chunk is the same, and the model's are not", "chunk")
     yield from _memory(threads, spread, tolerance, kind)
     yield from _steps(threads, spread, tolerance)
@@ -75,8 +77,8 @@ def patterns(threads: Sequence[Thread], spread: Differences, tolerance: float, k
         yield Pattern("differences are random about zero, as if other numbers were drawn: look at the seed", "sampling")
 
 
-def _still(threads: Sequence[Thread], spread: Differences) -> bool:
-    chunks = [chunk for thread in threads for chunk in thread.given if len(chunk) > 1]
+def _is_constant(threads: Sequence[EpisodeAnswers], spread: Differences) -> bool:
+    chunks = [chunk for thread in threads for chunk in thread.adapter if len(chunk) > 1]
     golden = [chunk for thread in threads for chunk in thread.golden if len(chunk) > 1]
     return bool(chunks) and _moves(chunks, spread) <= _SAME < _moves(golden, spread)
 
@@ -92,7 +94,7 @@ def _moves(chunks: Sequence[Sequence[object]], spread: Differences) -> float:
 
 
 @dataclass(frozen=True)
-class _Answer:
+class _JudgedAnswer:
     """Where an answer stands, and whether it is right.
 
     Attributes:
@@ -106,7 +108,9 @@ class _Answer:
     is_right: bool
 
 
-def _memory(threads: Sequence[Thread], spread: Differences, tolerance: float, kind: Kind) -> Iterator[Pattern]:
+def _memory(
+    threads: Sequence[EpisodeAnswers], spread: Differences, tolerance: float, kind: PolicyKind
+) -> Iterator[Pattern]:
     """Tell which answers of the episodes are right: those that need nothing from before, or those of first episodes."""
     answers = list(_answers(threads, spread, tolerance, by_question=kind.keeps_state))
     later = [one.is_right for one in answers if one.earlier]
@@ -129,21 +133,23 @@ def _memory(threads: Sequence[Thread], spread: Differences, tolerance: float, ki
 
 
 def _answers(
-    threads: Sequence[Thread], spread: Differences, tolerance: float, *, by_question: bool
-) -> Iterator[_Answer]:
+    threads: Sequence[EpisodeAnswers], spread: Differences, tolerance: float, *, by_question: bool
+) -> Iterator[_JudgedAnswer]:
     episodes: dict[Any, int] = {}
     for thread in threads:
         env = thread.observations[0].get(spec.Obs.ENV_IDX) if thread.observations else None
         number = episodes[env] = episodes.get(env, -1) + 1
-        for index, (place, golden, given) in enumerate(zip(thread.asked, thread.golden, thread.given, strict=True)):
+        for index, (place, golden, given) in enumerate(
+            zip(thread.asked_at, thread.golden, thread.adapter, strict=True)
+        ):
             far = max(differences([golden], [given], spread).values())
-            yield _Answer(number, index if by_question else place, far <= tolerance)
+            yield _JudgedAnswer(number, index if by_question else place, far <= tolerance)
 
 
-def _steps(threads: Sequence[Thread], spread: Differences, tolerance: float) -> Iterator[Pattern]:
+def _steps(threads: Sequence[EpisodeAnswers], spread: Differences, tolerance: float) -> Iterator[Pattern]:
     """Tell if the first step of each chunk is right, and later ones are not."""
     golden = [chunk for thread in threads for chunk in thread.golden]
-    given = [chunk for thread in threads for chunk in thread.given]
+    given = [chunk for thread in threads for chunk in thread.adapter]
     if any(len(one) != len(other) or len(one) < 2 for one, other in zip(golden, given, strict=True)):
         return
     begins = differences([chunk[:1] for chunk in golden], [chunk[:1] for chunk in given], spread)
@@ -154,9 +160,9 @@ def _steps(threads: Sequence[Thread], spread: Differences, tolerance: float) -> 
         yield Pattern(told, "action_reference")
 
 
-def _is_drawn(threads: Sequence[Thread], spread: Differences) -> bool:
+def _is_drawn(threads: Sequence[EpisodeAnswers], spread: Differences) -> bool:
     wanted = columns([chunk for thread in threads for chunk in thread.golden])
-    found = columns([chunk for thread in threads for chunk in thread.given])
+    found = columns([chunk for thread in threads for chunk in thread.adapter])
     for key, values in wanted.items():
         if key not in found or found[key].shape != values.shape:
             return False

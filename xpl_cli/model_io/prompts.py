@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from xpl import _spec as sdk
 from xpl.conventions.instruction import HOLE
 from xpl_cli.basics.errors import UserError
-from xpl_cli.model_io import names, reading
+from xpl_cli.model_io import names, reference_file
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,20 +28,20 @@ _FIELD = re.compile(r"\{[^{}]*\}|%s")
 def templates(folder: Path) -> list[str]:
     """Return the templates that reference.py of a package writes, and the place that it names as their source."""
     try:
-        said = reading.read_file(folder)
+        said = reference_file.read_file(folder)
     except UserError:
         return []
-    found = list(_written(folder / names.CODE, None))
+    found = list(_find_templates(folder / names.CODE, None))
     source = said.conventions.get(sdk.Obs.INSTRUCTION)
     place = _SOURCE.match(source.text) if source is not None else None
     if place is not None:
         path = (folder / place[1]).resolve()
         if path.is_relative_to(folder.resolve()):
-            found = [*_written(path, int(place[2])), *found]
+            found = [*_find_templates(path, int(place[2])), *found]
     return list(dict.fromkeys(found))[:_MOST]
 
 
-def _written(path: Path, line: int | None) -> Iterator[str]:
+def _find_templates(path: Path, line: int | None) -> Iterator[str]:
     """Yield the templates in a file, or those near a line of it."""
     try:
         if path.stat().st_size > _MOST_BYTES:

@@ -16,8 +16,8 @@ from xpl_cli.basics.progress import Progress
 from xpl_cli.basics.untrusted import command
 from xpl_cli.isolation import subprocess_task
 from xpl_cli.lifecycle import interpreter
-from xpl_cli.model_io import names, pairs, provenance, reading, renewal, script
-from xpl_cli.model_io.pairs import Answer, Pairs, Session
+from xpl_cli.model_io import names, pairs, provenance, recording_diff, reference_file, script
+from xpl_cli.model_io.pairs import Answer, GoldenPairs, PairSession
 from xpl_cli.packages.conventions import applying
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ _MOST_NOISE: Final = 0.02
 
 
 @dataclass(frozen=True)
-class Options:
+class RecordOptions:
     """How reference.py is run.
 
     Attributes:
@@ -57,7 +57,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordResult:
     """What was written.
 
     Attributes:
@@ -69,7 +69,7 @@ class Recorded:
         changes: what differs from the recording that was there before, in sentences; None if there was none.
     """
 
-    pairs: Pairs
+    pairs: GoldenPairs
     size: int
     assumed: tuple[str, ...]
     conventions: int
@@ -77,7 +77,7 @@ class Recorded:
     changes: tuple[str, ...] | None = None
 
 
-def record(package: Package, options: Options) -> Recorded:
+def record(package: Package, options: RecordOptions) -> RecordResult:
     """Ask reference.py of a package, write its answers into the package, and return what was written.
 
     Raises:
@@ -91,17 +91,17 @@ def record(package: Package, options: Options) -> Recorded:
             hint=f"`{command(('xpl', 'model-io', 'reference', str(package.path)))}` writes one to fill in",
             code=ExitCode.NOT_FOUND,
         )
-    read = reading.read_file(package.path)
-    if not read.answers:
+    read = reference_file.read_file(package.path)
+    if not read.defines_answers:
         raise UserError(f"{package.path / names.CODE} defines no function {names.ANSWERS}(config)")
-    found: list[Session] = []
-    noise: list[list[Session]] = []
+    found: list[PairSession] = []
+    noise: list[list[PairSession]] = []
     told: dict[str, Any] = {}
     for session in sessions(package, options.overrides):
-        asked, told = _asked(package, session, options)
+        asked, told = _run_reference(package, session, options)
         found.append(asked[0])
         noise.append(asked)
-    answered = Pairs(
+    answered = GoldenPairs(
         provenance={
             **told,
             "weights": provenance.weights(package, package.config(options.overrides)),
@@ -121,22 +121,22 @@ def record(package: Package, options: Options) -> Recorded:
             "`sampling: free` in the block model_io of policy.yml",
         )
     applies = applying(package.manifest)
-    count = len(read.agreed(applies))
+    count = len(read.all_conventions(applies))
     changes = _changes(package, answered)
     size = 0 if options.is_dry else pairs.write(package.path, answered)
-    return Recorded(answered, size, read.taken_for_granted(applies), count, shares, changes)
+    return RecordResult(answered, size, read.without_source(applies), count, shares, changes)
 
 
-def _changes(package: Package, recorded: Pairs) -> tuple[str, ...] | None:
+def _changes(package: Package, recorded: GoldenPairs) -> tuple[str, ...] | None:
     """Return what differs from the recording that is there; None if there is none that can be read."""
     try:
         before = pairs.read(package.path)
     except UserError:
         return None
-    return tuple(renewal.changes(before, recorded))
+    return tuple(recording_diff.describe_changes(before, recorded))
 
 
-def sessions(package: Package, overrides: Config) -> Iterator[Session]:
+def sessions(package: Package, overrides: Config) -> Iterator[PairSession]:
     """Yield what is to be asked, without answers: the configured robot and action type first, then all declared ones.
 
     Raises:
@@ -152,9 +152,9 @@ def sessions(package: Package, overrides: Config) -> Iterator[Session]:
             sizes = script.cameras(manifest, robot)
         except (UnknownEmbodimentError, ConversionError) as error:
             raise UserError(str(error)) from None
-        calls = script.whole(manifest.reach) if number == 0 and not samples_freely else script.brief()
+        calls = script.full_script(manifest.reach) if number == 0 and not samples_freely else script.short_script()
         takes = TAKES if samples_freely else 1
-        yield Session(robot.name, kind, int(config[sdk.Deploy.SEED]), sizes, takes, calls)
+        yield PairSession(robot.name, kind, int(config[sdk.Deploy.SEED]), sizes, takes, calls)
 
 
 def is_free(manifest: Manifest) -> bool:
@@ -165,7 +165,9 @@ def is_free(manifest: Manifest) -> bool:
     return model_io.sampling == FREE
 
 
-def _asked(package: Package, session: Session, options: Options) -> tuple[list[Session], dict[str, Any]]:
+def _run_reference(
+    package: Package, session: PairSession, options: RecordOptions
+) -> tuple[list[PairSession], dict[str, Any]]:
     """Return a session with its answers, once for each recording, and what answered.
 
     Raises:
@@ -188,7 +190,7 @@ def _asked(package: Package, session: Session, options: Options) -> tuple[list[S
         sdk.Deploy.SEED: session.seed,
         "takes": session.takes,
         "rounds": rounds,
-        "calls": [_told(call, session) for call in session.calls],
+        "calls": [_call_request(call, session) for call in session.calls],
     }
     asking = [call for call in session.calls if call.ask]
     whole = len(asking) * rounds
@@ -207,12 +209,12 @@ def _asked(package: Package, session: Session, options: Options) -> tuple[list[S
             raise UserError(_failure(answer, number, asking), hint="reference.py speaks the standard: docs/contract.md")
     if done.problem is not None or len(done.answers) < whole + 2:
         raise UserError(f"{names.CODE} {done.failure}", code=ExitCode.NOT_RUN)
-    given = [_stacked(answer.result) for answer in done.answers[1 : whole + 1]]
+    given = [_stack_answers(answer.result) for answer in done.answers[1 : whole + 1]]
     recordings = [tuple(given[start : start + len(asking)]) for start in range(0, whole, len(asking))]
     return [session.with_answers(answers) for answers in recordings], done.answers[-1].result
 
 
-def _told(call: Call, session: Session) -> dict[str, Any]:
+def _call_request(call: Call, session: PairSession) -> dict[str, Any]:
     if call.reset:
         return {sdk.Method.RESET: True}
     if call.ask:
@@ -229,7 +231,7 @@ def _failure(answer: subprocess_task.TaskAnswer, number: int, asking: Sequence[C
     return f"{names.CODE}, question {number}, about environments {list(call.ask)}: {answer.error}{at}"
 
 
-def _stacked(told: Sequence[Sequence[Any]]) -> tuple[Answer, ...]:
+def _stack_answers(told: Sequence[Sequence[Any]]) -> tuple[Answer, ...]:
     """Return the answers to one call that asks, by environment.
 
     Raises:
@@ -239,10 +241,10 @@ def _stacked(told: Sequence[Sequence[Any]]) -> tuple[Answer, ...]:
         lengths = {len(chunk) for chunk in takes}
         if len(lengths) > 1:
             raise UserError(f"{names.CODE} answers one question by chunks of {sorted(lengths)} steps; expected as many")
-    return tuple(pairs.stacked(takes) for takes in told)
+    return tuple(pairs.stack_takes(takes) for takes in told)
 
 
-def _noise(recordings: Sequence[Sequence[Session]]) -> dict[str, float]:
+def _noise(recordings: Sequence[Sequence[PairSession]]) -> dict[str, float]:
     """Return by key how far two recordings of the same questions lie apart at most.
 
     Raises:
@@ -264,7 +266,7 @@ def _noise(recordings: Sequence[Sequence[Session]]) -> dict[str, float]:
     return dict(sorted(found.items()))
 
 
-def _shares(recorded: Pairs) -> dict[str, float]:
+def _shares(recorded: GoldenPairs) -> dict[str, float]:
     """Return the noise as a share of the span of the answers."""
     shares = {}
     for key, apart in recorded.noise.items():

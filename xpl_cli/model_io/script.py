@@ -26,7 +26,7 @@ from xpl.conventions.point import tool
 from xpl.convert import ConversionError
 from xpl.kinematics import Chain, KinematicsError
 from xpl.manifest import CameraNeeds
-from xpl_cli.model_io import pictures
+from xpl_cli.model_io import test_images
 
 if TYPE_CHECKING:
     from xpl.contract import ObservationDict
@@ -98,13 +98,13 @@ def _size(needs: CameraNeeds) -> tuple[int, int]:
     return height * factor, width * factor  # of the same aspect
 
 
-def whole(span: int) -> tuple[Call, ...]:
+def full_script(span: int) -> tuple[Call, ...]:
     """Return the calls for one robot and action type.
 
     Args:
         span: control steps that the policy's history reaches over, 1 without one.
     """
-    stage, (one, two, three) = _Stage(), _ENVS
+    stage, (one, two, three) = _CallScript(), _ENVS
     stage.reset()
     stage.show(one)
     stage.ask(one)
@@ -140,9 +140,9 @@ def whole(span: int) -> tuple[Call, ...]:
     return tuple(stage.calls)
 
 
-def brief() -> tuple[Call, ...]:
+def short_script() -> tuple[Call, ...]:
     """Return few calls: for further robots and action types, and for models that are asked many times."""
-    stage, (one, two, _) = _Stage(), _ENVS
+    stage, (one, two, _) = _CallScript(), _ENVS
     stage.reset()
     stage.show(one)
     stage.ask(one)
@@ -155,7 +155,7 @@ def brief() -> tuple[Call, ...]:
     return tuple(stage.calls)
 
 
-class _Stage:
+class _CallScript:
     """Counts the places of each environment while calls are written down."""
 
     def __init__(self) -> None:
@@ -180,7 +180,7 @@ class _Stage:
 
 
 @dataclass(frozen=True)
-class Scene:
+class ScriptedScene:
     """A robot and its cameras, from which observations are made.
 
     Attributes:
@@ -307,7 +307,7 @@ class Scene:
         extrinsics = np.eye(4, dtype=np.float32)
         extrinsics[:3, 3] = [0.1 * (number + 1), -0.2, 0.8]
         return {
-            sdk.Camera.COLOR: pictures.picture(number, moment, height, width),
+            sdk.Camera.COLOR: test_images.test_image(number, moment, height, width),
             sdk.Camera.INTRINSIC_MATRIX: np.array(
                 [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]], np.float32
             ),
@@ -316,7 +316,7 @@ class Scene:
         }
 
 
-def played(calls: Sequence[Call]) -> Iterator[tuple[Call, int]]:
+def with_episode_numbers(calls: Sequence[Call]) -> Iterator[tuple[Call, int]]:
     """Yield each call with the number of the episode that it belongs to: resets after something was shown."""
     episode, shown = 0, False
     for call in calls:

@@ -91,7 +91,7 @@ def _golden_leap(parity: Parity, motion: MotionEpisode, frequency: float) -> flo
         for session in (told.sessions if told is not None else ())
         if (session.embodiment, session.action_type) == (motion.embodiment.name, motion.action_type)
         for question in session.questions
-        if len(question.asked) == 1
+        if len(question.asked_at) == 1
     ]
     if not asked:
         return None

@@ -11,7 +11,7 @@ from xpl_cli.audit.offline.parity.fact import Parity, SessionComparison
 from xpl_cli.audit.offline.parity.search import ParitySearchResult
 from xpl_cli.audit.served.probe import blame
 from xpl_cli.model_io import names
-from xpl_cli.model_io.explain import ranges
+from xpl_cli.model_io.explain import format_parts
 from xpl_cli.model_io.patterns import Pattern
 
 
@@ -99,10 +99,10 @@ def _deviating(parity: Parity, compared: SessionComparison, *, explained: bool) 
             "embodiment": compared.session.embodiment,
             spec.Deploy.ACTION_TYPE: compared.session.action_type,
             "part": found.part,
-            "parts": ranges(found.parts),
+            "parts": format_parts(found.parts),
             "environment": found.question.env,
             "episode": found.question.episode,
-            "observation": len(found.question.shown) - 1,
+            "observation": len(found.question.recipes) - 1,
             "step": found.step,
             "golden": found.golden,
             "given": found.answer,
@@ -133,7 +133,7 @@ def _shifted(parity: Parity, compared: SessionComparison, *, explained: bool) ->
             "embodiment": compared.session.embodiment,
             spec.Deploy.ACTION_TYPE: compared.session.action_type,
             "part": found.part,
-            "parts": ranges(found.parts),
+            "parts": format_parts(found.parts),
             "what": found.statistic,
             "golden": found.golden,
             "given": found.answer,
@@ -149,7 +149,7 @@ def _blamed(
     explanation = None if cause is None else cause.explanation
     told = "" if explanation is None else explanation.text
     advice = f"compare the authors' code with the adapter; `{names.CODE}` cites the lines"
-    best = None if explanation is None else explanation.leads
+    best = None if explanation is None else explanation.best
     if isinstance(best, Pattern):
         evidence["cause"] = {
             "words": best.words,
@@ -159,18 +159,18 @@ def _blamed(
         }
     elif best is not None:
         where = "in the block `model_io`" if cause is not None and cause.in_block else "in encode, predict or decode"
-        advice = f"the actions would match with {best.told}: if the authors' code confirms it, change that {where}"
+        advice = f"the actions would match with {best.label}: if the authors' code confirms it, change that {where}"
         if explanation is not None and explanation.cause is None:
-            advice = f"{best.told} is the closest match: compare it, and the rest, with the authors' code"
+            advice = f"{best.label} is the closest match: compare it, and the rest, with the authors' code"
         evidence["cause"] = {
-            "words": " and ".join((best.words, *(best.besides or ())[:1])),
+            "words": " and ".join((best.words, *(best.second or ())[:1])),
             "convention": best.convention,
             "conventions": list(best.conventions),
             "before": best.before,
             "after": best.after,
             "whole": explanation is not None and explanation.cause is not None,
             "left": list(best.left),
-            "ties": [] if explanation is None else [tie.told.replace("`", "") for tie in explanation.ties],
+            "ties": [] if explanation is None else [tie.label.replace("`", "") for tie in explanation.ties],
         }
     finding = blame(
         f"{message}; {told}" if told else message,

@@ -9,8 +9,8 @@ from xpl import _spec as sdk
 from xpl.convert import ConversionError
 from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
 from xpl_cli.audit.served.probe import Probe
-from xpl_cli.model_io.kinematics import declared, witness
-from xpl_cli.model_io.kinematics.witness import Verdict
+from xpl_cli.model_io.kinematics import consistency, sample_verdicts
+from xpl_cli.model_io.kinematics.consistency import KinematicsVerdict
 
 
 @rule(code="XPL262", requirement="XPL-NAT-7")
@@ -38,23 +38,23 @@ def kinematics_agree(probe: Probe) -> Iterator[Finding | Proof]:
     """
     package = probe.package
     try:
-        found = declared.verdicts(package.manifest, [package.path])
-    except declared.NoWitnessError as error:
+        found = sample_verdicts.judge_samples(package.manifest, [package.path])
+    except sample_verdicts.NotJudgeableError as error:
         raise NotApplicable(str(error)) from None
     except ConversionError as error:
         what = {"expected": "rows that match the block and the robot", "got": "other ones"}
         yield _finding(str(error), "mend model_io.samples", **what)
         return
-    if all(verdict.outcome == witness.OPEN for verdict in found):
+    if all(verdict.outcome == consistency.OPEN for verdict in found):
         raise NotApplicable(f"kinematics cannot tell: {found[0].because}")
     for verdict in found:
-        if verdict.outcome in {witness.DIFFERS, witness.ANSWERS, witness.UNEXPLAINED}:
+        if verdict.outcome in {consistency.DIFFERS, consistency.ANSWERS, consistency.UNEXPLAINED}:
             yield _of(verdict)
     yield Proof({verdict.where: verdict.document() for verdict in found})
 
 
-def _of(verdict: Verdict) -> Finding:
-    if verdict.outcome == witness.UNEXPLAINED:
+def _of(verdict: KinematicsVerdict) -> Finding:
+    if verdict.outcome == consistency.UNEXPLAINED:
         expected = "poses that follow from the joints"
         advice = "compare frame and tool with the authors' robot; convert in encode and decode what no value describes"
     else:

@@ -9,8 +9,8 @@ from xpl_cli.audit.static.borrowed import standing
 from xpl_cli.audit.static.source import Source
 from xpl_cli.model_io import names
 from xpl_cli.model_io.citations import Citation, contradiction, folders, lookup
-from xpl_cli.model_io.reading import Place, Reading, read_tree
-from xpl_cli.model_io.reading import Source as Told
+from xpl_cli.model_io.reference_file import ConventionSource as Told
+from xpl_cli.model_io.reference_file import ReferenceFile, SourceRange, parse_tree
 from xpl_cli.packages.conventions import Value, applying, declared
 
 
@@ -42,18 +42,18 @@ def reference_sources(source: Source) -> Iterator[Finding | Proof]:
     """
     if not source.has(names.CODE):
         raise NotApplicable(f"there is no {names.CODE}: there is no reference for the model")
-    reading = read_tree(source.tree(names.CODE))
+    reading = parse_tree(source.tree(names.CODE))
     if reading.place is None:
         message = f"{names.CODE} has no {names.CONVENTIONS}: a reviewer cannot look up its sources"
         yield _finding(source, message, None, "no such map")
         return
     applies = applying(source.manifest)
     yield from _findings(source, reading, applies)
-    granted = reading.taken_for_granted(applies)
-    yield Proof({"conventions": len(reading.agreed(applies)), "assumed": len(granted)})
+    granted = reading.without_source(applies)
+    yield Proof({"conventions": len(reading.all_conventions(applies)), "assumed": len(granted)})
 
 
-def _findings(source: Source, reading: Reading, applies: Sequence[str]) -> Iterator[Finding]:
+def _findings(source: Source, reading: ReferenceFile, applies: Sequence[str]) -> Iterator[Finding]:
     for problem, place in reading.problems:
         yield _finding(source, problem, place, "another map")
     lacking = [name for name in applies if name not in (*reading.conventions, *reading.renamed)]
@@ -91,7 +91,7 @@ def _unfounded(source: Source, name: str, told: Told, values: Sequence[Value]) -
         yield _finding(source, message, told.place, f"{cited.path}:{cited.first}: {' '.join(quoted.text)}")
 
 
-def _finding(source: Source, message: str, place: Place | None, got: str) -> Finding:
+def _finding(source: Source, message: str, place: SourceRange | None, got: str) -> Finding:
     where = {"path": names.CODE, "line": 1, "column": 1} if place is None else standing(source, names.CODE, place)
     return Finding(
         message,

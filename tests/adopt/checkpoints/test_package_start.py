@@ -17,7 +17,7 @@ from xpl.convert.gaps import gaps
 from xpl.manifest import Manifest
 from xpl_cli.adopt.checkpoints import block, package_start
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.model_io import reading
+from xpl_cli.model_io import reference_file
 from xpl_cli.packages.conventions import applying
 from xpl_cli.standard.validate import validate_yaml
 
@@ -71,11 +71,11 @@ def test_comments_say_the_source_beside_each_value(tmp_path: Path) -> None:
 def test_reference_py_of_a_whole_checkpoint_names_every_convention(tmp_path: Path) -> None:
     """What applies has a source; what nobody says is assumed; nothing of ours is imported."""
     begun = begin(trained.lerobot(tmp_path / "p", "diffusion", n_obs_steps=2, n_action_steps=8), gripper=(0.0, 1.0))
-    found = reading.read(begun.files["reference.py"].decode())
+    found = reference_file.parse(begun.files["reference.py"].decode())
     manifest = yaml.safe_load(begun.files[sdk.File.POLICY_YML])
     assert set(applying(Manifest.parse(manifest))) <= set(found.conventions)
     assert not found.problems
-    assert found.answers
+    assert found.defines_answers
     assert not any(item.takes_sdk or item.takes_adapter("Shirts") for item in found.imports)
     assert {"gripper", "joint_order"} <= set(found.assumed)
     assert not any(found.conventions[name].is_assumed for name in found.conventions if name.startswith("history_"))

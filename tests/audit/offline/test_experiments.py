@@ -20,7 +20,7 @@ from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.served import transports
 from xpl_cli.packages import environments
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -150,7 +150,7 @@ def test_policies_that_draw_random_numbers_are_not_blamed(
 ) -> None:
     """Both episodes of a pair draw the same numbers; of a policy that does not repeat itself only errors count."""
     folder = tmp_path / "Subject"
-    adapter.write(adapter.render(Answers(**{**adapter.defaults(), "name": "Subject", "block": False})), folder)
+    adapter.write(adapter.render(AdapterAnswers(**{**adapter.defaults(), "name": "Subject", "block": False})), folder)
     manifest = folder / "policy.yml"
     told = f"deterministic: {str(deterministic).lower()}"
     manifest.write_text(manifest.read_text().replace("deterministic: true", told))

@@ -28,7 +28,7 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, RuleResult
 from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.model_io import names, pairs, record, script
-from xpl_cli.model_io.pairs import Session
+from xpl_cli.model_io.pairs import PairSession
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 FEW = settings(max_examples=15, derandomize=True, deadline=None)
 
 
-def session(seed: int, takes: int = 1, steps: int = 3, noise: float = 0.0) -> Session:
+def session(seed: int, takes: int = 1, steps: int = 3, noise: float = 0.0) -> PairSession:
     """Return a session with made-up poses; takes of a question differ by noise."""
     rng = np.random.default_rng(seed)
     answers = []
-    for call in script.brief():
+    for call in script.short_script():
         told = []
         for _ in call.ask:
             poses = rng.normal(size=(1, steps, 7)) + noise * rng.normal(size=(takes, steps, 7))
@@ -50,10 +50,10 @@ def session(seed: int, takes: int = 1, steps: int = 3, noise: float = 0.0) -> Se
             openings = np.clip(rng.random((1, steps, 1)) + noise * rng.normal(size=(takes, steps, 1)), 0, 1)
             told.append({"ee_pose": poses.astype(np.float32), "ee_joint_state": openings.astype(np.float32)})
         answers += [tuple(told)] if told else []
-    return Session("franka_single", "ee", 0, {"cam_head": (12, 16)}, takes, script.brief(), tuple(answers))
+    return PairSession("franka_single", "ee", 0, {"cam_head": (12, 16)}, takes, script.short_script(), tuple(answers))
 
 
-def chunks(golden: Session, take: int = 0) -> list[pairs.Chunk]:
+def chunks(golden: PairSession, take: int = 0) -> list[pairs.Chunk]:
     """Return the golden answers as an adapter's."""
     return [
         [{key: values.copy() for key, values in step.items()} for step in golden.chunk(question, take)]
@@ -166,7 +166,7 @@ def audited(folder: Path, **options: Any) -> RuleResult:
 
 def recorded(folder: Path) -> Path:
     """Record a package."""
-    record.record(package.load(folder), record.Options())
+    record.record(package.load(folder), record.RecordOptions())
     return folder
 
 
@@ -339,7 +339,7 @@ def test_a_word_is_named_where_the_statistics_lie_in_the_checkpoint(tmp_path: Pa
     folder = parity.made(tmp_path / "Foo", block)
     (folder / "weights").mkdir()
     (folder / "weights" / "stats.json").write_text(json.dumps(parity.BLOCK["state"][0]["normalize"]["values"]))
-    asked = record.Options(overrides={"ckpt_name": "./weights"})
+    asked = record.RecordOptions(overrides={"ckpt_name": "./weights"})
     record.record(package.load(folder), asked)
     block["images"][0]["channels"] = "rgb"
     (folder / "policy.yml").write_text(yaml.safe_dump(parity.manifest("Foo", block), sort_keys=False))
@@ -376,11 +376,11 @@ def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> Non
     model = Counting(config)
     absolute = {**block, "action": {**block["action"], "reference": "absolute"}}
     broken = {**block, "action": {**block["action"], "pad": 3}}
-    course = SessionReplay(Session("franka_single", "joint", 0, {}, 1, script.brief()))
+    course = SessionReplay(PairSession("franka_single", "joint", 0, {}, 1, script.short_script()))
     asked, known = Asked(model, block), set[str]()
 
     def answers(asked: Asked, blocks: list[Any], seconds: float = 100.0) -> list[Any]:
-        order = {"blocks": blocks, "seconds": seconds, **course.worker_request(script.brief(), known)}
+        order = {"blocks": blocks, "seconds": seconds, **course.worker_request(script.short_script(), known)}
         loaded, *found = [packed.decode(one) for one in asked.answers(order)]
         assert loaded["result"] is None
         return found

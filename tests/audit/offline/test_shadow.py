@@ -21,7 +21,7 @@ from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.verdict import VerdictStatus, verdict_of
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 from xpl_cli.serving.launch import MissingRequirement, ServerStartError, running_server
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
@@ -80,7 +80,7 @@ def resolve(config):
 def package(tmp_path: Path) -> Path:
     """Return a scaffold in which nothing is left to fill in."""
     folder, mark = tmp_path / NAME, spec.data("package")["placeholder"].encode()
-    files = adapter.render(Answers(**{**adapter.defaults(), "name": NAME}))
+    files = adapter.render(AdapterAnswers(**{**adapter.defaults(), "name": NAME}))
     adapter.write({name: content.replace(mark, b"done") for name, content in files.items()}, folder)
     return folder
 

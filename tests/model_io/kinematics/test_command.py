@@ -14,9 +14,9 @@ from tests.support.recordings.arms import moments, rows
 from xpl import get_embodiment
 from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.model_io.kinematics import declared
+from xpl_cli.model_io.kinematics import sample_verdicts
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 from xpl_cli.standard import answers
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ ROBOT = "franka_single"
 def _made(folder: Path, form: str, *, samples: bool = True, **changes: Any) -> Path:
     """Write an adapter whose authors' data have quaternions [x, y, z, w]."""
     given = {**adapter.defaults(), "name": folder.name, "embodiment": ROBOT, "action_type": "ee"}
-    adapter.write(adapter.render(Answers(**given)), folder)
+    adapter.write(adapter.render(AdapterAnswers(**given)), folder)
     manifest = yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8"))
     joints, single = [{"joints": {"arm": "single"}}], {"arm": "single"}
     pose = [{"position": single}, {"rotation": {**single, "form": form}}]
@@ -76,12 +76,12 @@ def test_what_agrees_is_clean(tmp_path: Path) -> None:
 def test_without_a_witness_that_is_said(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
     folder = _made(tmp_path / "P", "quaternion_wxyz", **changes)
     manifest = Manifest.parse(yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8")))
-    with pytest.raises(declared.NoWitnessError, match=words):
-        declared.verdicts(manifest, [folder])
+    with pytest.raises(sample_verdicts.NotJudgeableError, match=words):
+        sample_verdicts.judge_samples(manifest, [folder])
 
 
 def test_rows_are_of_the_robot_that_they_fit(tmp_path: Path) -> None:
     folder = _made(tmp_path / "P", "quaternion_xyzw", embodiments=["piper_single", ROBOT])
     manifest = Manifest.parse(yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8")))
-    found = declared.verdicts(manifest, [folder])
+    found = sample_verdicts.judge_samples(manifest, [folder])
     assert {verdict.outcome for verdict in found} == {"agrees"}

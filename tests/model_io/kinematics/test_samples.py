@@ -11,7 +11,7 @@ import pytest
 from tests.support.recordings.arms import moments, rows
 from xpl import get_embodiment, tables
 from xpl.convert import ConversionError
-from xpl_cli.model_io.kinematics import samples, witness
+from xpl_cli.model_io.kinematics import consistency, samples
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,7 +44,7 @@ def test_rows_of_inputs_and_of_columns_beside_them_are_joined(tmp_path: Path) ->
         ("rotation", (30, 4), False),
         ("joints", (30, 7), False),
     ]
-    assert {verdict.outcome for verdict in witness.judge(found, ROBOT)} == {witness.AGREES}
+    assert {verdict.outcome for verdict in consistency.judge(found, ROBOT)} == {consistency.AGREES}
 
 
 def test_deltas_are_no_witness(tmp_path: Path) -> None:
@@ -108,8 +108,8 @@ def test_words_that_the_block_leaves_open_are_answered(tmp_path: Path) -> None:
     np.savez(tmp_path / "data.npz", pose=rows(true, "franka_single", STATES), q=rows(JOINTS, "franka_single", STATES))
     entries = [{"file": "data.npz", "key": "pose", "parts": parts}, {"file": "data.npz", "key": "q", "parts": JOINTS}]
     found = samples.collect(_block(*entries), [tmp_path], ROBOT)
-    _, position, rotation = witness.judge(found, ROBOT)
-    assert position.outcome == rotation.outcome == witness.ANSWERS
+    _, position, rotation = consistency.judge(found, ROBOT)
+    assert position.outcome == rotation.outcome == consistency.ANSWERS
     assert position.change == "point: tcp"
     assert rotation.change == "form: rot6d_columns"
     assert "these rows tell what is open: form: rot6d_columns fits to 0 degrees" in rotation.sentence

@@ -69,7 +69,7 @@ class Recorded:
         if not kept.is_file():
             with tempfile.TemporaryDirectory() as place:
                 subject = Adapter(package.name).write(Path(place))
-                record.record(load(subject), record.Options())
+                record.record(load(subject), record.RecordOptions())
                 shutil.copyfile(subject / names.PAIRS, kept)
         shutil.copyfile(kept, package / names.PAIRS)
 

@@ -15,17 +15,17 @@ from tests.support.outside.browser import browser
 from tests.support.peer import xpl
 from xpl import images
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.model_io.show import page, scene, seen, watched
+from xpl_cli.model_io.show import page, predict_run, report, scene
 from xpl_cli.model_io.show.cards import card
-from xpl_cli.model_io.show.subject import subject
+from xpl_cli.model_io.show.shown_adapter import load_adapter
 from xpl_cli.packages import package
 from xpl_cli.standard import answers
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from xpl_cli.model_io.show.scene import Scene
-    from xpl_cli.model_io.show.subject import Subject
+    from xpl_cli.model_io.show.scene import ShownScene
+    from xpl_cli.model_io.show.shown_adapter import ShownAdapter
 
 EXCHANGES = """
 import numpy as np
@@ -63,11 +63,11 @@ class Model(Policy):
 """
 
 
-def looked(folder: Path, model_io: dict[str, Any]) -> tuple[Subject, Scene, seen.Seen]:
+def looked(folder: Path, model_io: dict[str, Any]) -> tuple[ShownAdapter, ShownScene, report.ShowReport]:
     """Return an adapter with this block, what is shown to it, and what its model sees of that."""
-    what = subject(package.load(sights.made(folder, model_io)), {})
+    what = load_adapter(package.load(sights.made(folder, model_io)), {})
     view = scene.scripted(what.package.manifest, what.robot, what.cameras, 1)
-    return what, view, seen.look(what, view)
+    return what, view, report.report_from_block(what, view)
 
 
 def test_the_page_the_picture_and_the_numbers_are_written(tmp_path: Path) -> None:
@@ -148,10 +148,10 @@ def test_the_page_quotes_the_cited_lines_beside_the_values_of_the_block(tmp_path
     assert "none is named" in told["chunk"]
 
 
-def _run(folder: Path) -> seen.Seen:
-    what = subject(package.load(folder), {})
+def _run(folder: Path) -> report.ShowReport:
+    what = load_adapter(package.load(folder), {})
     view = scene.scripted(what.package.manifest, what.robot, what.cameras, what.reach)
-    return seen.run(what, view, watched.Place())
+    return report.report_from_run(what, view, predict_run.RunOptions())
 
 
 def test_what_code_exchanges_is_seen_when_the_model_runs(tmp_path: Path) -> None:
@@ -199,9 +199,9 @@ def test_what_is_open_and_what_is_missing_is_told(tmp_path: Path) -> None:
 def test_pairs_are_shown_where_there_are_some(tmp_path: Path) -> None:
     folder = parity.made(tmp_path / "Foo")
     assert xpl("model-io", "record", str(folder), cwd=tmp_path).returncode == ExitCode.CLEAN
-    what = subject(package.load(folder), {})
-    view, steps, told = seen.of_pairs(what) or pytest.fail("no pairs")
-    found = seen.look(what, view, (steps, told))
+    what = load_adapter(package.load(folder), {})
+    view, steps, told = report.first_pair(what) or pytest.fail("no pairs")
+    found = report.report_from_block(what, view, (steps, told))
     assert found.action_from.startswith("what reference.py answered (golden_pairs.json, environment 0")
     assert len(steps) == 4
     assert all(abs(value) <= 1 for number in found.action[:7] for value in number.values["model"])
@@ -213,13 +213,15 @@ def test_photographs_and_environments_are_shown(tmp_path: Path) -> None:
     photo[:, :20] = (200, 10, 10)
     (tmp_path / "photo.png").write_bytes(images.encode_png(photo))
     pictured = scene.photographed(view, {"cam_head": tmp_path / "photo.png"})
-    assert np.array_equal(seen.look(what, pictured).views[0].taken, photo)
+    assert np.array_equal(report.report_from_block(what, pictured).views[0].taken, photo)
     with pytest.raises(UserError, match="no camera cam_foot"):
         scene.photographed(view, {"cam_foot": tmp_path / "photo.png"})
     with pytest.raises(UserError, match="is no picture"):
         scene.photographed(view, {"cam_head": tmp_path / "P" / "policy.yml"})
-    real = scene.of_environment(scene.Episode("mujoco", "lift_tray_bimanual"), what.robot, "joint", what.cameras)
-    found = seen.look(what, real)
+    real = scene.of_environment(
+        scene.EnvironmentEpisode("mujoco", "lift_tray_bimanual"), what.robot, "joint", what.cameras
+    )
+    found = report.report_from_block(what, real)
     assert {view.notes for view in found.views} == {()}
     assert not np.array_equal(found.views[0].taken, card("cam_head", 0, *found.views[0].taken.shape[:2]))
     assert found.scene.origin == "the first observation of mujoco, lift_tray_bimanual, seed 0"

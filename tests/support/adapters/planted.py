@@ -10,7 +10,7 @@ from tests.support.adapters.model_io import Case, fields, observation
 from xpl import rotation
 from xpl.convert import compile_interface
 from xpl.policy import Policy
-from xpl_cli.model_io.difference import Thread
+from xpl_cli.model_io.difference import EpisodeAnswers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -112,14 +112,14 @@ class Rig:
             model.reset()
         return found
 
-    def threads(self, model_io: Sequence[Any], given: Sequence[Any]) -> list[Thread]:
+    def threads(self, model_io: Sequence[Any], given: Sequence[Any]) -> list[EpisodeAnswers]:
         """Return the episodes of each environment with both answers."""
         parts: dict[tuple[int, int], list[tuple[Any, Any, Any]]] = {}
         shown = [(number, env, obs) for number, episode in enumerate(self.episodes) for env, obs in episode]
         for (number, env, obs), one, other in zip(shown, model_io, given, strict=True):
             parts.setdefault((number, env), []).append((obs, one, other))
         return [
-            Thread(
+            EpisodeAnswers(
                 [obs for obs, _, _ in part], range(len(part)), [one for _, one, _ in part], [two for *_, two in part]
             )
             for part in parts.values()

@@ -96,12 +96,12 @@ def select_checks(options: ValidationOptions) -> list[type[DemonstrationCheck]]:
     ]
 
 
-def validate(demonstrations: Demonstrations, shown: str, options: ValidationOptions) -> TargetReport:
+def validate(demonstrations: Demonstrations, path: str, options: ValidationOptions) -> TargetReport:
     """Check a set.
 
     Args:
         demonstrations: the set.
-        shown: how reports name it.
+        path: how reports name it.
         options: what is checked.
     """
     started = time.perf_counter()
@@ -123,7 +123,7 @@ def validate(demonstrations: Demonstrations, shown: str, options: ValidationOpti
     report.digest = digest.hexdigest()[:16]
     report.fingerprint = "data"
     report.seconds = time.perf_counter() - started
-    target = TargetReport(path=shown, name=shown.rstrip("/").rpartition("/")[2], kind=DEMONSTRATIONS, gates=[report])
+    target = TargetReport(path=path, name=path.rstrip("/").rpartition("/")[2], kind=DEMONSTRATIONS, gates=[report])
     target.circumstances = Circumstances(narrowed=_describe_selection(len(places), len(demonstrations), chosen))
     return target
 

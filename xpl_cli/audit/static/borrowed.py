@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.model_io import names
-from xpl_cli.model_io.reading import Import, Place, read_tree
+from xpl_cli.model_io.reference_file import Import, SourceRange, parse_tree
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.model import Location
@@ -44,7 +44,7 @@ def borrowed(source: Source) -> Iterator[Borrowed]:
     for file in source.reached(names.CODE):
         if file == sdk.File.MODEL_PY or not source.parses(file):
             continue
-        for item in read_tree(source.tree(file)).imports:
+        for item in parse_tree(source.tree(file)).imports:
             what = _imported(source, file, item)
             if what:
                 yield Borrowed(what, "imports", standing(source, file, item.place))
@@ -54,7 +54,7 @@ def borrowed(source: Source) -> Iterator[Borrowed]:
                 yield Borrowed(sdk.File.POLICY_YML, "names the file of", source.at(file, node))
 
 
-def standing(source: Source, name: str, place: Place) -> Location:
+def standing(source: Source, name: str, place: SourceRange) -> Location:
     """Return a place of a Python file for a `Finding`."""
     node = ast.Pass(
         lineno=place.line, col_offset=place.column, end_lineno=place.end_line, end_col_offset=place.end_column

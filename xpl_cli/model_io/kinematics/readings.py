@@ -19,13 +19,13 @@ from xpl.conventions import frame as frames
 from xpl.conventions import rotation as rotations
 from xpl.conventions.point import POINTS, tool
 from xpl.convert import ConversionError
-from xpl.convert.parts import part
+from xpl.convert.parts import make_part
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from xpl import Embodiment
-    from xpl_cli.model_io.kinematics.samples import Columns
+    from xpl_cli.model_io.kinematics.samples import SampleColumns
 
 NO_WORD = "no word of the block"
 """Mark of what only code can say."""
@@ -34,7 +34,7 @@ _INVERTED = ("quaternion_wxyz", "quaternion_xyzw", "matrix", "axis_angle")
 
 
 @dataclass(frozen=True)
-class Poses:
+class PoseReadings:
     """Every way to read a pose's columns: each of `words` at each of `places`; the first of both is the declared one.
 
     Attributes:
@@ -47,20 +47,20 @@ class Poses:
     values: np.ndarray
     places: Sequence[tuple[str, str, str]]
 
-    def told(self, word: int, place: int) -> dict[str, str]:
+    def words_of(self, word: int, place: int) -> dict[str, str]:
         """Return all words of one reading."""
         return {**dict(zip(("arm", "point", "frame"), self.places[place], strict=True)), **self.words[word]}
 
 
 @dataclass(frozen=True)
-class Angles:
+class JointReading:
     """One way to read an arm's joints: what it changes, "" for nothing, and the joint angles (N, dof), rad."""
 
     change: str
     values: np.ndarray
 
 
-def joints(columns: Columns, others: Columns | None, embodiment: Embodiment) -> Iterator[Angles]:
+def joints(columns: SampleColumns, others: SampleColumns | None, embodiment: Embodiment) -> Iterator[JointReading]:
     """Yield the ways to read joints: first as declared, then with one change each.
 
     Args:
@@ -74,8 +74,8 @@ def joints(columns: Columns, others: Columns | None, embodiment: Embodiment) -> 
     names = list(entry.get("names") or arm.joint_names or ())
     sign = np.asarray(entry.get("sign", np.ones(dof)), np.float64)
 
-    def read(change: str, rows: np.ndarray, **words: Any) -> Angles:
-        return Angles(change, part({"joints": {**entry, **words}}, embodiment).write(rows))
+    def read(change: str, rows: np.ndarray, **words: Any) -> JointReading:
+        return JointReading(change, make_part({"joints": {**entry, **words}}, embodiment).write(rows))
 
     yield read("", columns.rows)
     unit = "rad" if entry.get("unit") == "deg" else "deg"
@@ -96,26 +96,26 @@ def joints(columns: Columns, others: Columns | None, embodiment: Embodiment) -> 
             yield read(f"names {names[one]} and {names[two]} exchanged", columns.rows, names=order)
 
 
-def positions(columns: Columns, embodiment: Embodiment) -> Poses:
+def positions(columns: SampleColumns, embodiment: Embodiment) -> PoseReadings:
     """Return the ways to read positions."""
     entry = {"arm": columns.entry["arm"]}
     units = _first(columns.entry.get("unit", "m"), list(frames.UNITS))
-    made = [part({"position": {**entry, "unit": unit}}, embodiment) for unit in units]
+    made = [make_part({"position": {**entry, "unit": unit}}, embodiment) for unit in units]
     values = np.stack([item.write(columns.rows) for item in made])
-    return Poses([{"unit": unit} for unit in units], values, _places(columns, embodiment))
+    return PoseReadings([{"unit": unit} for unit in units], values, _places(columns, embodiment))
 
 
-def turns(columns: Columns, embodiment: Embodiment) -> Poses:
+def turns(columns: SampleColumns, embodiment: Embodiment) -> PoseReadings:
     """Return the ways to read rotations.
 
     Raises:
         ConversionError: if the rows are no rotations in the form that is declared.
     """
     words, values = zip(*_forms(columns), strict=True)
-    return Poses(words, np.stack(values), _places(columns, embodiment))
+    return PoseReadings(words, np.stack(values), _places(columns, embodiment))
 
 
-def _forms(columns: Columns) -> Iterator[tuple[dict[str, str], np.ndarray]]:
+def _forms(columns: SampleColumns) -> Iterator[tuple[dict[str, str], np.ndarray]]:
     """Yield each form that has as many numbers, with the rotations that it reads; the declared one first."""
     width = columns.rows.shape[1]
     declared = (columns.entry["form"], columns.entry.get("euler"))
@@ -140,7 +140,7 @@ def _forms(columns: Columns) -> Iterator[tuple[dict[str, str], np.ndarray]]:
                 yield {**words, "direction": f"inverse ({NO_WORD})"}, rotation.conjugate(values)
 
 
-def _places(columns: Columns, embodiment: Embodiment) -> list[tuple[str, str, str]]:
+def _places(columns: SampleColumns, embodiment: Embodiment) -> list[tuple[str, str, str]]:
     """Return arm, point and frame as declared, then the others that the standard knows of this robot."""
     entry = columns.entry
     found = []

@@ -29,7 +29,7 @@ COLOURS: Final = {
 
 
 @dataclass(frozen=True)
-class Line:
+class LineShape:
     """A line through points; with a tip at its end if `tip`."""
 
     kind: str
@@ -40,7 +40,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Dot:
+class DotShape:
     """A filled circle."""
 
     kind: str
@@ -49,7 +49,7 @@ class Dot:
 
 
 @dataclass(frozen=True)
-class Word:
+class TextShape:
     """Words whose left end, middle or right end (start, middle, end) is at a point."""
 
     kind: str
@@ -59,11 +59,11 @@ class Word:
     anchor: str = "start"
 
 
-Shape = Line | Dot | Word
+Shape = LineShape | DotShape | TextShape
 
 
 @dataclass(frozen=True)
-class Figure:
+class VectorFigure:
     """Shapes on paper of a size; the origin is at the upper left."""
 
     width: float
@@ -89,9 +89,9 @@ class Figure:
 
         for shape in self.shapes:
             colour = COLOURS[shape.kind]
-            if isinstance(shape, Dot):
+            if isinstance(shape, DotShape):
                 pen.circle(at(shape.at), scale * shape.radius, fill=colour)
-            elif isinstance(shape, Word):
+            elif isinstance(shape, TextShape):
                 anchor = {"start": "ls", "middle": "ms", "end": "rs"}[shape.anchor]
                 font = ImageFont.load_default(scale * shape.size)
                 pen.text(at(shape.at), shape.text, colour, font=font, anchor=anchor)
@@ -103,7 +103,7 @@ class Figure:
                     pen.polygon(_tip(points[-2], points[-1], scale * (4 + shape.width)), fill=colour)
 
 
-def _line(shape: Line) -> str:
+def _line(shape: LineShape) -> str:
     path = "L".join(f"{x:.1f} {y:.1f}" for x, y in shape.points)
     dash = ' stroke-dasharray="5 5"' if shape.dashed else ""
     made = f'<path class="{shape.kind}" d="M{path}" stroke-width="{shape.width:g}"{dash}/>'
@@ -113,18 +113,18 @@ def _line(shape: Line) -> str:
     return made
 
 
-def _dot(shape: Dot) -> str:
+def _dot(shape: DotShape) -> str:
     x, y = shape.at
     return f'<circle class="{shape.kind} full" cx="{x:.1f}" cy="{y:.1f}" r="{shape.radius:g}"/>'
 
 
-def _word(shape: Word) -> str:
+def _word(shape: TextShape) -> str:
     x, y = shape.at
     place = f'x="{x:.1f}" y="{y:.1f}" font-size="{shape.size:g}" text-anchor="{shape.anchor}"'
     return f'<text class="{shape.kind}" {place}>{escape(shape.text)}</text>'
 
 
-_SVG: Final[dict[type, Callable[[Any], str]]] = {Line: _line, Dot: _dot, Word: _word}
+_SVG: Final[dict[type, Callable[[Any], str]]] = {LineShape: _line, DotShape: _dot, TextShape: _word}
 
 
 def _tip(start: Point, end: Point, size: float) -> list[Point]:

@@ -9,58 +9,58 @@ import numpy as np
 
 from xpl import images
 from xpl_cli.basics import pages
-from xpl_cli.model_io.show import phrases
+from xpl_cli.model_io.show import formatting
 from xpl_cli.model_io.show.sheet import ROBOT
 
 if TYPE_CHECKING:
-    from xpl_cli.model_io.show.seen import Seen
-    from xpl_cli.model_io.show.views import View
+    from xpl_cli.model_io.show.report import ShowReport
+    from xpl_cli.model_io.show.views import ImageView
 
 _WIDEST: Final = 640
 """Pixels of a picture on the page."""
 
 
-def page(seen: Seen) -> str:
+def page(report: ShowReport) -> str:
     """Return everything that is shown as HTML."""
     return pages.render(
         "model_io/show.html.jinja",
         style="model_io/show.css",
-        seen=seen,
-        pictures=[_picture(view) for view in seen.views],
+        report=report,
+        pictures=[_picture(view) for view in report.views],
         vectors=[
             {
                 "input": vector.input,
                 "words": vector.words,
-                "heads": phrases.HEADS,
-                "rows": [phrases.row(number) for number in vector.numbers],
+                "heads": formatting.HEADS,
+                "rows": [formatting.row(number) for number in vector.numbers],
             }
-            for vector in seen.vectors
+            for vector in report.vectors
         ],
         texts=[
-            {"input": name, "standard": repr(seen.instruction), "model": repr(text)}
-            for name, text in seen.texts.items()
+            {"input": name, "standard": repr(report.instruction), "model": repr(text)}
+            for name, text in report.texts.items()
         ],
-        action={"heads": phrases.ACTION_HEADS, "rows": [phrases.row(one) for one in seen.action]}
-        if seen.action
+        action={"heads": formatting.ACTION_HEADS, "rows": [formatting.row(one) for one in report.action]}
+        if report.action
         else None,
-        conventions=seen.conventions,
-        counts=phrases.counts(seen.conventions),
-        figures=[figure.svg() for figure in seen.figures],
+        conventions=report.conventions,
+        counts=formatting.counts(report.conventions),
+        figures=[figure.svg() for figure in report.figures],
         robot=ROBOT,
     )
 
 
-def _picture(view: View) -> dict[str, Any]:
+def _picture(view: ImageView) -> dict[str, Any]:
     return {
         "camera": view.camera,
         "input": view.input,
-        "when": phrases.when(view),
+        "when": formatting.when(view),
         "taken": _data(view.taken),
         "seen": _data(view.seen),
         "raw": _data(view.raw),
         "size": " x ".join(map(str, view.taken.shape)),
         "words": ", ".join(view.words),
-        "about": phrases.about(view),
+        "about": formatting.about(view),
         "notes": view.notes,
     }
 

@@ -32,7 +32,7 @@ _PLACE: Final = 1
 
 
 @dataclass(frozen=True)
-class Scene:
+class ShownScene:
     """An episode of one environment.
 
     Attributes:
@@ -44,7 +44,7 @@ class Scene:
     origin: str
 
 
-def scripted(manifest: Manifest, robot: Embodiment, cameras: Sequence[str], reach: int) -> Scene:
+def scripted(manifest: Manifest, robot: Embodiment, cameras: Sequence[str], reach: int) -> ShownScene:
     """Return test cards and a scripted state.
 
     Args:
@@ -61,18 +61,18 @@ def scripted(manifest: Manifest, robot: Embodiment, cameras: Sequence[str], reac
     except ConversionError as error:
         raise UserError(f"{error}; show it one with --environment", code=ExitCode.NOT_RUN) from None
     sizes = {**sizes, **{camera: _SIZE for camera in cameras if camera not in sizes}}
-    stage = script.Scene(robot, sizes)
+    stage = script.ScriptedScene(robot, sizes)
     shown = []
     for ago in reversed(range(reach)):
         observation = stage.observation(0, _PLACE + 4 * (reach - 1 - ago))
         when = "now" if ago == 0 else f"{ago} step{'s' if ago > 1 else ''} ago"
         cards = {name: card(name, number, *sizes[name], when) for number, name in enumerate(sizes)}
         shown.append(with_pictures(observation, cards))
-    return Scene(shown, "test cards and a scripted state")
+    return ShownScene(shown, "test cards and a scripted state")
 
 
 @dataclass(frozen=True)
-class Episode:
+class EnvironmentEpisode:
     """One in an environment.
 
     Attributes:
@@ -86,7 +86,9 @@ class Episode:
     seed: int = 0
 
 
-def of_environment(episode: Episode, robot: Embodiment, action_type: str, cameras: Sequence[str]) -> Scene:
+def of_environment(
+    episode: EnvironmentEpisode, robot: Embodiment, action_type: str, cameras: Sequence[str]
+) -> ShownScene:
     """Return the first observation of an episode in an environment.
 
     Args:
@@ -117,10 +119,10 @@ def of_environment(episode: Episode, robot: Embodiment, action_type: str, camera
     lacking = [camera for camera in cameras if camera not in observation[sdk.Obs.VISION]]
     if lacking:
         raise UserError(f"{name} has no {', '.join(lacking)}; it has {', '.join(observation[sdk.Obs.VISION])}")
-    return Scene([observation], f"the first observation of {name}, {what.task}, seed {episode.seed}")
+    return ShownScene([observation], f"the first observation of {name}, {what.task}, seed {episode.seed}")
 
 
-def photographed(scene: Scene, photos: Mapping[str, Path]) -> Scene:
+def photographed(scene: ShownScene, photos: Mapping[str, Path]) -> ShownScene:
     """Return a scene in which cameras see pictures from files.
 
     Raises:
@@ -135,7 +137,7 @@ def photographed(scene: Scene, photos: Mapping[str, Path]) -> Scene:
     pictures = dict(_photos(photos))
     shown = [with_pictures(one, pictures) for one in scene.observations]
     told = ", ".join(f"{camera} from {path.name}" for camera, path in photos.items())
-    return Scene(shown, f"{scene.origin}; {told}")
+    return ShownScene(shown, f"{scene.origin}; {told}")
 
 
 def _photos(photos: Mapping[str, Path]) -> Iterator[tuple[str, np.ndarray]]:

@@ -6,7 +6,7 @@ import io
 import textwrap
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.model_io.show import phrases
+from xpl_cli.model_io.show import formatting
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from PIL import Image
 
     from xpl_cli.model_io.show.numbers import Number
-    from xpl_cli.model_io.show.seen import Seen
-    from xpl_cli.model_io.show.views import View
+    from xpl_cli.model_io.show.report import ShowReport
+    from xpl_cli.model_io.show.views import ImageView
 
 _WIDTH, _EDGE, _GAP = 1500, 36, 18
 _TALLEST: Final = 24_000
@@ -75,7 +75,7 @@ class _Paper:
         return buffer.getvalue()
 
 
-def sheet(seen: Seen) -> bytes:
+def sheet(seen: ShowReport) -> bytes:
     """Return everything that is shown as a PNG."""
     paper = _Paper()
     paper.lines(f"What {seen.policy} sees", 30)
@@ -104,12 +104,12 @@ ROBOT: Final = (
 )
 
 
-def _words(paper: _Paper, seen: Seen) -> None:
+def _words(paper: _Paper, seen: ShowReport) -> None:
     """Write what is told in numbers and words."""
     for vector in seen.vectors:
         paper.heading(f"State: {vector.input}")
         paper.lines(vector.words, 14, _SOFT)
-        _table(paper, phrases.HEADS, vector.numbers)
+        _table(paper, formatting.HEADS, vector.numbers)
     for name, text in seen.texts.items():
         paper.heading(f"Instruction: {name}")
         paper.lines(f"standard: {seen.instruction!r}")
@@ -117,20 +117,20 @@ def _words(paper: _Paper, seen: Seen) -> None:
     if seen.action:
         paper.heading("Action")
         paper.lines(f"{seen.action_from}. {seen.action_words}. First and last step.", 14, _SOFT)
-        _table(paper, phrases.ACTION_HEADS, seen.action)
+        _table(paper, formatting.ACTION_HEADS, seen.action)
     if seen.witness:
         paper.heading("What the robot's kinematics says of model_io.samples")
         for sentence in seen.witness:
             paper.lines(sentence)
 
 
-def _view(paper: _Paper, view: View) -> None:
+def _view(paper: _Paper, view: ImageView) -> None:
     """Draw the camera's picture, what people would see, and the numbers."""
     if not paper.room():
         return
-    titles = (f"camera: {view.camera}", f"model: {view.input} {phrases.when(view)}", "its numbers as they are")
+    titles = (f"camera: {view.camera}", f"model: {view.input} {formatting.when(view)}", "its numbers as they are")
     shown = (view.taken, view.seen, view.raw)
-    below = (" x ".join(map(str, view.taken.shape)), ", ".join(view.words), phrases.about(view))
+    below = (" x ".join(map(str, view.taken.shape)), ", ".join(view.words), formatting.about(view))
     top = paper.top
     bottom = top
     for place, (title, picture, told) in enumerate(zip(titles, shown, below, strict=True)):
@@ -162,7 +162,7 @@ def _table(paper: _Paper, heads: Sequence[str], numbers: Sequence[Number]) -> No
     for number in numbers:
         if not paper.room():
             return
-        _row(paper, phrases.row(number), _INK)
+        _row(paper, formatting.row(number), _INK)
 
 
 def _row(paper: _Paper, cells: Sequence[str], colour: tuple[int, int, int]) -> None:

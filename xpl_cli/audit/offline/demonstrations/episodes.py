@@ -15,7 +15,7 @@ from xpl.conventions.frame import mount
 from xpl.convert import ConversionError
 from xpl.kinematics import Chain, KinematicsError
 from xpl_cli.audit.offline.search.session_replay import SessionReplay
-from xpl_cli.model_io.pairs import Session
+from xpl_cli.model_io.pairs import PairSession
 from xpl_cli.model_io.script import Call
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class _RecordedScene:
 
 
 @dataclass(frozen=True)
-class RecordedSession(Session):
+class RecordedSession(PairSession):
     """A session of recorded episodes; the answers are what was commanded.
 
     Attributes:
@@ -104,7 +104,7 @@ class BatchedReplay(SessionReplay):
         """Return the calls that ask some questions."""
         found = []
         for start in range(0, len(wanted), _BATCH):
-            shown = [self.session.questions[number].shown for number in wanted[start : start + _BATCH]]
+            shown = [self.session.questions[number].recipes for number in wanted[start : start + _BATCH]]
             longest = max(map(len, shown))
             found.append(Call(reset=True))
             for moment in range(longest):

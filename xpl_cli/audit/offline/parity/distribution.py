@@ -21,7 +21,7 @@ from xpl import _spec as sdk
 from xpl_cli.model_io.difference import spreads
 
 if TYPE_CHECKING:
-    from xpl_cli.model_io.pairs import Answer, Chunk, Session
+    from xpl_cli.model_io.pairs import Answer, Chunk, PairSession
 
 _ERRORS: Final = 1e-6
 """Audits of a right adapter in which a number differs by chance, at most."""
@@ -54,7 +54,7 @@ class Shift:
     parts: tuple[str, ...]
 
 
-def find_shift(session: Session, given: Sequence[Sequence[Chunk]], share: float) -> Shift | None:
+def find_shift(session: PairSession, given: Sequence[Sequence[Chunk]], share: float) -> Shift | None:
     """Return what is distributed otherwise most clearly, None if nothing is.
 
     Args:
@@ -72,7 +72,7 @@ def find_shift(session: Session, given: Sequence[Sequence[Chunk]], share: float)
     return Shift(**{**vars(found[0]), "parts": parts})
 
 
-def average_takes(session: Session, given: Sequence[Sequence[Chunk]]) -> tuple[Session, list[Chunk], float]:
+def average_takes(session: PairSession, given: Sequence[Sequence[Chunk]]) -> tuple[PairSession, list[Chunk], float]:
     """Return a session of one take, with the means of the golden answers, the adapter's means, and the noise.
 
     Returns:
@@ -99,7 +99,7 @@ def average_takes(session: Session, given: Sequence[Sequence[Chunk]]) -> tuple[S
     return means, chunks, noise
 
 
-def _columns(session: Session, given: Sequence[Sequence[Chunk]]) -> tuple[list[Answer], list[Answer]]:
+def _columns(session: PairSession, given: Sequence[Sequence[Chunk]]) -> tuple[list[Answer], list[Answer]]:
     """Return golden and given answers of each question, (K, steps, numbers) by key, with quaternions of one sign.
 
     Of golden chunks that are longer than the adapter's, which hands on their beginning, as much is taken.

@@ -15,7 +15,7 @@ from xpl_cli.audit.offline.parity.search import ParitySearch, ParitySearchResult
 from xpl_cli.audit.offline.search.replay import QuestionRefusedError, overrides, replay_session
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.basics.errors import UserError
-from xpl_cli.model_io import names, reading
+from xpl_cli.model_io import names, reference_file
 from xpl_cli.model_io import pairs as recording
 from xpl_cli.packages import conventions
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from xpl.contract import Config
     from xpl_cli.audit.offline.parity.distribution import Shift
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.model_io.pairs import Chunk, Pairs, Session
+    from xpl_cli.model_io.pairs import Chunk, GoldenPairs, PairSession
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class SessionComparison:
         refusal: the question that it refused, and how; None if it answered all.
     """
 
-    session: Session
+    session: PairSession
     answers: list[list[Chunk]]
     refusal: QuestionRefusedError | None = None
 
@@ -70,7 +70,7 @@ class Parity:
         self._path: Path = probe.package.path
 
     @cached_property
-    def pairs(self) -> Pairs:
+    def pairs(self) -> GoldenPairs:
         """The pairs of the package.
 
         Raises:
@@ -94,7 +94,7 @@ class Parity:
         return found
 
     @property
-    def recorded(self) -> Pairs | None:
+    def recorded(self) -> GoldenPairs | None:
         """The pairs of the package, None where there are none that can be used; golden-parity says why."""
         try:
             return self.pairs
@@ -107,11 +107,11 @@ class Parity:
         manifest = self.probe.package.manifest
         values = [one.where.removeprefix("model_io.") for one in manifest.assumed]
         try:
-            read = reading.read_file(self._path)
+            read = reference_file.read_file(self._path)
         except UserError:
             return 0, values
         applying = conventions.applying(manifest)
-        return len(read.agreed(applying)), [*read.taken_for_granted(applying), *values]
+        return len(read.all_conventions(applying)), [*read.without_source(applying), *values]
 
     @cached_property
     def tolerance(self) -> float:
@@ -159,7 +159,7 @@ class Parity:
         shown = margins.measure_margins(self.probe, self.judge(first), self.settings)
         return margins.summarize_margins(shown, len(first.session.questions)) if shown else {}
 
-    def _compare(self, session: Session) -> SessionComparison:
+    def _compare(self, session: PairSession) -> SessionComparison:
         self.probe.options.time_limit.check()
         # What was asked of this audit counts for more than what was recorded with; the session is what it is.
         settings = {**self.settings, **self.probe.options.overrides}

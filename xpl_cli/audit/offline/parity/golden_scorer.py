@@ -10,7 +10,7 @@ import numpy as np
 
 from xpl_cli.audit.offline.search.ranking import Scorer
 from xpl_cli.model_io.difference import differences
-from xpl_cli.model_io.explain import Explanation, Tried, explain
+from xpl_cli.model_io.explain import Explanation, TriedChange, explain
 
 if TYPE_CHECKING:
     from xpl_cli.audit.offline.parity.judgement import Judgement
@@ -52,19 +52,19 @@ class GoldenPairScorer(Scorer):
         """Whether no difference is left under a mistake."""
         return max(self.remaining(answered.answers).values()) <= self._judgement.tolerance
 
-    def score(self, answered: MistakeAnswers) -> Tried:
+    def score(self, answered: MistakeAnswers) -> TriedChange:
         """Return what is left under a mistake."""
-        return Tried(answered.words, answered.convention, self.remaining(answered.answers))
+        return TriedChange(answered.words, answered.convention, self.remaining(answered.answers))
 
-    def score_pair(self, first: MistakeAnswers, second: MistakeAnswers, given: AnswersByQuestion | None) -> Tried:
+    def score_pair(self, first: MistakeAnswers, second: MistakeAnswers, given: AnswersByQuestion | None) -> TriedChange:
         """Return what is left under two mistakes, of the answers with both undone."""
-        return Tried(first.words, first.convention, self.remaining(given), (second.words, second.convention))
+        return TriedChange(first.words, first.convention, self.remaining(given), (second.words, second.convention))
 
     def explain_ranking(self, held: RankingResult) -> Explanation:
         """Return which mistake of a family explains the difference."""
         return self.explain_tried([self.score(answered) for _, answered in held.final_round])
 
-    def explain_tried(self, tried: Sequence[Tried]) -> Explanation:
+    def explain_tried(self, tried: Sequence[TriedChange]) -> Explanation:
         """Return which of some mistakes, tried on all questions, explains the difference."""
         return explain(self.before, tried, self._judgement.tolerance)
 

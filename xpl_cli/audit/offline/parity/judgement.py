@@ -15,7 +15,7 @@ import numpy as np
 from xpl_cli.model_io.difference import differences, spreads
 
 if TYPE_CHECKING:
-    from xpl_cli.model_io.pairs import Chunk, Question, Session
+    from xpl_cli.model_io.pairs import Chunk, PairQuestion, PairSession
 
 _ROUNDING = 4 * float(np.finfo(np.float32).eps)
 """Share of a number that its float32 may be off by, on both sides."""
@@ -37,7 +37,7 @@ class Deviation:
     """
 
     part: str
-    question: Question
+    question: PairQuestion
     step: int
     golden: float
     answer: float
@@ -59,7 +59,7 @@ class Judgement:
         noise: by key, what two recordings of the golden answers are apart.
     """
 
-    session: Session
+    session: PairSession
     answers: Sequence[Chunk]
     share: float
     noise: Mapping[str, float]

@@ -12,7 +12,7 @@ from xpl.client import PolicyServerError
 if TYPE_CHECKING:
     from xpl_cli.audit.served.recorded_client import Answer
     from xpl_cli.audit.served.recorded_client import RecordedClient as Client
-    from xpl_cli.model_io.pairs import Chunk, Question, Session
+    from xpl_cli.model_io.pairs import Chunk, PairQuestion, PairSession
     from xpl_cli.model_io.script import Call
 
 Observation = Mapping[str, Any]
@@ -21,13 +21,13 @@ Observation = Mapping[str, Any]
 class QuestionRefusedError(Exception):
     """The adapter answers a question by an error, or by what is no chunk."""
 
-    def __init__(self, question: Question, answer: object) -> None:
+    def __init__(self, question: PairQuestion, answer: object) -> None:
         super().__init__(str(answer))
         self.question = question
         self.answer = answer
 
 
-def overrides(session: Session, settings: Mapping[str, object]) -> dict[str, object]:
+def overrides(session: PairSession, settings: Mapping[str, object]) -> dict[str, object]:
     """Return the keys of deploy.yml that an adapter is served with for a session."""
     return {
         **settings,
@@ -37,7 +37,7 @@ def overrides(session: Session, settings: Mapping[str, object]) -> dict[str, obj
     }
 
 
-def replay_session(client: Client, session: Session) -> list[list[Chunk]]:
+def replay_session(client: Client, session: PairSession) -> list[list[Chunk]]:
     """Return the answers to all questions of a session, as many takes of each as it has.
 
     One environment is shown and asked about as a client of one environment does it, several as a batch.
@@ -50,9 +50,9 @@ def replay_session(client: Client, session: Session) -> list[list[Chunk]]:
 
 def replay_calls(
     client: Client,
-    session: Session,
+    session: PairSession,
     calls: Sequence[Call],
-    asked: Sequence[Question],
+    asked: Sequence[PairQuestion],
     observation: Callable[[int, int], Observation],
 ) -> list[list[Chunk]]:
     """Return the answers to the questions of some calls.
@@ -67,7 +67,7 @@ def replay_calls(
     Raises:
         RefusedError: if an answer is an error or no chunk.
     """
-    questions: Iterator[Question] = iter(asked)
+    questions: Iterator[PairQuestion] = iter(asked)
     found: list[list[Chunk]] = []
     newest: tuple[int, ...] = ()
     for call in calls:
@@ -88,9 +88,9 @@ def replay_calls(
 
 def replay_by_question(
     client: Client,
-    session: Session,
+    session: PairSession,
     calls: Sequence[Call],
-    asked: Sequence[Question],
+    asked: Sequence[PairQuestion],
     observation: Callable[[int, int], Observation],
 ) -> dict[int, Chunk]:
     """Return what `replay` does of the first takes, by the numbers of the questions."""
@@ -98,7 +98,7 @@ def replay_by_question(
     return {question.number: takes[0] for question, takes in zip(asked, answers, strict=True)}
 
 
-def _get_chunks(client: Client, session: Session, asked: Sequence[Question], *, alone: bool) -> list[Chunk]:
+def _get_chunks(client: Client, session: PairSession, asked: Sequence[PairQuestion], *, alone: bool) -> list[Chunk]:
     if len(asked) == 1 and alone:
         return [check_answer(client.get_action(), asked[0], session)]
     answer = client.get_action_batch([question.env for question in asked])
@@ -107,7 +107,7 @@ def _get_chunks(client: Client, session: Session, asked: Sequence[Question], *, 
     return [check_answer(chunk, question, session) for chunk, question in zip(answer, asked, strict=True)]
 
 
-def check_answer(chunk: Answer, question: Question, session: Session) -> Chunk:
+def check_answer(chunk: Answer, question: PairQuestion, session: PairSession) -> Chunk:
     """Return a chunk that is one.
 
     Raises:

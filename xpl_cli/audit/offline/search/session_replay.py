@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli.model_io.script import Call, played
+from xpl_cli.model_io.script import Call, with_episode_numbers
 
 if TYPE_CHECKING:
     from xpl.contract import ObservationDict
-    from xpl_cli.model_io.pairs import Question, Session
+    from xpl_cli.model_io.pairs import PairQuestion, PairSession
 
 EpisodeKey = tuple[int, int]
 """Number of an episode, and an environment."""
@@ -28,7 +28,7 @@ class SessionReplay:
         session: the session.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: PairSession) -> None:
         self.session = session
         self._made: dict[tuple[int, int], ObservationDict] = {}
 
@@ -44,9 +44,9 @@ class SessionReplay:
             self._made[key] = self.session.scene.observation(env, place)
         return self._made[key]
 
-    def observations_of(self, question: Question) -> list[ObservationDict]:
+    def observations_of(self, question: PairQuestion) -> list[ObservationDict]:
         """Return what was shown in a question's episode up to it."""
-        return [self.observation(env, place) for env, place in question.shown]
+        return [self.observation(env, place) for env, place in question.recipes]
 
     def group_by_episode(self, wanted: Iterable[int]) -> list[list[int]]:
         """Return questions by their episodes, each in its order."""
@@ -69,7 +69,7 @@ class SessionReplay:
         until = {key: questions[number].call for key, number in self._last(wanted).items()}
         passed = set(range(max((episode for episode, _ in until), default=0))) - {episode for episode, _ in until}
         found = []
-        for place, (call, episode) in enumerate(played(self.session.calls)):
+        for place, (call, episode) in enumerate(with_episode_numbers(self.session.calls)):
             show = tuple(recipe for recipe in call.show if place <= until.get((episode, recipe[0]), -1))
             if call.show and episode in passed:
                 show = call.show

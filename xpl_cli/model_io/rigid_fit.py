@@ -10,8 +10,8 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl import poses, rotation
-from xpl_cli.model_io.difference import Thread, columns, differences
-from xpl_cli.model_io.explain import Tried
+from xpl_cli.model_io.difference import EpisodeAnswers, columns, differences
+from xpl_cli.model_io.explain import TriedChange
 
 if TYPE_CHECKING:
     from xpl_cli.model_io.difference import Differences
@@ -25,7 +25,7 @@ Poses = np.ndarray
 
 
 @dataclass(frozen=True)
-class _Reading:
+class _PoseFit:
     """What the golden poses would be.
 
     Attributes:
@@ -39,9 +39,13 @@ class _Reading:
     made: Poses
 
 
-def rigid(
-    threads: Sequence[Thread], before: Differences, spread: Mapping[str, float], tolerance: float, tool: Poses | None
-) -> Iterator[Tried]:
+def fit_rigid(
+    threads: Sequence[EpisodeAnswers],
+    before: Differences,
+    spread: Mapping[str, float],
+    tolerance: float,
+    tool: Poses | None,
+) -> Iterator[TriedChange]:
     """Yield the changes by which all poses that differ are the golden ones, a constant away.
 
     Args:
@@ -52,7 +56,7 @@ def rigid(
         tool: pose (7,) of the point between the fingertips in the flange; None if it is not known.
     """
     golden = [chunk for thread in threads for chunk in thread.golden]
-    given = [chunk for thread in threads for chunk in thread.given]
+    given = [chunk for thread in threads for chunk in thread.adapter]
     if any(len(one) != len(other) for one, other in zip(golden, given, strict=True)):
         return
     wanted, found = columns(golden), columns(given)
@@ -60,13 +64,13 @@ def rigid(
     keys = [key for key in wanted if key in off and key.endswith(spec.State.EE_POSE)]
     if not keys or len(wanted[keys[0]]) < _LEAST or any(key not in found for key in keys):
         return
-    states = [thread.observations[place]["state"] for thread in threads for place in thread.asked]
+    states = [thread.observations[place]["state"] for thread in threads for place in thread.asked_at]
     by_key = {key: _readings(wanted[key], found[key], _repeated(states, given, key), tool) for key in keys}
     for readings in zip(*by_key.values(), strict=True):
         remaining = dict(before)
         for key, reading in zip(keys, readings, strict=True):
             remaining.update(_left(key, reading.made, wanted[key], spread))
-        yield Tried(readings[0].words, readings[0].convention, remaining)
+        yield TriedChange(readings[0].words, readings[0].convention, remaining)
 
 
 def _repeated(states: Sequence[Mapping[str, object]], given: Sequence[Sequence[object]], key: str) -> Poses:
@@ -80,14 +84,18 @@ def _left(key: str, made: Poses, wanted: Poses, spread: Mapping[str, float]) -> 
     )
 
 
-def _readings(wanted: Poses, found: Poses, start: Poses, tool: Poses | None) -> list[_Reading]:
+def _readings(wanted: Poses, found: Poses, start: Poses, tool: Poses | None) -> list[_PoseFit]:
     outer = _mean(rotation.multiply(wanted[:, _TURN], rotation.conjugate(found[:, _TURN])))
     shift = (wanted[:, _PLACE] - rotation.rotate(outer, found[:, _PLACE])).mean(0)
     inner = _mean(rotation.multiply(rotation.conjugate(found[:, _TURN]), wanted[:, _TURN]))
     away = rotation.rotate(rotation.conjugate(found[:, _TURN]), wanted[:, _PLACE] - found[:, _PLACE]).mean(0)
     readings = [
-        _Reading(_said("frame", shift, outer), "frame", poses.compose(np.concatenate((shift, outer)), found)),
-        _Reading(_said("point", away, inner), "point", poses.compose(found, np.concatenate((away, inner)))),
+        _PoseFit(
+            _describe_transform("frame", shift, outer), "frame", poses.compose(np.concatenate((shift, outer)), found)
+        ),
+        _PoseFit(
+            _describe_transform("point", away, inner), "point", poses.compose(found, np.concatenate((away, inner)))
+        ),
     ]
     readings += _changes("flange", wanted, found, start)
     if tool is not None:
@@ -96,7 +104,7 @@ def _readings(wanted: Poses, found: Poses, start: Poses, tool: Poses | None) -> 
     return readings
 
 
-def _changes(name: str, wanted: Poses, found: Poses, start: Poses, *, point: Poses | None = None) -> Iterator[_Reading]:
+def _changes(name: str, wanted: Poses, found: Poses, start: Poses, *, point: Poses | None = None) -> Iterator[_PoseFit]:
     """Yield what poses would be whose changes of the state are a constant map of what they are."""
     for to in ("fixed", "body"):
         for of in ("fixed", "body"):
@@ -110,7 +118,7 @@ def _changes(name: str, wanted: Poses, found: Poses, start: Poses, *, point: Pos
                 whole = rows if point is None else poses.compose(rows, poses.invert(point))
                 maps = {"": (moves, turns), " of place": (moves,), " of turn": (turns,)}[kept]
                 words = f"changes{kept} at the {name}: {to}, not {of}" if to != of else f"changes{kept} at the {name}"
-                yield _Reading(words + _factors(maps), _convention(to != of, maps), whole)
+                yield _PoseFit(words + _factors(maps), _convention(to != of, maps), whole)
 
 
 def _mixed(place: Poses, turn: Poses) -> Poses:
@@ -158,7 +166,7 @@ def _factors(maps: Sequence[Poses]) -> str:
     return "".join(f", times {factor:.4g}" for factor in factors[:1])
 
 
-def _said(name: str, place: Poses, turn: Poses) -> str:
+def _describe_transform(name: str, place: Poses, turn: Poses) -> str:
     """Return a constant in words: a shift in m, a turn about an axis in degrees."""
     angle = rotation.to_axis_angle(turn)
     degrees = float(np.rad2deg(np.linalg.norm(angle)))

@@ -13,9 +13,9 @@ from tests.support.recordings.arms import ROBOTS, moments, rows
 from xpl import get_embodiment
 from xpl.conventions import rotation as rotations
 from xpl.conventions.rotation import ORDERS
-from xpl_cli.model_io.kinematics import witness
-from xpl_cli.model_io.kinematics.samples import Columns
-from xpl_cli.model_io.kinematics.witness import AGREES, DIFFERS, OPEN, UNEXPLAINED, Verdict
+from xpl_cli.model_io.kinematics import consistency
+from xpl_cli.model_io.kinematics.consistency import AGREES, DIFFERS, OPEN, UNEXPLAINED, KinematicsVerdict
+from xpl_cli.model_io.kinematics.samples import SampleColumns
 
 POINTS, FRAMES, UNITS = ("flange", "tcp"), ("world", "base"), ("m", "cm", "mm")
 FORMS = [{"form": form} for form in rotations.WIDTHS if form != "euler"] + [
@@ -35,7 +35,7 @@ def _judged(
     true: dict[str, dict[str, Any]],
     declared: dict[str, dict[str, Any]],
     noise: float = 0.0,
-) -> dict[str, Verdict]:
+) -> dict[str, KinematicsVerdict]:
     """Return the verdict on each kind of part of the first arm; data are written in one way and declared in another."""
     side = next(iter(get_embodiment(robot).data["arms"]))
     rng = np.random.default_rng(1)
@@ -44,14 +44,14 @@ def _judged(
         numbers = rows([{kind: {"arm": side, **words}}], robot, states)
         scale = noise * (UNIT_OF.get(words.get("unit", "m"), 1.0) if kind == "position" else 1.0)
         numbers = numbers + scale * rng.normal(size=numbers.shape)
-        columns.append(Columns(kind, kind, {"arm": side, **declared[kind]}, numbers))
-    return {verdict.kind: verdict for verdict in witness.judge(columns, get_embodiment(robot))}
+        columns.append(SampleColumns(kind, kind, {"arm": side, **declared[kind]}, numbers))
+    return {verdict.kind: verdict for verdict in consistency.judge(columns, get_embodiment(robot))}
 
 
 UNIT_OF = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 
 
-def _finds(verdict: Verdict, true: dict[str, Any]) -> bool:
+def _finds(verdict: KinematicsVerdict, true: dict[str, Any]) -> bool:
     """Tell whether a verdict's words are the true ones, or leaves these open."""
     said = {**verdict.declared, **verdict.best}
     return all(said.get(key) == value or value in verdict.open.get(key, ()) for key, value in true.items())
@@ -129,10 +129,10 @@ def test_exchanged_arms_are_found() -> None:
     states = moments(robot, np.random.default_rng(8), 20)
     entries = [{"arm": "left"}, {"arm": "right"}]
     columns = [
-        *(Columns("j", "joints", entry, rows([{"joints": entry}], "arx_x5", states)) for entry in entries),
-        Columns("p", "position", entries[0], rows([{"position": entries[1]}], "arx_x5", states)),
+        *(SampleColumns("j", "joints", entry, rows([{"joints": entry}], "arx_x5", states)) for entry in entries),
+        SampleColumns("p", "position", entries[0], rows([{"position": entries[1]}], "arx_x5", states)),
     ]
-    joints, position = (verdict for verdict in witness.judge(columns, robot) if verdict.arm == "left")
+    joints, position = (verdict for verdict in consistency.judge(columns, robot) if verdict.arm == "left")
     assert joints.best == {"joints": "arm: right"}
     assert position.best == {"arm": "right"}
 
@@ -161,8 +161,8 @@ def test_degrees_of_euler_angles_are_told_although_the_block_has_no_word() -> No
     entry = {"arm": "single", "form": "euler", "euler": "xyz"}
     joints = rows([{"joints": {"arm": "single"}}], "piper_single", states)
     turns = np.rad2deg(rows([{"rotation": entry}], "piper_single", states))
-    columns = [Columns("j", "joints", {"arm": "single"}, joints), Columns("r", "rotation", entry, turns)]
-    verdict = witness.judge(columns, get_embodiment("piper_single"))[1]
+    columns = [SampleColumns("j", "joints", {"arm": "single"}, joints), SampleColumns("r", "rotation", entry, turns)]
+    verdict = consistency.judge(columns, get_embodiment("piper_single"))[1]
     assert verdict.best == {"unit": "degrees (no word of the block)"}
 
 
@@ -178,11 +178,11 @@ def test_another_tool_and_another_frame_are_told_as_what_is_left_over() -> None:
     entry = {**single, "form": "rot6d_rows"}
     tool = (turn @ quarter)[:, :, :2].transpose(0, 2, 1).reshape(-1, 6)  # by columns
     columns = [
-        Columns("j", "joints", single, joints),
-        Columns("p", "position", single, place),
-        Columns("r", "rotation", entry, tool),
+        SampleColumns("j", "joints", single, joints),
+        SampleColumns("p", "position", single, place),
+        SampleColumns("r", "rotation", entry, tool),
     ]
-    _, position, rotation = witness.judge(columns, robot)
+    _, position, rotation = consistency.judge(columns, robot)
     assert position.outcome == rotation.outcome == UNEXPLAINED
     assert "shifted by [1.000, 2.000, 0.500] m they agree to 0.0 mm" in position.because
     assert "form: rot6d_columns and the flange turned by 90.0 degrees about [0.00, 0.00, 1.00]" in rotation.because
@@ -194,9 +194,9 @@ def test_commands_lead_what_is_measured_and_are_judged_by_their_words_only() -> 
     states = moments(robot, np.random.default_rng(6), 20)
     left = {"arm": "left"}
     ahead = np.array([0.05, 0.0, 0.02])
-    joints = Columns("j", "joints", left, rows([{"joints": left}], "arx_x5", states))
+    joints = SampleColumns("j", "joints", left, rows([{"joints": left}], "arx_x5", states))
     wanted = rows([{"position": {**left, "unit": "mm"}}], "arx_x5", states) + 1000 * ahead
-    command = Columns("c", "position", {**left, "unit": "mm"}, wanted, leads=True)
-    wrong = Columns("c", "position", left, wanted, leads=True)
-    assert witness.judge([joints, command], robot)[1].outcome == OPEN
-    assert witness.judge([joints, wrong], robot)[1].best == {"unit": "mm"}
+    command = SampleColumns("c", "position", {**left, "unit": "mm"}, wanted, leads=True)
+    wrong = SampleColumns("c", "position", left, wanted, leads=True)
+    assert consistency.judge([joints, command], robot)[1].outcome == OPEN
+    assert consistency.judge([joints, wrong], robot)[1].best == {"unit": "mm"}

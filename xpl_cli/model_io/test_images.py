@@ -21,7 +21,7 @@ _EDGE = 16
 """Share of a side that its bright edge has: one of so many."""
 
 
-def picture(camera: int, moment: int, height: int, width: int) -> NDArray[np.uint8]:
+def test_image(camera: int, moment: int, height: int, width: int) -> NDArray[np.uint8]:
     """Return what a camera sees at a moment, (height, width, 3) uint8 RGB.
 
     Args:

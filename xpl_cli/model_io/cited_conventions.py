@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.basics.errors import UserError
 from xpl_cli.lifecycle import interpreter
-from xpl_cli.model_io import reading
+from xpl_cli.model_io import reference_file
 from xpl_cli.model_io.citations import Citation, contradiction, folders, lookup
-from xpl_cli.model_io.statements import Standing, Statement, statements
+from xpl_cli.model_io.statements import Certainty, Statement, statements
 from xpl_cli.packages.conventions import applying, declared
 
 if TYPE_CHECKING:
-    from xpl_cli.model_io.citations import Quoted
-    from xpl_cli.model_io.reading import Reading, Source
+    from xpl_cli.model_io.citations import Quotation
+    from xpl_cli.model_io.reference_file import ConventionSource, ReferenceFile
     from xpl_cli.packages.conventions import Value
     from xpl_cli.packages.package import Package
 
@@ -25,7 +25,7 @@ _WIDEST: Final = 200
 
 
 @dataclass(frozen=True)
-class Line:
+class SourceLine:
     """A line of the authors' code.
 
     Attributes:
@@ -40,7 +40,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Cited:
+class CitedConvention:
     """A convention with what its source says.
 
     Attributes:
@@ -60,19 +60,19 @@ class Cited:
     is_assumed: bool
     declared: tuple[Statement, ...] = ()
     file: Path | None = None
-    lines: tuple[Line, ...] = ()
+    lines: tuple[SourceLine, ...] = ()
     problem: str | None = None
 
     @property
     def meaning(self) -> str:
         """What the convention is about."""
-        return reading.vocabulary()[self.convention]
+        return reference_file.vocabulary()[self.convention]
 
     @property
-    def standing(self) -> Standing:
+    def standing(self) -> Certainty:
         """Unknown where the block leaves a value open, assumed where it or the source assumes, else known."""
-        found = [Standing.ASSUMED if self.is_assumed else Standing.KNOWN, *(one.standing for one in self.declared)]
-        return max(found, key=list(Standing).index)
+        found = [Certainty.ASSUMED if self.is_assumed else Certainty.KNOWN, *(one.standing for one in self.declared)]
+        return max(found, key=list(Certainty).index)
 
     @property
     def text(self) -> list[str]:
@@ -90,7 +90,7 @@ class Cited:
             "text": self.text,
         }
 
-    def told(self) -> Iterator[str]:
+    def format_lines(self) -> Iterator[str]:
         """Yield it for people."""
         value = f" = {', '.join(self.values)}" if self.values else ""
         yield f"{self.convention}{value}: {self.source or 'not named'}"
@@ -101,7 +101,9 @@ class Cited:
             yield "    (the file is not here)"
 
 
-def cited(package: Package, known: Reading, python: str | None = None, env: str | None = None) -> list[Cited]:
+def cite_conventions(
+    package: Package, known: ReferenceFile, python: str | None = None, env: str | None = None
+) -> list[CitedConvention]:
     """Return all conventions that reference.py names, or should, with the lines that it cites.
 
     Args:
@@ -118,16 +120,18 @@ def cited(package: Package, known: Reading, python: str | None = None, env: str 
     told = statements(manifest)
     places = folders(package.path, _python(package, python, env))
     found = []
-    for name in known.agreed(applying(manifest)):
+    for name in known.all_conventions(applying(manifest)):
         words = tuple(dict.fromkeys(value.word for value in values.get(name, ())))
-        one = Cited(name, words, "", is_assumed=True, declared=told.get(name, ()))
+        one = CitedConvention(name, words, "", is_assumed=True, declared=told.get(name, ()))
         if name in known.conventions:
-            one = _looked_up(one, known.conventions[name], values.get(name, ()), places)
+            one = _look_up_source(one, known.conventions[name], values.get(name, ()), places)
         found.append(one)
     return found
 
 
-def _looked_up(one: Cited, source: Source, values: Sequence[Value], places: Sequence[Path]) -> Cited:
+def _look_up_source(
+    one: CitedConvention, source: ConventionSource, values: Sequence[Value], places: Sequence[Path]
+) -> CitedConvention:
     """Return a convention that reference.py names, with the lines that it cites."""
     one = replace(one, source=source.text, is_assumed=source.is_assumed)
     citation = None if one.is_assumed else Citation.parse(source.text)
@@ -140,9 +144,9 @@ def _looked_up(one: Cited, source: Source, values: Sequence[Value], places: Sequ
     return replace(one, file=found.file, lines=tuple(_lines(found, citation)), problem=problem)
 
 
-def _lines(found: Quoted, citation: Citation) -> Iterator[Line]:
+def _lines(found: Quotation, citation: Citation) -> Iterator[SourceLine]:
     for number, text in list(enumerate(found.around.split("\n"), found.start))[:_MOST_LINES]:
-        yield Line(number, text[:_WIDEST].rstrip(), citation.first <= number <= citation.last)
+        yield SourceLine(number, text[:_WIDEST].rstrip(), citation.first <= number <= citation.last)
 
 
 def _python(package: Package, python: str | None, env: str | None) -> str | None:

@@ -25,7 +25,7 @@ _PLACE = re.compile(r" \((state|action|image|cam_\w+)\)$")
 
 
 @dataclass(frozen=True)
-class Described:
+class ConventionDescription:
     """One convention.
 
     Attributes:
@@ -50,11 +50,11 @@ class Described:
         return {**vars(self), "keys": {place: list(keys) for place, keys in self.keys.items()}, "values": values}
 
 
-def described(one: Convention) -> Described:
+def describe(one: Convention) -> ConventionDescription:
     """Return what is to be read about a convention."""
     definitions = spec.schema("model_io")["$defs"]
     word = next(word for word in words(definitions["convention"], definitions) if word.name == one.name)
-    return Described(one.name, word.meaning, word.known_as, one.keys, dict(_values(one)), _mistakes(one))
+    return ConventionDescription(one.name, word.meaning, word.known_as, one.keys, dict(_values(one)), _mistakes(one))
 
 
 def _values(one: Convention) -> Iterator[tuple[str, Sequence[Word]]]:
@@ -94,7 +94,7 @@ def _mistakes(one: Convention) -> list[str]:
     return list(dict.fromkeys(told))[:_MOST]
 
 
-def page(one: Described) -> Iterator[str]:
+def render_markdown(one: ConventionDescription) -> Iterator[str]:
     """Yield the lines of a convention's description, as Markdown."""
     yield f"# {one.name}"
     yield ""

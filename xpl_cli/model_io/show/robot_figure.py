@@ -12,14 +12,14 @@ from xpl import poses, rotation
 from xpl.conventions.frame import mount
 from xpl.convert import ConversionError
 from xpl.kinematics import Chain, KinematicsError
-from xpl_cli.model_io.show.drawing import Dot, Figure, Line, Shape, Word
+from xpl_cli.model_io.show.drawing import DotShape, LineShape, Shape, TextShape, VectorFigure
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from xpl import Embodiment
     from xpl.contract import Action, Entry, State
-    from xpl.convert.vectors import Vector
+    from xpl.convert.vectors import ModelVector
 
 _WIDTH, _HEIGHT, _MARGIN, _TITLE = 420.0, 380.0, 34.0, 22.0
 _VIEWS: Final = {
@@ -48,7 +48,7 @@ class Mark:
 
 
 @dataclass(frozen=True)
-class Read:
+class ReadVector:
     """A vector that the model reads.
 
     Attributes:
@@ -60,12 +60,12 @@ class Read:
 
     input: str
     entry: Entry
-    vector: Vector
+    vector: ModelVector
     numbers: np.ndarray
 
 
 @dataclass
-class Drawn:
+class WorldDrawing:
     """What is in the world: lines of the robot, poses, and the way of a command."""
 
     links: list[np.ndarray] = field(default_factory=list)
@@ -86,9 +86,9 @@ class Drawn:
 def figures(
     robot: Embodiment,
     state: State,
-    vectors: Sequence[Read],
+    vectors: Sequence[ReadVector],
     steps: Sequence[Action],
-) -> list[Figure]:
+) -> list[VectorFigure]:
     """Return the robot from three sides.
 
     Args:
@@ -97,7 +97,7 @@ def figures(
         vectors: that the model reads.
         steps: of the standard, that are commanded; may be empty.
     """
-    drawn = Drawn()
+    drawn = WorldDrawing()
     chain = _chain(robot)
     for side, arm in zip(robot.data["arms"], robot.arms, strict=True):
         base = _mount(robot, side)
@@ -163,10 +163,10 @@ def _path(chain: Chain | None, base: np.ndarray, steps: Sequence[Action], prefix
     return []
 
 
-def _marks(robot: Embodiment, read: Read, state: State) -> Iterator[Mark]:
+def _marks(robot: Embodiment, read: ReadVector, state: State) -> Iterator[Mark]:
     """Yield the poses that a vector's numbers say, where its block says that they are."""
     vector = read.vector
-    pieces = {item.label: values for item, values in vector.cut(read.numbers)}
+    pieces = {item.label: values for item, values in vector.split(read.numbers)}
     for told, item in zip(read.entry["parts"], vector.parts, strict=True):
         ((kind, how),) = told.items()
         if kind != "position":
@@ -182,7 +182,7 @@ def _marks(robot: Embodiment, read: Read, state: State) -> Iterator[Mark]:
         yield Mark(poses.pose(place, turned), what, outer[: sdk.POSITION_DIM])
 
 
-def _figure(drawn: Drawn, title: str, right: Sequence[float], up: Sequence[float]) -> Figure:
+def _figure(drawn: WorldDrawing, title: str, right: Sequence[float], up: Sequence[float]) -> VectorFigure:
     """Return one panel."""
     basis = np.array([right, up])
     grid = list(_grid(drawn))
@@ -196,32 +196,32 @@ def _figure(drawn: Drawn, title: str, right: Sequence[float], up: Sequence[float
         seen = (np.atleast_2d(values) @ basis.T - middle) * scale
         return tuple((_WIDTH / 2 + float(x), (_HEIGHT + _TITLE) / 2 - float(y)) for x, y in seen)
 
-    shapes: list[Shape] = [Line("ground", flat(line), 0.8) for line in grid]
-    shapes += [Line("link", flat(line), 3.0) for line in drawn.links]
-    shapes += [Dot("link", point, 3.4) for line in drawn.links for point in flat(line[:-1])]
-    shapes += [Line("wanted", flat(line), 1.6, dashed=True) for line in drawn.wanted]
-    shapes += [Line("wanted", flat(line), 2.2, tip=_long(flat(line))) for line in drawn.paths if len(line) > 1]
+    shapes: list[Shape] = [LineShape("ground", flat(line), 0.8) for line in grid]
+    shapes += [LineShape("link", flat(line), 3.0) for line in drawn.links]
+    shapes += [DotShape("link", point, 3.4) for line in drawn.links for point in flat(line[:-1])]
+    shapes += [LineShape("wanted", flat(line), 1.6, dashed=True) for line in drawn.wanted]
+    shapes += [LineShape("wanted", flat(line), 2.2, tip=_long(flat(line))) for line in drawn.paths if len(line) > 1]
     for place, mark in enumerate(drawn.marks):
         if mark.start is not None:
-            shapes.append(Line("arrow", flat(np.stack([mark.start, mark.pose[:3]])), 1.2, tip=True, dashed=True))
+            shapes.append(LineShape("arrow", flat(np.stack([mark.start, mark.pose[:3]])), 1.2, tip=True, dashed=True))
         shapes += _axes(mark.pose, 0.13 * span, flat)
-        shapes.append(Word("arrow", (8.0, _HEIGHT - 8 - 14 * place), mark.told))
+        shapes.append(TextShape("arrow", (8.0, _HEIGHT - 8 - 14 * place), mark.told))
     shapes += [
-        Word("word", (x, y + 15), name, anchor="middle")
+        TextShape("word", (x, y + 15), name, anchor="middle")
         for name, base in drawn.bases.items()
         for x, y in flat(base[:3])
     ]
-    shapes.append(Word("word", (8.0, 15.0), title, 12.5))
+    shapes.append(TextShape("word", (8.0, 15.0), title, 12.5))
     shapes += _compass(basis)
-    return Figure(_WIDTH, _HEIGHT, tuple(shapes), f"The robot {title}")
+    return VectorFigure(_WIDTH, _HEIGHT, tuple(shapes), f"The robot {title}")
 
 
 def _axes(pose: np.ndarray, length: float, flat: Any) -> Iterator[Shape]:
     tips = poses.transform(pose, length * np.eye(3))
     for name, tip in zip("xyz", tips, strict=True):
         start, end = flat(np.stack([pose[:3], tip]))
-        yield Line(name, (start, end), 2.4, tip=True)
-        yield Word(name, (end[0] + 4, end[1] - 2), name)
+        yield LineShape(name, (start, end), 2.4, tip=True)
+        yield TextShape(name, (end[0] + 4, end[1] - 2), name)
 
 
 def _compass(basis: np.ndarray) -> Iterator[Shape]:
@@ -230,12 +230,12 @@ def _compass(basis: np.ndarray) -> Iterator[Shape]:
     for name, (x, y) in zip("xyz", basis.T, strict=True):
         end = (centre[0] + 24 * float(x), centre[1] - 24 * float(y))
         if np.hypot(x, y) > 0.1:
-            yield Line(name, (centre, end), 1.4, tip=True)
-            yield Word(name, (centre[0] + 33 * float(x) - 3, centre[1] - 33 * float(y) + 4), name, 10)
-    yield Word("word", (centre[0], centre[1] + 42), "world", 10, "middle")
+            yield LineShape(name, (centre, end), 1.4, tip=True)
+            yield TextShape(name, (centre[0] + 33 * float(x) - 3, centre[1] - 33 * float(y) + 4), name, 10)
+    yield TextShape("word", (centre[0], centre[1] + 42), "world", 10, "middle")
 
 
-def _grid(drawn: Drawn) -> Iterator[np.ndarray]:
+def _grid(drawn: WorldDrawing) -> Iterator[np.ndarray]:
     """Yield lines of the ground on which the arms stand."""
     height = float(np.mean([base[2] for base in drawn.bases.values()]))
     robot = np.concatenate([*drawn.links, *drawn.paths, *(base[None, :3] for base in drawn.bases.values())])

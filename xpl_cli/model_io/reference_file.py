@@ -28,7 +28,7 @@ _SDK = "xpl"
 
 
 @dataclass(frozen=True)
-class Place:
+class SourceRange:
     """A range of the file, as `ast` has it: lines from 1, columns from 0 in UTF-8 bytes, the end exclusive."""
 
     line: int
@@ -37,13 +37,13 @@ class Place:
     end_column: int
 
     @classmethod
-    def of(cls, node: ast.expr | ast.stmt) -> Place:
+    def of(cls, node: ast.expr | ast.stmt) -> SourceRange:
         """Return where a node stands."""
         return cls(node.lineno, node.col_offset, node.end_lineno or node.lineno, node.end_col_offset or node.col_offset)
 
 
 @dataclass(frozen=True)
-class Source:
+class ConventionSource:
     """Where a convention was read.
 
     Attributes:
@@ -52,7 +52,7 @@ class Source:
     """
 
     text: str
-    place: Place
+    place: SourceRange
 
     @property
     def is_assumed(self) -> bool:
@@ -74,7 +74,7 @@ class Import:
     module: str
     level: int
     names: tuple[str, ...]
-    place: Place
+    place: SourceRange
 
     def is_of(self, package: str) -> bool:
         """Tell whether it takes an absolute package, or anything in it."""
@@ -100,7 +100,7 @@ class Import:
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReferenceFile:
     """What reference.py says of itself.
 
     Attributes:
@@ -113,12 +113,12 @@ class Reading:
         renamed: conventions that stand in `CONVENTIONS` under a former name.
     """
 
-    conventions: Mapping[str, Source] = field(default_factory=dict)
+    conventions: Mapping[str, ConventionSource] = field(default_factory=dict)
     imports: tuple[Import, ...] = ()
-    texts: tuple[tuple[str, Place], ...] = ()
-    answers: bool = False
-    place: Place | None = None
-    problems: tuple[tuple[str, Place], ...] = ()
+    texts: tuple[tuple[str, SourceRange], ...] = ()
+    defines_answers: bool = False
+    place: SourceRange | None = None
+    problems: tuple[tuple[str, SourceRange], ...] = ()
     renamed: tuple[str, ...] = ()
 
     @property
@@ -136,11 +136,11 @@ class Reading:
         """Names of those of the assumed ones that say so."""
         return tuple(name for name in self.assumed if name not in self.empty)
 
-    def agreed(self, applying: Iterable[str]) -> tuple[str, ...]:
+    def all_conventions(self, applying: Iterable[str]) -> tuple[str, ...]:
         """Return the conventions that there are to agree on: those that are named, and those that apply."""
         return tuple(dict.fromkeys((*self.conventions, *applying)))
 
-    def taken_for_granted(self, applying: Iterable[str]) -> tuple[str, ...]:
+    def without_source(self, applying: Iterable[str]) -> tuple[str, ...]:
         """Return which conventions have no source: those that are assumed, and those that apply and are not named."""
         return (*self.assumed, *(name for name in applying if name not in self.conventions))
 
@@ -157,7 +157,7 @@ def successors(name: str) -> tuple[str, ...]:
     return tuple(spec.schema("model_io")["$defs"]["convention"]["x-renamed"].get(name, ()))
 
 
-def read_file(package: Path) -> Reading:
+def read_file(package: Path) -> ReferenceFile:
     """Read the reference.py of a package.
 
     Raises:
@@ -165,47 +165,47 @@ def read_file(package: Path) -> Reading:
     """
     path = package / names.CODE
     try:
-        return read(files.content(path, _MOST_BYTES).decode())
+        return parse(files.content(path, _MOST_BYTES).decode())
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise UserError(f"{path} is no Python: {error}") from None
 
 
-def read(text: str) -> Reading:
+def parse(text: str) -> ReferenceFile:
     """Read the text of a reference.py.
 
     Raises:
         SyntaxError: if it is no Python; ValueError, RecursionError or MemoryError for what is not meant to be any.
     """
-    return read_tree(ast.parse(text))
+    return parse_tree(ast.parse(text))
 
 
-def read_tree(tree: ast.Module) -> Reading:
+def parse_tree(tree: ast.Module) -> ReferenceFile:
     """Read a reference.py that was parsed."""
-    told = _told(tree)
-    conventions, problems, renamed = _conventions(told)
-    return Reading(
+    told = _find_conventions(tree)
+    conventions, problems, renamed = _parse_conventions(told)
+    return ReferenceFile(
         conventions=conventions,
         imports=tuple(sorted(_imports(tree), key=lambda item: (item.place.line, item.place.column))),
         texts=tuple(_texts(tree)),
-        answers=any(names.ANSWERS in _defined(node) for node in tree.body),
-        place=None if told is None else Place.of(told),
+        defines_answers=any(names.ANSWERS in _assigned_names(node) for node in tree.body),
+        place=None if told is None else SourceRange.of(told),
         problems=problems,
         renamed=renamed,
     )
 
 
-def _told(tree: ast.Module) -> ast.expr | None:
+def _find_conventions(tree: ast.Module) -> ast.expr | None:
     """Return what the last assignment at the top gives `CONVENTIONS`."""
     found: ast.expr | None = None
     for node in tree.body:
-        if isinstance(node, (ast.Assign, ast.AnnAssign)) and names.CONVENTIONS in _defined(node):
+        if isinstance(node, (ast.Assign, ast.AnnAssign)) and names.CONVENTIONS in _assigned_names(node):
             found = node.value
     return found
 
 
-def _defined(node: ast.stmt) -> list[str]:
+def _assigned_names(node: ast.stmt) -> list[str]:
     """Return the names that a statement at the top gives a value."""
     if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
         return [node.name]
@@ -215,58 +215,58 @@ def _defined(node: ast.stmt) -> list[str]:
     return [target.id for target in targets if isinstance(target, ast.Name)]
 
 
-def _conventions(
+def _parse_conventions(
     told: ast.expr | None,
-) -> tuple[dict[str, Source], tuple[tuple[str, Place], ...], tuple[str, ...]]:
+) -> tuple[dict[str, ConventionSource], tuple[tuple[str, SourceRange], ...], tuple[str, ...]]:
     """Return the conventions of a literal map, what is wrong with it, and those that have a former name there."""
     if told is None:
         return {}, (), ()
     if not isinstance(told, ast.Dict):
-        return {}, ((f"{names.CONVENTIONS} is no literal map, so that nobody can read it", Place.of(told)),), ()
-    found: dict[str, Source] = {}
+        return {}, ((f"{names.CONVENTIONS} is no literal map, so that nobody can read it", SourceRange.of(told)),), ()
+    found: dict[str, ConventionSource] = {}
     problems = []
     renamed: list[str] = []
     for key, value in zip(told.keys, told.values, strict=True):
         if not isinstance(key, ast.Constant) or not isinstance(key.value, str):
-            problems.append((f"a key of {names.CONVENTIONS} is no literal text", Place.of(key or value)))
+            problems.append((f"a key of {names.CONVENTIONS} is no literal text", SourceRange.of(key or value)))
             continue
         source = value.value if isinstance(value, ast.Constant) else None
         if now := successors(key.value):
-            problems.append((f"{key.value!r} is no convention any more, but {', '.join(now)} are", Place.of(key)))
+            problems.append((f"{key.value!r} is no convention any more, but {', '.join(now)} are", SourceRange.of(key)))
             renamed += now
         elif key.value not in vocabulary():
             known = ", ".join(vocabulary())
-            problems.append((f"{key.value!r} is no convention; there are {known}", Place.of(key)))
+            problems.append((f"{key.value!r} is no convention; there are {known}", SourceRange.of(key)))
         elif key.value in found:
-            problems.append((f"{key.value!r} stands there twice", Place.of(key)))
+            problems.append((f"{key.value!r} stands there twice", SourceRange.of(key)))
         elif not isinstance(source, str):
-            problems.append((f"the source of {key.value!r} is no literal text", Place.of(value)))
+            problems.append((f"the source of {key.value!r} is no literal text", SourceRange.of(value)))
         else:
-            found[key.value] = Source(source, Place.of(value))
+            found[key.value] = ConventionSource(source, SourceRange.of(value))
     return found, tuple(problems), tuple(renamed)
 
 
 def _imports(tree: ast.Module) -> Iterator[Import]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            yield from (Import(alias.name, 0, (), Place.of(node)) for alias in node.names)
+            yield from (Import(alias.name, 0, (), SourceRange.of(node)) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             taken = tuple(alias.name for alias in node.names)
-            yield Import(node.module or "", node.level, taken, Place.of(node))
-        elif isinstance(node, ast.Call) and node.args and _called(node.func) in _IMPORTERS:
+            yield Import(node.module or "", node.level, taken, SourceRange.of(node))
+        elif isinstance(node, ast.Call) and node.args and _called_name(node.func) in _IMPORTERS:
             given = node.args[0]
             if isinstance(given, ast.Constant) and isinstance(given.value, str):
                 module = given.value.lstrip(".")
-                yield Import(module, len(given.value) - len(module), (), Place.of(node))
+                yield Import(module, len(given.value) - len(module), (), SourceRange.of(node))
 
 
-def _called(node: ast.expr) -> str:
+def _called_name(node: ast.expr) -> str:
     return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
 
 
-def _texts(tree: ast.Module) -> Iterator[tuple[str, Place]]:
+def _texts(tree: ast.Module) -> Iterator[tuple[str, SourceRange]]:
     """Yield text constants that are values: a docstring is a statement of its own."""
     alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in alone:
-            yield node.value, Place.of(node)
+            yield node.value, SourceRange.of(node)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from xpl import poses, rotation
-from xpl_cli.model_io.difference import Thread, differences, spreads
-from xpl_cli.model_io.rigid import rigid
+from xpl_cli.model_io.difference import EpisodeAnswers, differences, spreads
+from xpl_cli.model_io.rigid_fit import fit_rigid
 
 if TYPE_CHECKING:
-    from xpl_cli.model_io.explain import Tried
+    from xpl_cli.model_io.explain import TriedChange
 
 RNG = np.random.default_rng(4)
 TOOL = np.concatenate(([0.0, 0.0, 0.1], rotation.from_axis_angle([0.0, 0.0, -0.8])))
@@ -38,17 +38,17 @@ def _applied(change: np.ndarray, place: str = "fixed", turn: str = "fixed", poin
     return made if point is None else poses.compose(made, poses.invert(point))
 
 
-def _found(wanted: np.ndarray, given: np.ndarray) -> list[Tried]:
+def _found(wanted: np.ndarray, given: np.ndarray) -> list[TriedChange]:
     def chunks(rows: np.ndarray) -> list[list[dict[str, Any]]]:
         return [[{"ee_pose": row} for row in chunk] for chunk in rows.reshape(5, 4, 7)]
 
     golden, told = chunks(wanted), chunks(given)
     threads = [
-        Thread([{"state": {"ee_pose": state}}], [0], [one], [other])
+        EpisodeAnswers([{"state": {"ee_pose": state}}], [0], [one], [other])
         for state, one, other in zip(STATES, golden, told, strict=True)
     ]
     spread = spreads(golden)
-    tried = rigid(threads, differences(golden, told, spread), spread, 1e-4, TOOL)
+    tried = fit_rigid(threads, differences(golden, told, spread), spread, 1e-4, TOOL)
     return [one for one in tried if max(one.remaining.values()) < 1e-6]
 
 

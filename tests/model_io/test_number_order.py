@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from xpl_cli.model_io.difference import Thread, differences, spreads
-from xpl_cli.model_io.places import places
+from xpl_cli.model_io.difference import EpisodeAnswers, differences, spreads
+from xpl_cli.model_io.number_order import order_patterns
 
 RNG = np.random.default_rng(2)
 STATES = RNG.uniform(-1, 1, (6, 4))
@@ -28,11 +28,11 @@ def _seen(joints: np.ndarray, grips: np.ndarray) -> list[tuple[str, str]]:
     golden, given = chunks(JOINTS, GRIPS), chunks(joints, grips)
     still = {"left_ee_joint_state": np.zeros(1), "right_ee_joint_state": np.zeros(1)}
     threads = [
-        Thread([{"state": {"arm_joint_state": state, **still}}], [0], [one], [other])
+        EpisodeAnswers([{"state": {"arm_joint_state": state, **still}}], [0], [one], [other])
         for state, one, other in zip(STATES, golden, given, strict=True)
     ]
     before = differences(golden, given, spreads(golden))
-    return [(one.convention, one.words) for one in places(threads, before, 1e-4)]
+    return [(one.convention, one.words) for one in order_patterns(threads, before, 1e-4)]
 
 
 def test_grippers_that_only_switch() -> None:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl import _spec as spec
-from xpl_cli.model_io.fitted import Rows
+from xpl_cli.model_io.linear_fit import AnswerRows
 from xpl_cli.model_io.patterns import Pattern
 
 if TYPE_CHECKING:
-    from xpl_cli.model_io.difference import Differences, Thread
+    from xpl_cli.model_io.difference import Differences, EpisodeAnswers
 
 _LEAST = 12
 """Steps that say so at least."""
@@ -23,7 +23,7 @@ _STILL = 1e-9
 Column = np.ndarray
 
 
-def places(threads: Sequence[Thread], before: Differences, tolerance: float) -> Iterator[Pattern]:
+def order_patterns(threads: Sequence[EpisodeAnswers], before: Differences, tolerance: float) -> Iterator[Pattern]:
     """Yield what numbers that differ tell about where the golden ones are told.
 
     Args:
@@ -31,46 +31,46 @@ def places(threads: Sequence[Thread], before: Differences, tolerance: float) -> 
         before: how far the answers are, by number.
         tolerance: largest share that is no difference.
     """
-    rows = Rows.of(threads)
+    rows = AnswerRows.of(threads)
     off = [part for part, share in before.items() if share > tolerance]
-    if rows is None or not off or len(next(iter(rows.wanted.values()), ())) < _LEAST:
+    if rows is None or not off or len(next(iter(rows.golden.values()), ())) < _LEAST:
         return
-    yield from _switched(rows, off)
-    yield from _same(rows, off)
-    yield from _exchanged(rows, off)
+    yield from _thresholded(rows, off)
+    yield from _duplicated(rows, off)
+    yield from _permuted(rows, off)
 
 
-def _switched(rows: Rows, off: Sequence[str]) -> Iterator[Pattern]:
+def _thresholded(rows: AnswerRows, off: Sequence[str]) -> Iterator[Pattern]:
     """Tell grippers that are only quite open or quite closed, where the model's are not."""
     for part in off:
         if _is_gripper(part):
-            found, wanted = np.unique(_column(rows.found, part)), np.unique(_column(rows.wanted, part))
+            found, wanted = np.unique(_column(rows.adapter, part)), np.unique(_column(rows.golden, part))
             if len(found) <= 2 < len(wanted) and len(wanted) > _LEAST:
                 yield Pattern(f"{part} is only ever {' or '.join(f'{one:g}' for one in found)}: a threshold", "gripper")
                 return
 
 
-def _same(rows: Rows, off: Sequence[str]) -> Iterator[Pattern]:
+def _duplicated(rows: AnswerRows, off: Sequence[str]) -> Iterator[Pattern]:
     """Tell two numbers that are always told alike, where the model's differ."""
-    parts = _parts(rows.found)
+    parts = _parts(rows.adapter)
     for part in off:
         for other in parts:
             if other == part or _still(rows, part) or _is_gripper(part) != _is_gripper(other):
                 continue
-            alike = np.array_equal(_column(rows.found, part), _column(rows.found, other))
-            if alike and not np.array_equal(_column(rows.wanted, part), _column(rows.wanted, other)):
+            alike = np.array_equal(_column(rows.adapter, part), _column(rows.adapter, other))
+            if alike and not np.array_equal(_column(rows.golden, part), _column(rows.golden, other)):
                 convention = "gripper" if _is_gripper(part) else "joint_order"
                 yield Pattern(f"{part} and {other} are told the same, and the model's differ", convention)
                 return
 
 
-def _exchanged(rows: Rows, off: Sequence[str]) -> Iterator[Pattern]:
+def _permuted(rows: AnswerRows, off: Sequence[str]) -> Iterator[Pattern]:
     """Tell numbers that are told in the place of others, as they are or as changes of the state."""
-    parts = [part for part in _parts(rows.found) if not _is_turn(part)]
+    parts = [part for part in _parts(rows.adapter) if not _is_turn(part)]
     found: dict[str, str] = {}
     for part in (part for part in off if not _is_turn(part) and not _still(rows, part)):
         for other in parts:
-            if other != part and _is_told(rows, part, other):
+            if other != part and _is_output_as(rows, part, other):
                 found[part] = other
                 break
     if not found or (len(found) == 1 and len(off) > 2):
@@ -81,9 +81,9 @@ def _exchanged(rows: Rows, off: Sequence[str]) -> Iterator[Pattern]:
     yield Pattern(f"what {part} should be is told in {other}{told}", "gripper" if only else "joint_order")
 
 
-def _is_told(rows: Rows, part: str, other: str) -> bool:
+def _is_output_as(rows: AnswerRows, part: str, other: str) -> bool:
     """Tell whether one number's model_io values are another's that are told."""
-    wanted, found = _column(rows.wanted, part), _column(rows.found, other)
+    wanted, found = _column(rows.golden, part), _column(rows.adapter, other)
     if _is_line(wanted, found):
         return True
     return _is_line(wanted - _column(rows.states, part), found - _column(rows.states, other))
@@ -110,8 +110,8 @@ def _column(rows: Mapping[str, Column], part: str) -> Column:
     return rows[key][:, int(rest[:-1])]
 
 
-def _still(rows: Rows, part: str) -> bool:
-    return bool(np.ptp(_column(rows.wanted, part)) <= _STILL)
+def _still(rows: AnswerRows, part: str) -> bool:
+    return bool(np.ptp(_column(rows.golden, part)) <= _STILL)
 
 
 def _is_gripper(part: str) -> bool:

@@ -12,8 +12,8 @@ from xpl.nested import leaves, written
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.isolation import subprocess_task
 from xpl_cli.lifecycle import interpreter
-from xpl_cli.model_io.show import looks
-from xpl_cli.model_io.show.views import View
+from xpl_cli.model_io.show import image_transforms
+from xpl_cli.model_io.show.views import ImageView
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +30,7 @@ _FRAME: Final = 2.0
 
 
 @dataclass(frozen=True)
-class Place:
+class RunOptions:
     """How the adapter is run; as for `xpl serve`."""
 
     python: str | None = None
@@ -39,7 +39,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Found:
+class PredictCall:
     """What was seen.
 
     Attributes:
@@ -52,10 +52,12 @@ class Found:
     inputs: Any
     raw: Any
     steps: list[dict[str, np.ndarray]]
-    failed: str = ""
+    failure: str = ""
 
 
-def ask(package: Package, config: Config, observations: Sequence[Observation], place: Place) -> Found:
+def run_predict(
+    package: Package, config: Config, observations: Sequence[Observation], place: RunOptions
+) -> PredictCall:
     """Show an adapter an episode, ask at its last observation, and return what `predict` got and said.
 
     Raises:
@@ -81,7 +83,7 @@ def ask(package: Package, config: Config, observations: Sequence[Observation], p
         raise UserError(f"{package.path} answers without calling predict", code=ExitCode.NOT_RUN)
     raw = result.get("raw")
     one = raw[0] if isinstance(raw, (list, np.ndarray)) and len(raw) else raw
-    return Found(result["inputs"], one, result["steps"], result.get("failed", ""))
+    return PredictCall(result["inputs"], one, result["steps"], result.get("failed", ""))
 
 
 def unbatched(inputs: Any) -> dict[str, Any]:
@@ -94,7 +96,7 @@ def unbatched(inputs: Any) -> dict[str, Any]:
     return {str(name): value for name, value in first.items()} if isinstance(first, dict) else {"inputs": first}
 
 
-def told(inputs: Any) -> list[str]:
+def describe_inputs(inputs: Any) -> list[str]:
     """Return every array and text among inputs that nothing describes, in words."""
     return [
         f"{name}: {value!r}"
@@ -104,30 +106,33 @@ def told(inputs: Any) -> list[str]:
     ]
 
 
-def pictures(inputs: Any, observation: Observation) -> list[View]:
+def find_images(inputs: Any, observation: Observation) -> list[ImageView]:
     """Return what among inputs looks like a picture, beside the camera's that it is most like."""
     taken = {
         name: np.asarray(entry[sdk.Camera.COLOR])
         for name, entry in (observation.get(sdk.Obs.VISION) or {}).items()
         if sdk.Camera.COLOR in entry
     }
-    found: list[View] = []
+    found: list[ImageView] = []
     for name, value in _values(inputs):
         for place, values in enumerate(_planes(value)) if isinstance(value, np.ndarray) else ():
             if len(found) == _MOST_PICTURES or not taken:
                 return found
-            found.append(_guessed(name, place, values, value, taken))
+            found.append(_guess_view(name, place, values, value, taken))
     return found
 
 
-def _guessed(name: str, place: int, values: np.ndarray, value: np.ndarray, taken: Mapping[str, np.ndarray]) -> View:
-    view = View(name, place, "", 0, values, values, values, value.shape, str(value.dtype), (), ())
+def _guess_view(
+    name: str, place: int, values: np.ndarray, value: np.ndarray, taken: Mapping[str, np.ndarray]
+) -> ImageView:
+    view = ImageView(name, place, "", 0, values, values, values, value.shape, str(value.dtype), (), ())
     inside = _unframed(view.raw)
     camera, words = min(
-        ((one, looks.nearest(inside, picture)) for one, picture in taken.items()), key=lambda pair: pair[1][1]
+        ((one, image_transforms.nearest_transform(inside, picture)) for one, picture in taken.items()),
+        key=lambda pair: pair[1][1],
     )
     notes = [f"most like {camera}", *words[0]]
-    return View(
+    return ImageView(
         name,
         place,
         camera,

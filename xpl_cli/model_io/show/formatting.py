@@ -6,15 +6,15 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.words import amount
-from xpl_cli.model_io.statements import Standing
+from xpl_cli.model_io.statements import Certainty
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from xpl.contract import Entry
-    from xpl_cli.model_io.cited import Cited
+    from xpl_cli.model_io.cited_conventions import CitedConvention
     from xpl_cli.model_io.show.numbers import Number
-    from xpl_cli.model_io.show.views import View
+    from xpl_cli.model_io.show.views import ImageView
 
 HEADS = ("#", "part", "number", "unit", "model gets", "before normalisation", "standard")
 ACTION_HEADS = ("#", "part", "number", "unit", "model answers", "after normalisation", "standard")
@@ -45,22 +45,22 @@ def partner(entry: Entry) -> str:
     return f"{entry['name']} = {figures(entry['values'])} {entry['unit']}".rstrip()
 
 
-def about(view: View) -> str:
+def about(view: ImageView) -> str:
     """Return size, type and range of an input."""
     low, high = float(view.values.min()), float(view.values.max())
     shape = " x ".join(map(str, view.shape))
     return f"{shape} {view.dtype}, {figure(low)} to {figure(high)}"
 
 
-def when(view: View) -> str:
+def when(view: ImageView) -> str:
     """Return the moment of a picture."""
     return "" if view.when == 0 else f"{view.when} observation{'s' if view.when > 1 else ''} ago"
 
 
-def counts(conventions: Sequence[Cited]) -> str:
+def counts(conventions: Sequence[CitedConvention]) -> str:
     """Return how many conventions are known, assumed and unknown, and how many sources do not hold."""
     found = Counter(one.standing for one in conventions)
-    told = [f"{found[standing]} {standing}" for standing in Standing if found[standing]]
+    told = [f"{found[standing]} {standing}" for standing in Certainty if found[standing]]
     wrong = sum(one.problem is not None for one in conventions)
     told += [f"{amount(wrong, 'source')} to look at"] if wrong else []
     return f"{amount(len(conventions), 'convention')}: {', '.join(told)}"

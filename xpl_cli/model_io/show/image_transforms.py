@@ -20,7 +20,7 @@ _LEAST = 2.0
 """Mean difference, of 255, below which pictures are alike."""
 
 
-def exchanged(seen: np.ndarray, camera: np.ndarray, entry: Entry) -> list[str]:
+def describe_transform(seen: np.ndarray, camera: np.ndarray, entry: Entry) -> list[str]:
     """Return what lies between a camera's picture and what a model gets of it; [] if nothing does.
 
     Args:
@@ -28,10 +28,10 @@ def exchanged(seen: np.ndarray, camera: np.ndarray, entry: Entry) -> list[str]:
         camera: (H, W, 3) uint8 RGB.
         entry: of `images` in the model_io block, whose scaling and cutting is no difference.
     """
-    return nearest(seen, camera, entry)[0]
+    return nearest_transform(seen, camera, entry)[0]
 
 
-def nearest(seen: np.ndarray, camera: np.ndarray, entry: Entry | None = None) -> tuple[list[str], float]:
+def nearest_transform(seen: np.ndarray, camera: np.ndarray, entry: Entry | None = None) -> tuple[list[str], float]:
     """Return what lies between a camera's picture and another, as `exchanged`, and what is left then, 0 to 255."""
     found = {words: difference(seen, made, entry or {}) for words, made in _made(camera).items()}
     words = min(found, key=lambda name: found[name])

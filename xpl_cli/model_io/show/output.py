@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from xpl_cli.model_io.show.seen import Seen
+    from xpl_cli.model_io.show.report import ShowReport
 
 PAGE: Final = "index.html"
 SHEET: Final = "show.png"
 
 
-def write(seen: Seen, folder: Path) -> list[str]:
+def write(seen: ShowReport, folder: Path) -> list[str]:
     """Write the page and the picture, and return their paths.
 
     Raises:
@@ -34,7 +34,7 @@ def write(seen: Seen, folder: Path) -> list[str]:
     return [str(folder / PAGE), str(folder / SHEET)]
 
 
-def told(seen: Seen) -> Iterator[str]:
+def list_notes(seen: ShowReport) -> Iterator[str]:
     """Yield what people should look at."""
     yield from seen.notes
     for view in seen.views:

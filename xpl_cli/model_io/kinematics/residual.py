@@ -12,7 +12,7 @@ from xpl import rotation
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.model_io.kinematics.readings import Poses
+    from xpl_cli.model_io.kinematics.readings import PoseReadings
 
 _FITS = {"mm": 5.0, "degrees": 1.0}
 """Errors up to which a fixed turn or shift explains poses."""
@@ -42,7 +42,7 @@ def of_positions(seen: np.ndarray, expected: np.ndarray) -> str:
     return f"in a frame turned by {_turn(turn)} and shifted by {_metres(shift)} m they agree to {outside:.1f} mm"
 
 
-def of_rotations(readings: Poses, expected: Sequence[np.ndarray]) -> str:
+def of_rotations(readings: PoseReadings, expected: Sequence[np.ndarray]) -> str:
     """Return what is left over between rotations, as each form reads them, and those that were expected.
 
     How far rotations are apart among themselves depends on no frame and no tool, so that the form is told even so.

@@ -8,25 +8,25 @@ import numpy as np
 import pytest
 
 from tests.support.adapters import sights
-from xpl_cli.model_io.show import looks, scene, seen
+from xpl_cli.model_io.show import image_transforms, report, scene
 from xpl_cli.model_io.show.cards import card
-from xpl_cli.model_io.show.subject import subject
+from xpl_cli.model_io.show.shown_adapter import load_adapter
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from xpl_cli.model_io.show.seen import Seen
-    from xpl_cli.model_io.show.views import View
+    from xpl_cli.model_io.show.report import ShowReport
+    from xpl_cli.model_io.show.views import ImageView
 
 RED = (0.12, 0.12)
 """Where the card's R is, as shares of height and width: on its field, beside the letter."""
 
 
-def shown(folder: Path, model_io: dict[str, Any]) -> Seen:
+def shown(folder: Path, model_io: dict[str, Any]) -> ShowReport:
     """Return what a model with this block sees of the test cards."""
-    what = subject(package.load(sights.made(folder, model_io)), {})
-    return seen.look(what, scene.scripted(what.package.manifest, what.robot, what.cameras, what.reach))
+    what = load_adapter(package.load(sights.made(folder, model_io)), {})
+    return report.report_from_block(what, scene.scripted(what.package.manifest, what.robot, what.cameras, what.reach))
 
 
 def at(picture: np.ndarray, place: tuple[float, float] = RED) -> str:
@@ -34,7 +34,7 @@ def at(picture: np.ndarray, place: tuple[float, float] = RED) -> str:
     return ("red", "green", "blue")[int(np.argmax(pixel))]
 
 
-def views(found: Seen) -> dict[str, View]:
+def views(found: ShowReport) -> dict[str, ImageView]:
     return {view.input: view for view in found.views}
 
 
@@ -88,10 +88,13 @@ def test_turned_and_mirrored_pictures_are_said(steps: list[dict[str, Any]], word
 
 def test_red_and_blue_exchanged_on_the_way_are_said() -> None:
     taken = card("cam_head", 0, 120, 160)
-    assert looks.exchanged(taken[..., ::-1], taken, {}) == ["red and blue exchanged"]
-    assert looks.exchanged(taken[:, ::-1, ::-1], taken, {}) == ["mirrored", "red and blue exchanged"]
+    assert image_transforms.describe_transform(taken[..., ::-1], taken, {}) == ["red and blue exchanged"]
+    assert image_transforms.describe_transform(taken[:, ::-1, ::-1], taken, {}) == [
+        "mirrored",
+        "red and blue exchanged",
+    ]
     grey = np.full_like(taken, 90)
-    assert looks.exchanged(grey, grey, {}) == []
+    assert image_transforms.describe_transform(grey, grey, {}) == []
 
 
 def test_history_shows_its_moments(tmp_path: Path) -> None:

@@ -12,20 +12,20 @@ from xpl.convert import ConversionError
 from xpl.observation import ObservationError
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.model_io import names, pairs
-from xpl_cli.model_io.kinematics import declared
-from xpl_cli.model_io.show import numbers, robot, views, watched
-from xpl_cli.model_io.show.scene import Scene
+from xpl_cli.model_io.kinematics import sample_verdicts
+from xpl_cli.model_io.show import numbers, predict_run, robot_figure, views
+from xpl_cli.model_io.show.scene import ShownScene
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl.contract import Entry, State
     from xpl.convert import Interface
-    from xpl_cli.model_io.cited import Cited
-    from xpl_cli.model_io.show.drawing import Figure
+    from xpl_cli.model_io.cited_conventions import CitedConvention
+    from xpl_cli.model_io.show.drawing import VectorFigure
     from xpl_cli.model_io.show.numbers import Number
-    from xpl_cli.model_io.show.subject import Subject
-    from xpl_cli.model_io.show.views import View
+    from xpl_cli.model_io.show.shown_adapter import ShownAdapter
+    from xpl_cli.model_io.show.views import ImageView
 
 Steps = list[dict[str, np.ndarray]]
 _SMALL: Final = 1e-5
@@ -36,7 +36,7 @@ _STEPS: Final = 8
 
 
 @dataclass(frozen=True)
-class Vector:
+class StateVector:
     """A vector that the model reads.
 
     Attributes:
@@ -51,7 +51,7 @@ class Vector:
 
 
 @dataclass(frozen=True)
-class Seen:
+class ShowReport:
     """Everything that is shown.
 
     Attributes:
@@ -74,19 +74,19 @@ class Seen:
     policy: str
     robot: str
     action_type: str
-    scene: Scene
+    scene: ShownScene
     how: str
-    views: Sequence[View] = ()
-    vectors: Sequence[Vector] = ()
+    views: Sequence[ImageView] = ()
+    vectors: Sequence[StateVector] = ()
     texts: Mapping[str, str] = field(default_factory=dict)
     instruction: str | None = None
     action: Sequence[Number] = ()
     action_from: str = ""
     action_words: str = ""
-    figures: Sequence[Figure] = ()
+    figures: Sequence[VectorFigure] = ()
     notes: Sequence[str] = ()
     witness: Sequence[str] = ()
-    conventions: Sequence[Cited] = ()
+    conventions: Sequence[CitedConvention] = ()
 
     def document(self) -> dict[str, Any]:
         """Return all numbers as JSON."""
@@ -112,7 +112,7 @@ class Seen:
         }
 
 
-def look(what: Subject, scene: Scene, steps: tuple[Steps, str] | None = None) -> Seen:
+def report_from_block(what: ShownAdapter, scene: ShownScene, steps: tuple[Steps, str] | None = None) -> ShowReport:
     """Return what the model gets of a scene, and how it would say a command, by the block alone.
 
     Args:
@@ -123,66 +123,66 @@ def look(what: Subject, scene: Scene, steps: tuple[Steps, str] | None = None) ->
     Raises:
         UserError: if the scene lacks what the model reads, or the adapter has no block.
     """
-    _, interface = _needed(what)
+    _, interface = _require_block(what)
     inputs = _inputs(interface, scene)
     now = scene.observations[-1]
     wanted, told = steps or (
-        _made_up(what, now[sdk.Obs.STATE]),
+        _made_up_steps(what, now[sdk.Obs.STATE]),
         "a command that was made up: it holds still at the first step, and moves until the last",
     )
-    notes = [*what.notes, *_code(what)]
+    notes = [*what.notes, *_code_notes(what)]
     answer: np.ndarray | None = None
     try:
         answer = interface.action.encode(wanted, now[sdk.Obs.STATE], {})
     except (ConversionError, ValueError, KeyError) as error:
         notes.append(f"the action cannot be shown: {error}")
-    seen = Seen(
+    seen = ShowReport(
         what.package.name, what.robot.name, what.action_type, scene, "By the model_io block; the model did not run"
     )
-    return _filled(replace(seen, notes=notes), what, inputs, _Said(answer, wanted, told))
+    return _fill_report(replace(seen, notes=notes), what, inputs, _ShownAction(answer, wanted, told))
 
 
-def run(what: Subject, scene: Scene, place: watched.Place) -> Seen:
+def report_from_run(what: ShownAdapter, scene: ShownScene, place: predict_run.RunOptions) -> ShowReport:
     """Return what `predict` got of a scene, and what it said.
 
     Raises:
         UserError: if the adapter cannot be run.
     """
-    found = watched.ask(what.package, what.config, scene.observations, place)
+    found = predict_run.run_predict(what.package, what.config, scene.observations, place)
     how = "Watched: what predict got and said"
-    seen = Seen(what.package.name, what.robot.name, what.action_type, scene, how)
+    seen = ShowReport(what.package.name, what.robot.name, what.action_type, scene, how)
     if what.interface is None or what.model_io is None:
         notes = ["no model_io block: nothing says what these numbers mean, so that they are shown as they are"]
         return replace(
             seen,
-            views=watched.pictures(found.inputs, scene.observations[-1]),
-            notes=[*notes, *watched.told(found.inputs)],
+            views=predict_run.find_images(found.inputs, scene.observations[-1]),
+            notes=[*notes, *predict_run.describe_inputs(found.inputs)],
             instruction=scene.observations[-1].get(sdk.Obs.INSTRUCTION),
         )
     notes = list(what.notes)
     made = _inputs(what.interface, scene)
     inputs: dict[str, Any] = {}
-    given = watched.unbatched(found.inputs)
+    given = predict_run.unbatched(found.inputs)
     for name, expected in made.items():
         if name not in given:
             notes.append(f"predict got no {name}, which the block names; it got {', '.join(given)}")
             continue
         inputs[name] = given[name]
-        difference = _difference(given[name], expected)
+        difference = _describe_difference(given[name], expected)
         if difference:
             notes.append(f"{name}: {difference} than the block makes")
     answer = found.raw if isinstance(found.raw, np.ndarray) else np.zeros(0)
     width = what.interface.action.vector.padded
     usable = answer.shape[1:] == (width,) and bool(found.steps)
-    if found.failed:
-        notes.append(f"what it answered makes no action: {found.failed}")
+    if found.failure:
+        notes.append(f"what it answered makes no action: {found.failure}")
     elif not usable:
         notes.append(f"predict answered the shape {answer.shape}; the block says (H, {width})")
-    said = _Said(answer if usable else None, found.steps, "what the model answered")
-    return _filled(replace(seen, notes=notes), what, inputs, said)
+    said = _ShownAction(answer if usable else None, found.steps, "what the model answered")
+    return _fill_report(replace(seen, notes=notes), what, inputs, said)
 
 
-def of_pairs(what: Subject) -> tuple[Scene, Steps, str] | None:
+def first_pair(what: ShownAdapter) -> tuple[ShownScene, Steps, str] | None:
     """Return the first question of golden_pairs.json: its scene, the golden answer, and what it is called.
 
     Raises:
@@ -193,13 +193,13 @@ def of_pairs(what: Subject) -> tuple[Scene, Steps, str] | None:
     for session in pairs.read(what.package.path).sessions:
         if (session.embodiment, session.action_type) == (what.robot.name, what.action_type) and session.questions:
             question = session.questions[0]
-            shown = session.scene.observations(question.shown)
+            shown = session.scene.observations(question.recipes)
             told = f"{names.PAIRS}, {question.where}"
-            return Scene(shown, told), session.chunk(question), f"what {names.CODE} answered ({told})"
+            return ShownScene(shown, told), session.chunk(question), f"what {names.CODE} answered ({told})"
     return None
 
 
-def _needed(what: Subject) -> tuple[Entry, Interface]:
+def _require_block(what: ShownAdapter) -> tuple[Entry, Interface]:
     if what.model_io is None or what.interface is None:
         raise UserError(
             f"{what.package.path} has no block model_io: nothing says what its model reads, and nothing can be shown",
@@ -210,7 +210,7 @@ def _needed(what: Subject) -> tuple[Entry, Interface]:
 
 
 @dataclass(frozen=True)
-class _Said:
+class _ShownAction:
     """An action: the model's answer (H, D), None where it cannot be shown; the standard's steps; where it is from."""
 
     answer: np.ndarray | None
@@ -218,9 +218,9 @@ class _Said:
     told: str
 
 
-def _filled(seen: Seen, what: Subject, inputs: Mapping[str, Any], said: _Said) -> Seen:
+def _fill_report(seen: ShowReport, what: ShownAdapter, inputs: Mapping[str, Any], said: _ShownAction) -> ShowReport:
     """Return what is shown of a block's inputs and of an action."""
-    model_io, interface = _needed(what)
+    model_io, interface = _require_block(what)
     now = seen.scene.observations[-1]
     state = now[sdk.Obs.STATE]
     vectors, read = [], []
@@ -229,8 +229,8 @@ def _filled(seen: Seen, what: Subject, inputs: Mapping[str, Any], said: _Said) -
         if name in inputs:
             vector, values = interface.states[name], _newest(interface, name, inputs[name])
             shown = numbers.of_state(entry, vector, values, state, what.robot)
-            vectors.append(Vector(name, _vector_words(entry), shown))
-            read.append(robot.Read(name, entry, vector, vector.denormalized(values.astype(np.float64))))
+            vectors.append(StateVector(name, _vector_words(entry), shown))
+            read.append(robot_figure.ReadVector(name, entry, vector, vector.denormalize(values.astype(np.float64))))
     return replace(
         seen,
         views=views.views(model_io, inputs, seen.scene.observations),
@@ -242,28 +242,28 @@ def _filled(seen: Seen, what: Subject, inputs: Mapping[str, Any], said: _Said) -
         else numbers.of_action(model_io["action"], interface, said.answer, said.steps, what.robot),
         action_from=said.told,
         action_words=_action_words(model_io, len(said.steps)),
-        figures=robot.figures(what.robot, state, read, said.steps),
+        figures=robot_figure.figures(what.robot, state, read, said.steps),
         witness=_witness(what),
     )
 
 
-def _witness(what: Subject) -> list[str]:
+def _witness(what: ShownAdapter) -> list[str]:
     """Return what kinematics says of the samples; nothing where there are none."""
     if what.package.manifest.model_io is None or not what.package.manifest.model_io.samples:
         return []
     manifest, folder = what.package.manifest, what.package.path
     try:
-        return [verdict.sentence for verdict in declared.verdicts(manifest, [folder])]
-    except (declared.NoWitnessError, ConversionError) as error:
+        return [verdict.sentence for verdict in sample_verdicts.judge_samples(manifest, [folder])]
+    except (sample_verdicts.NotJudgeableError, ConversionError) as error:
         return [str(error)]
 
 
-def _inputs(interface: Interface, scene: Scene) -> dict[str, Any]:
+def _inputs(interface: Interface, scene: ShownScene) -> dict[str, Any]:
     """Return the inputs that the block makes of a scene, without the axis of the batch."""
     memory: dict[str, np.ndarray] = {}
     try:
         encodings = [interface.encode(one, memory) for one in scene.observations[-interface.span :]]
-        return watched.unbatched(interface.batch([encodings]))
+        return predict_run.unbatched(interface.batch([encodings]))
     except (ConversionError, ObservationError) as error:
         raise UserError(f"{scene.origin}: {error}", code=ExitCode.NOT_RUN) from None
 
@@ -273,7 +273,7 @@ def _newest(interface: Interface, name: str, value: Any) -> np.ndarray:
     return array if history is None else array[history.newest]
 
 
-def _made_up(what: Subject, state: State) -> Steps:
+def _made_up_steps(what: ShownAdapter, state: State) -> Steps:
     """Return a command: the first step holds still, the last is a little further, with grippers half way to closed."""
     count = what.interface.action.steps if what.interface and what.interface.action.steps else _STEPS
     steps = []
@@ -293,13 +293,13 @@ def _made_up(what: Subject, state: State) -> Steps:
     return steps
 
 
-def _code(what: Subject) -> list[str]:
+def _code_notes(what: ShownAdapter) -> list[str]:
     """Return what the block says that code does: it is not in what is shown."""
     listed = (what.model_io or {}).get("code") or ()
     return [f"done in code, and not shown here: {sentence}; --run shows it" for sentence in listed]
 
 
-def _difference(given: Any, expected: Any) -> str:
+def _describe_difference(given: Any, expected: Any) -> str:
     """Return in what an input differs from what the block makes, "" if in nothing."""
     if isinstance(expected, str) or isinstance(given, str):
         return "" if given == expected else f"predict got {given!r}, other"

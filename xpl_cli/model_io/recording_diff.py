@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl_cli.model_io.difference import differences, spreads
-from xpl_cli.model_io.explain import ranges
+from xpl_cli.model_io.explain import format_parts
 
 if TYPE_CHECKING:
-    from xpl_cli.model_io.pairs import Pairs, Session
+    from xpl_cli.model_io.pairs import GoldenPairs, PairSession
 
 _SAME = 1e-6
 """Share of the span below which a number is rounded otherwise, and not another one."""
 
 
-def changes(before: Pairs, after: Pairs) -> Iterator[str]:
+def describe_changes(before: GoldenPairs, after: GoldenPairs) -> Iterator[str]:
     """Yield what differs, a sentence for each robot and action type; nothing if all answers are the same."""
     known = {(one.embodiment, one.action_type): one for one in before.sessions}
     for session in after.sessions:
@@ -33,7 +33,7 @@ def changes(before: Pairs, after: Pairs) -> Iterator[str]:
         yield f"{name}: its pairs are gone"
 
 
-def _answers(name: str, old: Session, new: Session) -> Iterator[str]:
+def _answers(name: str, old: PairSession, new: PairSession) -> Iterator[str]:
     before = [old.chunk(question, take) for question in old.questions for take in range(old.takes)]
     after = [new.chunk(question, take) for question in new.questions for take in range(new.takes)]
     if [len(chunk) for chunk in before] != [len(chunk) for chunk in after]:
@@ -47,4 +47,4 @@ def _answers(name: str, old: Session, new: Session) -> Iterator[str]:
         count = sum(any(share > _SAME for share in found.values()) for found in each)
         most = shares[moved[0]]
         far = f"{most:.2g} of its span" if np.isfinite(most) else "beyond its span"
-        yield f"{name}: {count} of {len(before)} answers differ, {moved[0]} by {far}; in {ranges(moved)}"
+        yield f"{name}: {count} of {len(before)} answers differ, {moved[0]} by {far}; in {format_parts(moved)}"

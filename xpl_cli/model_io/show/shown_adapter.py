@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from xpl import _spec as sdk
 from xpl import checkpoint, get_embodiment
 from xpl.convert import ConversionError, compile_interface
-from xpl.convert.gaps import absent, filled, gaps
+from xpl.convert.gaps import fill_gaps, gaps, missing_files
 from xpl.embodiment import UnknownEmbodimentError
 from xpl_cli.basics.errors import ExitCode, UserError
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Subject:
+class ShownAdapter:
     """An adapter that is looked at.
 
     Attributes:
@@ -58,7 +58,7 @@ class Subject:
         return max(declared, self.interface.span if self.interface else 1)
 
 
-def subject(package: Package, overrides: Config) -> Subject:
+def load_adapter(package: Package, overrides: Config) -> ShownAdapter:
     """Return an adapter with its block compiled.
 
     Raises:
@@ -70,12 +70,12 @@ def subject(package: Package, overrides: Config) -> Subject:
     except UnknownEmbodimentError as error:
         raise UserError(str(error)) from None
     if not package.manifest.model_io:
-        return Subject(package, config, None, None, body, ())
+        return ShownAdapter(package, config, None, None, body, ())
     told = package.manifest.model_io.data
-    made = Subject(package, config, told, None, body, tuple(_holes(package.path, config, told)))
+    made = ShownAdapter(package, config, told, None, body, tuple(_holes(package.path, config, told)))
     folders = checkpoint.folders(config, package.path)
     try:
-        model_io = filled(told, body, made.action_type, absent(told, folders)) if made.notes else told
+        model_io = fill_gaps(told, body, made.action_type, missing_files(told, folders)) if made.notes else told
         chunk = package.manifest.temporal.chunk
         return replace(
             made, model_io=model_io, interface=compile_interface(model_io, body, made.action_type, folders, chunk)
@@ -87,5 +87,5 @@ def subject(package: Package, overrides: Config) -> Subject:
 def _holes(path: Path, config: Config, model_io: Entry) -> list[str]:
     """Return what is open in a block, or not there, and was filled in."""
     found = [f"open: {gap.where} ({gap.reason}); a plain value stands there" for gap in gaps(model_io)]
-    lacking = absent(model_io, checkpoint.folders(config, path))
+    lacking = missing_files(model_io, checkpoint.folders(config, path))
     return [*found, *(f"{file} is not there: its normalisation is left out" for file in lacking)]

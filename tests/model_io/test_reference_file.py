@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from xpl_cli.basics.errors import UserError
-from xpl_cli.model_io import reading
+from xpl_cli.model_io import reference_file
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,7 +33,7 @@ def answers(config):
 
 
 def test_conventions_and_what_is_assumed() -> None:
-    found = reading.read(TEXT)
+    found = reference_file.parse(TEXT)
     assert {name: source.text for name, source in found.conventions.items()} == {
         "image_channels": "authors/transforms.py:41",
         "gripper": "assumed: the paper does not say",
@@ -42,13 +42,13 @@ def test_conventions_and_what_is_assumed() -> None:
     }
     assert found.assumed == ("gripper", "rotation", "chunk")
     assert found.conventions["gripper"].place.line == 8
-    assert (found.answers, found.problems) == (True, ())
+    assert (found.defines_answers, found.problems) == (True, ())
     assert "policy.yml" in [text for text, _ in found.texts]
     assert not any("Answers as" in text for text, _ in found.texts)
 
 
 def test_imports_wherever_they_stand() -> None:
-    found = reading.read(TEXT).imports
+    found = reference_file.parse(TEXT).imports
     assert [(item.module, item.level, item.place.line) for item in found] == [
         ("importlib", 0, 2),
         ("numpy", 0, 3),
@@ -74,7 +74,7 @@ def test_imports_wherever_they_stand() -> None:
     ],
 )
 def test_which_imports_take_the_adapter(line: str, taken: bool) -> None:
-    (found,) = reading.read(line).imports
+    (found,) = reference_file.parse(line).imports
     assert found.takes_adapter("Foo") is taken
 
 
@@ -94,14 +94,14 @@ def test_which_imports_take_the_adapter(line: str, taken: bool) -> None:
     ],
 )
 def test_what_is_wrong_with_conventions(text: str, problem: str) -> None:
-    ((told, place),) = reading.read(text).problems
+    ((told, place),) = reference_file.parse(text).problems
     assert problem in told
     assert place.line == 1
 
 
 def test_a_file_that_is_no_python_is_a_mistake_of_the_user(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"reference\.py cannot be read"):
-        reading.read_file(tmp_path)
+        reference_file.read_file(tmp_path)
     (tmp_path / "reference.py").write_text("def answers(:")
     with pytest.raises(UserError, match="is no Python"):
-        reading.read_file(tmp_path)
+        reference_file.read_file(tmp_path)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl import _spec as spec
-from xpl_cli.model_io.difference import Answers, Thread, columns
-from xpl_cli.model_io.explain import Tried
+from xpl_cli.model_io.difference import Answers, EpisodeAnswers, columns
+from xpl_cli.model_io.explain import TriedChange
 
 if TYPE_CHECKING:
     from xpl.contract import State
@@ -30,7 +30,7 @@ _RIGHT_ANGLE = np.pi / 2
 
 
 @dataclass(frozen=True)
-class _Line:
+class _LinearFit:
     """How the golden numbers follow from the adapter's.
 
     Attributes:
@@ -48,27 +48,27 @@ class _Line:
 
 
 @dataclass(frozen=True)
-class Rows:
+class AnswerRows:
     """All steps of all answers by key, (N, width): golden, the adapter's, and the state at the question."""
 
-    wanted: Mapping[str, np.ndarray]
-    found: Mapping[str, np.ndarray]
+    golden: Mapping[str, np.ndarray]
+    adapter: Mapping[str, np.ndarray]
     states: Mapping[str, np.ndarray]
 
     @classmethod
-    def of(cls, threads: Sequence[Thread]) -> Rows | None:
+    def of(cls, threads: Sequence[EpisodeAnswers]) -> AnswerRows | None:
         """Return the steps of episodes; None if chunks are of other lengths."""
         golden = [chunk for thread in threads for chunk in thread.golden]
-        given = [chunk for thread in threads for chunk in thread.given]
+        given = [chunk for thread in threads for chunk in thread.adapter]
         if any(len(one) != len(other) for one, other in zip(golden, given, strict=True)):
             return None
-        states = [thread.observations[place][spec.Obs.STATE] for thread in threads for place in thread.asked]
-        return cls(columns(golden), columns(given), _starts(given, states))
+        states = [thread.observations[place][spec.Obs.STATE] for thread in threads for place in thread.asked_at]
+        return cls(columns(golden), columns(given), _repeat_states(given, states))
 
 
-def fitted(
-    threads: Sequence[Thread], before: Differences, spread: Mapping[str, float], tolerance: float
-) -> Tried | None:
+def fit_linear(
+    threads: Sequence[EpisodeAnswers], before: Differences, spread: Mapping[str, float], tolerance: float
+) -> TriedChange | None:
     """Return the change by which each number that differs is a straight line of the golden one, or None.
 
     Args:
@@ -77,20 +77,20 @@ def fitted(
         spread: of `difference.spreads`.
         tolerance: largest share that is no difference.
     """
-    rows = Rows.of(threads)
+    rows = AnswerRows.of(threads)
     if rows is None:
         return None
-    remaining, lines = dict(before), dict[str, _Line]()
+    remaining, lines = dict(before), dict[str, _LinearFit]()
     for part in (part for part, value in before.items() if value > tolerance):
-        line = _line(rows, part, spread[part])
+        line = _fit_line(rows, part, spread[part])
         if line is None or line.rest > tolerance or line.rest * _FALLS > before[part]:
             return None
         remaining[part] = line.rest
         lines[part] = line
-    return Tried(_summary(lines), _convention(lines), remaining) if lines else None
+    return TriedChange(_summary(lines), _convention(lines), remaining) if lines else None
 
 
-def _starts(given: Answers, states: Sequence[State]) -> dict[str, np.ndarray]:
+def _repeat_states(given: Answers, states: Sequence[State]) -> dict[str, np.ndarray]:
     rows: dict[str, list[np.ndarray]] = {}
     for steps, state in zip(given, states, strict=True):
         for step in steps:
@@ -99,13 +99,13 @@ def _starts(given: Answers, states: Sequence[State]) -> dict[str, np.ndarray]:
     return {key: np.stack(values) for key, values in rows.items()}
 
 
-def _line(rows: Rows, part: str, spread: float) -> _Line | None:
+def _fit_line(rows: AnswerRows, part: str, spread: float) -> _LinearFit | None:
     """Return the line wanted = slope * found + constant, of values or of changes, that leaves least, or None."""
     key, rest = part.rstrip("]").split("[")
     index = int(rest)
-    if key not in rows.found or (key.endswith(spec.State.EE_POSE) and index >= spec.POSITION_DIM):
+    if key not in rows.adapter or (key.endswith(spec.State.EE_POSE) and index >= spec.POSITION_DIM):
         return None
-    wanted, found, start = (held[key][:, index] for held in (rows.wanted, rows.found, rows.states))
+    wanted, found, start = (held[key][:, index] for held in (rows.golden, rows.adapter, rows.states))
     inside = np.ones(len(found), bool)
     if key.endswith(spec.State.EE_JOINT_STATE):  # what is quite closed or open may have been clipped
         inside = (found > spec.GRIPPER_CLOSED) & (found < spec.GRIPPER_OPEN)
@@ -118,9 +118,9 @@ def _line(rows: Rows, part: str, spread: float) -> _Line | None:
         ("change of the state", start, start),
         ("answer, and the state", still, start),
         ("answer less the state", start, still),
-        *((f"change of {other}", held[:, index], start) for other, held in _others(rows.states, key)),
+        *((f"change of {other}", held[:, index], start) for other, held in _same_field_of_others(rows.states, key)),
     ]
-    best: _Line | None = None
+    best: _LinearFit | None = None
     for words, of, to in bases:
         x, y = (found - of)[inside], (wanted - to)[inside]
         if np.ptp(x) <= _STILL:
@@ -129,11 +129,11 @@ def _line(rows: Rows, part: str, spread: float) -> _Line | None:
         left = float(np.abs(slope * x + constant - y).max()) / spread
         if best is None or left * _BETTER < best.rest:
             told = f"golden = {slope:.4g} * {words}" + (f" {constant:+.3g}" if abs(constant) > _NONE else "")
-            best = _Line(left, float(slope), float(constant), told, of is not to)
+            best = _LinearFit(left, float(slope), float(constant), told, of is not to)
     return best
 
 
-def _others(states: Mapping[str, np.ndarray], key: str) -> Iterator[tuple[str, np.ndarray]]:
+def _same_field_of_others(states: Mapping[str, np.ndarray], key: str) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the same field of other arms."""
     name = key.partition("_")[2]
     for other, values in states.items():
@@ -141,12 +141,12 @@ def _others(states: Mapping[str, np.ndarray], key: str) -> Iterator[tuple[str, n
             yield other, values
 
 
-def _summary(lines: Mapping[str, _Line]) -> str:
+def _summary(lines: Mapping[str, _LinearFit]) -> str:
     (part, line), *others = lines.items()
     return f"{part}: {line.words}" + (f" (and {len(others)} more numbers)" if others else "")
 
 
-def _convention(lines: Mapping[str, _Line]) -> str:
+def _convention(lines: Mapping[str, _LinearFit]) -> str:
     """Return what a line is about.
 
     What is counted from another state is a reference; grippers have their own; a factor of 57.3 is degrees; signs and

@@ -15,14 +15,14 @@ import numpy as np
 
 from xpl import poses
 from xpl.kinematics import Chain, KinematicsError
-from xpl_cli.model_io.kinematics import leftover, readings
+from xpl_cli.model_io.kinematics import readings, residual
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from xpl import Embodiment
-    from xpl_cli.model_io.kinematics.readings import Angles
-    from xpl_cli.model_io.kinematics.samples import Columns
+    from xpl_cli.model_io.kinematics.readings import JointReading
+    from xpl_cli.model_io.kinematics.samples import SampleColumns
 
 POSITION, ROTATION, JOINTS = "position", "rotation", "joints"
 AGREES, DIFFERS, ANSWERS, UNEXPLAINED, OPEN = "agrees", "differs", "answers", "unexplained", "cannot tell"
@@ -39,7 +39,7 @@ _LEAST_MOTION = {POSITION: 20.0, ROTATION: 10.0}
 
 
 @dataclass(frozen=True)
-class Verdict:
+class KinematicsVerdict:
     """What the rows say of one part.
 
     Attributes:
@@ -77,13 +77,13 @@ class Verdict:
     @property
     def change(self) -> str:
         """The words that fit best, as the block writes them."""
-        return _written(self.best)
+        return _format_words(self.best)
 
     @property
     def replaced(self) -> str:
         """What is declared where other words fit better."""
         told = {key: self.declared[key] for key in self.best if key in self.declared}
-        return _written(told) or "what is declared"
+        return _format_words(told) or "what is declared"
 
     @property
     def sentence(self) -> str:
@@ -112,7 +112,7 @@ class Verdict:
         return {key: round(value, 3) if isinstance(value, float) else value for key, value in asdict(self).items()}
 
 
-def _written(words: Mapping[str, str]) -> str:
+def _format_words(words: Mapping[str, str]) -> str:
     return ", ".join(value if key == JOINTS else f"{key}: {value}" for key, value in words.items())
 
 
@@ -122,13 +122,13 @@ def _figure(error: float | None) -> str:
 
 
 @dataclass
-class _Arm:
+class _ArmKinematics:
     """The kinematics of one arm, for each way to read its joints."""
 
     embodiment: Embodiment
     side: str
     chain: Chain
-    options: list[Angles]
+    options: list[JointReading]
 
     def flange(self, option: int) -> np.ndarray:
         """Return the flange's poses (N, 7) in the arm's base, for one way to read the joints."""
@@ -144,14 +144,14 @@ class _Arm:
         return [np.stack([self.chain.flange(row) for row in angles.values]) for angles in self.options]
 
 
-def judge(columns: Sequence[Columns], embodiment: Embodiment) -> list[Verdict]:
+def judge(columns: Sequence[SampleColumns], embodiment: Embodiment) -> list[KinematicsVerdict]:
     """Return what the robot's kinematics says of each part; nothing where joints or poses are missing.
 
     Raises:
         KinematicsError: if the standard has no kinematics of the robot.
     """
     chain = Chain.from_embodiment(embodiment.data)
-    found: list[Verdict] = []
+    found: list[KinematicsVerdict] = []
     for side in embodiment.data["arms"]:
         given = [one for one in columns if one.entry["arm"] == side]
         for leads in (False, True):
@@ -160,7 +160,7 @@ def judge(columns: Sequence[Columns], embodiment: Embodiment) -> list[Verdict]:
             if seen and joints is not None:
                 others = [one for one in columns if one.kind == JOINTS and one.entry["arm"] != side]
                 options = list(readings.joints(joints, _joints(others, leads=leads), embodiment))
-                found += _judged(_Arm(embodiment, side, chain, options), joints, seen)
+                found += _judge_arm(_ArmKinematics(embodiment, side, chain, options), joints, seen)
     return found
 
 
@@ -173,19 +173,21 @@ def has_kinematics(embodiment: Embodiment) -> bool:
     return True
 
 
-def _joints(columns: Sequence[Columns], *, leads: bool) -> Columns | None:
+def _joints(columns: Sequence[SampleColumns], *, leads: bool) -> SampleColumns | None:
     """Return an arm's joints; of the same kind, if there are some: commands lead what is measured."""
     found = [one for one in columns if one.kind == JOINTS]
     return next((one for one in found if one.leads is leads), found[0] if found else None)
 
 
-def _judged(arm: _Arm, joints: Columns, seen: Sequence[Columns]) -> Iterator[Verdict]:
-    still = _still(arm)
+def _judge_arm(
+    arm: _ArmKinematics, joints: SampleColumns, seen: Sequence[SampleColumns]
+) -> Iterator[KinematicsVerdict]:
+    still = _describe_too_little_motion(arm)
     if still:
         for one in (joints, *seen):
-            yield Verdict(one.where, arm.side, one.kind, OPEN, len(one.rows), because=still)
+            yield KinematicsVerdict(one.where, arm.side, one.kind, OPEN, len(one.rows), because=still)
         return
-    table = [_Errors(one, arm, follows=one.leads is not joints.leads) for one in seen]
+    table = [_ReadingErrors(one, arm, follows=one.leads is not joints.leads) for one in seen]
     every = range(len(arm.options))
     if all(one.least(0) <= one.tolerance for one in table):  # with these readings: may the joints be other ones?
         errors = [[one.of_best(option) / _FLOOR[one.kind] for option in every] for one in table]
@@ -199,14 +201,16 @@ def _judged(arm: _Arm, joints: Columns, seen: Sequence[Columns]) -> Iterator[Ver
         yield pose.verdict(option)
 
 
-def _of_joints(arm: _Arm, joints: Columns, table: Sequence[_Errors], alike: np.ndarray, option: int) -> Verdict:
+def _of_joints(
+    arm: _ArmKinematics, joints: SampleColumns, table: Sequence[_ReadingErrors], alike: np.ndarray, option: int
+) -> KinematicsVerdict:
     """Return what is said of the joints, which are read in one way, and could be in those that fit alike."""
     first = table[0]
     explained = any(one.least(option) <= one.tolerance for one in table)
     change = arm.options[option].change
     outcome = AGREES if not option else ANSWERS if change.partition(":")[0] in joints.unknown else DIFFERS
     changes = [arm.options[index].change or "as declared" for index in np.flatnonzero(alike) if index != option]
-    return Verdict(
+    return KinematicsVerdict(
         joints.where,
         arm.side,
         JOINTS,
@@ -222,20 +226,20 @@ def _of_joints(arm: _Arm, joints: Columns, table: Sequence[_Errors], alike: np.n
     )
 
 
-def _still(arm: _Arm) -> str:
+def _describe_too_little_motion(arm: _ArmKinematics) -> str:
     """Return why these rows are too much alike, "" if they are not."""
     flange = arm.flange(0)
     different = len(np.unique(flange.round(4), axis=0))
     if different < _FEWEST:
         return f"the rows hold {different} different poses, and at least {_FEWEST} are needed"
     distance = 1000 * float(np.linalg.norm(flange[:, :3] - flange[0, :3], axis=-1).max())
-    angle = float(leftover.angles(flange[:, 3:], flange[:1, 3:]).max())
+    angle = float(residual.angles(flange[:, 3:], flange[:1, 3:]).max())
     if distance < _LEAST_MOTION[POSITION] or angle < _LEAST_MOTION[ROTATION]:
         return f"the poses lie within {distance:.1f} mm and {angle:.1f} degrees of the first: too much alike"
     return ""
 
 
-class _Errors:
+class _ReadingErrors:
     """The errors of every reading of one pose's columns, under every reading of the joints.
 
     Args:
@@ -244,7 +248,7 @@ class _Errors:
         follows: whether these are commands and the joints are measured, or the other way round.
     """
 
-    def __init__(self, columns: Columns, arm: _Arm, *, follows: bool) -> None:
+    def __init__(self, columns: SampleColumns, arm: _ArmKinematics, *, follows: bool) -> None:
         self.kind = columns.kind
         self.tolerance = _TOLERANCE[self.kind]
         self._columns, self._arm, self._follows = columns, arm, follows
@@ -262,7 +266,7 @@ class _Errors:
         word, place = map(int, np.unravel_index(errors.argmin(), errors.shape))
         return float(self._errors(option, slice(word, word + 1), [self._read.places[place]])[0, 0])
 
-    def verdict(self, option: int) -> Verdict:
+    def verdict(self, option: int) -> KinematicsVerdict:
         """Return what is said of these columns, with the joints read in one way."""
         errors = self._of(option)
         floor, declared, least = _FLOOR[self.kind], float(errors[0, 0]), float(errors.min())
@@ -271,7 +275,7 @@ class _Errors:
         alike[0, 0] |= holds
         places = [(int(word), int(place)) for word, place in np.argwhere(alike)]
         chosen = (0, 0) if holds else min(places, key=self._distance)
-        words, best = self._read.told(0, 0), self._read.told(*chosen)
+        words, best = self._read.words_of(0, 0), self._read.words_of(*chosen)
         unknown = self._columns.unknown
         changed = {key: value for key, value in best.items() if words.get(key) != value or key in unknown}
         outcome = ANSWERS if changed and changed.keys() <= unknown else AGREES if holds else DIFFERS
@@ -283,7 +287,7 @@ class _Errors:
             else:
                 because = self._leftover(option)
         others = errors[~alike]
-        return Verdict(
+        return KinematicsVerdict(
             self._columns.where,
             self._arm.side,
             self.kind,
@@ -302,13 +306,13 @@ class _Errors:
 
     def _distance(self, place: tuple[int, int]) -> tuple[int, int]:
         """Return how much a reading changes of what is declared: what no word says, and words."""
-        words = self._read.told(0, 0)
-        changed = [value for key, value in self._read.told(*place).items() if words.get(key) != value]
+        words = self._read.words_of(0, 0)
+        changed = [value for key, value in self._read.words_of(*place).items() if words.get(key) != value]
         return sum(readings.NO_WORD in value for value in changed), len(changed)
 
     def _open(self, alike: Sequence[tuple[int, int]]) -> dict[str, list[str]]:
         """Return the words on which readings that fit alike are not one, with their values."""
-        kept = [self._read.told(*place) for place in alike]
+        kept = [self._read.words_of(*place) for place in alike]
         values = {key: list(dict.fromkeys(words.get(key, "none") for words in kept)) for key in kept[0]}
         return {key: found for key, found in values.items() if len(found) > 1}
 
@@ -324,12 +328,12 @@ class _Errors:
         if self.kind == POSITION:
             apart = 1000 * np.linalg.norm(values - there[..., :3], axis=-1)
         else:
-            apart = leftover.angles(values, there[..., 3:])
+            apart = residual.angles(values, there[..., 3:])
         result: np.ndarray = np.sqrt((apart * apart).mean(-1))
         return result
 
     def _leftover(self, option: int) -> str:
         """Return what a fixed turn or shift would explain."""
         if self.kind == POSITION:
-            return leftover.of_positions(self._read.values[0], self._arm.expected(option, self._read.places[0]))
-        return leftover.of_rotations(self._read, [self._arm.expected(option, place) for place in self._read.places])
+            return residual.of_positions(self._read.values[0], self._arm.expected(option, self._read.places[0]))
+        return residual.of_rotations(self._read, [self._arm.expected(option, place) for place in self._read.places])

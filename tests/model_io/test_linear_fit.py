@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from xpl_cli.model_io.difference import Thread, differences, spreads
-from xpl_cli.model_io.fitted import fitted
+from xpl_cli.model_io.difference import EpisodeAnswers, differences, spreads
+from xpl_cli.model_io.linear_fit import fit_linear
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from xpl_cli.model_io.explain import Tried
+    from xpl_cli.model_io.explain import TriedChange
 
 RNG = np.random.default_rng(0)
 STATES = RNG.uniform(-1, 1, (6, 2))
@@ -28,14 +28,15 @@ def _chunks(joints: np.ndarray, grips: np.ndarray = GRIPS) -> list[list[dict[str
     ]
 
 
-def _fitted(joints: np.ndarray, grips: np.ndarray = GRIPS) -> Tried | None:
+def _fitted(joints: np.ndarray, grips: np.ndarray = GRIPS) -> TriedChange | None:
     golden, given = _chunks(GOLDEN), _chunks(joints, grips)
     states = [{"arm_joint_state": state, "ee_joint_state": np.zeros(1)} for state in STATES]
     threads = [
-        Thread([{"state": state}], [0], [one], [other]) for state, one, other in zip(states, golden, given, strict=True)
+        EpisodeAnswers([{"state": state}], [0], [one], [other])
+        for state, one, other in zip(states, golden, given, strict=True)
     ]
     spread = spreads(golden)
-    return fitted(threads, differences(golden, given, spread), spread, 1e-4)
+    return fit_linear(threads, differences(golden, given, spread), spread, 1e-4)
 
 
 @pytest.mark.parametrize(

@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING
 from xpl import get_embodiment
 from xpl.convert import ConversionError
 from xpl.embodiment import UnknownEmbodimentError
-from xpl_cli.model_io.kinematics import samples, witness
+from xpl_cli.model_io.kinematics import consistency, samples
 from xpl_cli.standard import validate
 
 if TYPE_CHECKING:
     from xpl import Embodiment
     from xpl.manifest import Manifest
-    from xpl_cli.model_io.kinematics.witness import Verdict
+    from xpl_cli.model_io.kinematics.consistency import KinematicsVerdict
 
 
-class NoWitnessError(Exception):
+class NotJudgeableError(Exception):
     """There is nothing to judge; the text says why."""
 
 
-def verdicts(manifest: Manifest, folders: Sequence[Path]) -> list[Verdict]:
+def judge_samples(manifest: Manifest, folders: Sequence[Path]) -> list[KinematicsVerdict]:
     """Return what kinematics says of a manifest's samples.
 
     Args:
@@ -34,15 +34,15 @@ def verdicts(manifest: Manifest, folders: Sequence[Path]) -> list[Verdict]:
         ConversionError: if samples cannot be read, or do not fit the block or the robot.
     """
     if not manifest.model_io:
-        raise NoWitnessError("policy.yml has no model_io block")
+        raise NotJudgeableError("policy.yml has no model_io block")
     model_io = manifest.model_io.data
     if validate.validate(model_io, "model_io"):
-        raise NoWitnessError("the model_io block is not what its schema asks for; XPL104 says where")
+        raise NotJudgeableError("the model_io block is not what its schema asks for; XPL104 says where")
     if not manifest.model_io.samples:
-        raise NoWitnessError("model_io names no samples: no rows that hold joints and poses together")
+        raise NotJudgeableError("model_io names no samples: no rows that hold joints and poses together")
     robots = list(_robots(manifest))
     if not robots:
-        raise NoWitnessError("the standard has the joint frames of none of the declared robots")
+        raise NotJudgeableError("the standard has the joint frames of none of the declared robots")
     failed = None
     for robot in robots:  # the first that the rows fit
         try:
@@ -50,9 +50,9 @@ def verdicts(manifest: Manifest, folders: Sequence[Path]) -> list[Verdict]:
         except ConversionError as error:
             failed = failed or error
             continue
-        found = witness.judge(columns, robot)
+        found = consistency.judge(columns, robot)
         if not found:
-            raise NoWitnessError(
+            raise NotJudgeableError(
                 "model_io.samples hold no joints and poses of one arm, absolute and of the same moments"
             )
         return found
@@ -66,5 +66,5 @@ def _robots(manifest: Manifest) -> Iterator[Embodiment]:
             robot = get_embodiment(name)
         except UnknownEmbodimentError:
             continue
-        if witness.has_kinematics(robot):
+        if consistency.has_kinematics(robot):
             yield robot
