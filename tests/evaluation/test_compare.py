@@ -117,7 +117,7 @@ def test_tasks_that_one_run_lacks_are_told(tmp_path: Path) -> None:
             {"environment": {"name": "other", "spec": "v1", "digest": "0" * 64}},
             "different environments: mujoco and other",
         ),
-        ({}, "no episode was played in both runs"),
+        ({}, "the runs have no episode in common"),
     ],
 )
 def test_runs_that_have_nothing_in_common_are_refused(tmp_path: Path, change: dict[str, Any], complaint: str) -> None:

@@ -52,14 +52,16 @@ def test_runs_are_ranked_by_success_and_compared_with_the_first(tmp_path: Path) 
     assert found.rows[0].mean_score == overall.mean_score
     assert found.rows[0].to_first is None
     assert all(row.to_first.difference < 0 for row in found.rows[1:])
-    assert not any("Not told apart" in note for note in found.notes)
+    assert not any("No difference from" in note for note in found.notes)
 
 
 def test_what_the_episodes_do_not_tell_apart_is_said(tmp_path: Path) -> None:
     found = _rank(*(_run(tmp_path, name, rate=0.6) for name in ("One", "Other")))
     first, second = (row.policy for row in found.rows)
-    assert any(note.startswith(f"Not told apart from {first} by these episodes: {second}.") for note in found.notes)
-    assert ranking_text.describe_standing(found.rows[1]) == "not told apart from the first"
+    assert any(
+        note.startswith(f"No difference from {first} is shown by these episodes: {second}.") for note in found.notes
+    )
+    assert ranking_text.describe_standing(found.rows[1]) == "no difference from the first shown"
 
 
 def test_equal_runs_share_a_rank_and_have_names_of_their_own(tmp_path: Path) -> None:
@@ -187,7 +189,7 @@ def test_common_episodes_make_runs_alike(tmp_path: Path) -> None:
     counted = [{(cell.task, cell.setting, seed) for cell in cells(run) for seed in cell.by_seed} for run in runs]
     assert judged == {len(counted[0] & counted[1])}
     assert found.rows[1].to_first.pairs == judged.pop()
-    assert any(note.startswith("Only episodes count that were played in every run") for note in found.notes)
+    assert any(note.startswith("Only episodes of all runs count") for note in found.notes)
 
 
 def test_a_field_without_a_common_episode_or_with_a_run_twice_is_none(tmp_path: Path) -> None:

@@ -162,7 +162,7 @@ def test_a_run_that_is_not_finished_says_so(tmp_path: Path) -> None:
     assert found["cells"][2]["success_rate"] is None
     mean = (found["cells"][0]["success_rate"] + found["cells"][1]["success_rate"]) / 2
     assert found["overall"]["success_rate"] == pytest.approx(mean)
-    assert found["notes"][0].startswith("28 episodes of 40 still to be played")
+    assert found["notes"][0].startswith("28 episodes of 40 still to be run")
     assert any("means of the rates" in note for note in found["notes"])
 
 

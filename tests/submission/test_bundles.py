@@ -95,7 +95,7 @@ class TestConsistency:
             (lambda lines: lines[-1].update(embodiment="piper"), "but its plan says 'arx_x5'"),
             (lambda lines: lines[-1].update(machine="0" * 64), "names a machine"),
             (lambda lines: lines[1]["facts"].update(python="3.12.0"), "does not have the facts"),
-            (lambda lines: lines[-1].update(success=None, failure="infrastructure"), "was given up after 1 attempts"),
+            (lambda lines: lines[-1].update(success=None, failure="infrastructure"), "ended after 1 attempts"),
             (lambda lines: lines[-1].update(wall_seconds=0.0), "waiting for the policy"),
             (lambda lines: lines[-1]["inference"].update(histogram=[1]), "histogram"),
             (
@@ -106,7 +106,7 @@ class TestConsistency:
             (lambda lines: lines[-1].update(_copied(lines[-2])), "has the states of episode 38: it was copied"),
             (lambda lines: lines[-1].update(_told(lines[-2])), "39 has the states of episode 38: it was copied"),
             (_of_one_trace, "episode 39 has traces/38.npz of episode 38: it was copied"),
-            (lambda lines: lines.pop(), "1 of its episodes were not played"),
+            (lambda lines: lines.pop(), "1 of its episodes were not run"),
         ],
     )
     def test_edited_lines_are_found(self, run: Run, change: Callable[[list[Line]], Any], said: str) -> None:

@@ -245,10 +245,10 @@ _OTHER_WEIGHTS = {"loaded": "0" * 64, "name": None, "declared": []}
 @pytest.mark.parametrize(
     ("change", "where", "said"),
     [
-        (_records(lambda lines: lines[-1].update(success=False, failure="task")), "claims", "counts otherwise"),
+        (_records(lambda lines: lines[-1].update(success=False, failure="task")), "claims", "has other counts"),
         (_records(lambda lines: lines[-1].update(end_reason="max_steps")), "records", "but ended with max_steps"),
         (_records(lambda lines: lines[-1].update(score=0.0)), "records", "with a score of 0"),
-        (_records(lambda lines: lines.pop()), "records", "were not played"),
+        (_records(lambda lines: lines.pop()), "records", "were not run"),
         (_records(lambda lines: lines[-1].update(steps=201)), "plan", "201 steps: lift_cube ends after 200"),
         (_seeds(1, 2), "plan", "the seeds of lift_cube (clean) are not those"),
         (_seeds(1, 2, frozen=False), "plan", "are not those that mujoco"),
@@ -264,12 +264,12 @@ _OTHER_WEIGHTS = {"loaded": "0" * 64, "name": None, "declared": []}
         (_audited(lambda gate: gate["results"].append(gate["results"][0])), "audit", "two results of XPL101"),
         (_audited(lambda gate: gate.update(digest="0" * 16)), "audit", "is not of the adapter in the bundle"),
         (_claimed(verdict="green"), "audit", "claims green, but its rules and the adapter give partial"),
-        (_claimed(proven=PARITY), "audit", "says otherwise what is proven: its rules"),
-        (_claimed(statement="GREEN"), "audit", "says otherwise what it comes to"),
+        (_claimed(proven=PARITY), "audit", "claims other proofs: its rules"),
+        (_claimed(statement="GREEN"), "audit", "claims another statement"),
         (
             _documents(lambda told: told["audit"].update(proven=PARITY), bundle.MANIFEST),
             "audit",
-            "submission.json says otherwise what is proven than audit.json",
+            "submission.json claims other proofs than audit.json",
         ),
     ],
 )
@@ -294,7 +294,7 @@ def test_an_adapter_that_changed_since_is_not_packed(run: Run, tmp_path: Path) -
     shutil.copytree(EXPERT, changed, ignore=shutil.ignore_patterns("__pycache__"))
     (changed / "model.py").write_text("# other\n", encoding="utf-8")
     answer = prepare.submit(prepare.SubmitRequest(package.load(changed), (run.folder,), tmp_path / "a.zip"))
-    assert [problem for problem in answer.problems if "was played with other files" in problem]
+    assert [problem for problem in answer.problems if "ran with other files" in problem]
 
 
 class TestReplay:
@@ -395,7 +395,7 @@ class TestCheckpoints:
         request = evaluate.EvalRequest(package.load(adapter), "offline", tmp_path / "run", PlanRequest(), films=0)
         run = evaluate.evaluate(request)
         answer = prepare.submit(prepare.SubmitRequest(request.package, (run.folder,), tmp_path / "demo.xpl.zip"))
-        assert any("nobody else could get it" in problem for problem in answer.problems)
+        assert any("third parties could not get it" in problem for problem in answer.problems)
 
 
 @pytest.mark.slow

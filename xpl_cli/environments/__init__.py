@@ -1,7 +1,6 @@
-"""What environments offer: listed, played, checked, drawn.
+"""Environments: list, run, check and render them.
 
-The tests that come with a new environment package make it by `environments.make`; templates are frozen, so that this
-name stays.
+The tests that come with a new environment package call `environments.make`; templates are frozen, so this name stays.
 """
 
 from xpl_cli.packages.environments import make

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     _Job = tuple[Scenario, Sequence[int]]
     _Played = tuple[list[Result], list[Result]]
     _Row = dict[str, Any]
-    """What a report says of one pair: `unsupported`, or `episodes` and the figures of `expert` and `random`."""
+    """One pair in the report: `unsupported`, or `episodes` and the figures of `expert` and `random`."""
 
 __all__ = ["SEEDS", "CheckSelection", "check", "seeds", "text", "unsupported"]
 
@@ -45,7 +45,7 @@ class CheckSelection:
         embodiments: names.
         settings: names.
         episodes: seeds of each task and setting, from the first; None for all that are frozen.
-        action_type: in which the expert plays; the environment's first by default.
+        action_type: of the expert; the environment's first by default.
     """
 
     tasks: Sequence[str] = ()
@@ -81,18 +81,18 @@ def seeds(folder: Path, task: str, setting: str, facts: EnvManifest | None = Non
 
 
 def has_seeds(folder: Path) -> bool:
-    """Tell whether an environment has frozen evaluation seeds."""
+    """Return whether an environment has frozen evaluation seeds."""
     return (folder / SEEDS).is_dir() or environments.manifest(folder).evaluation_seeds is not None
 
 
 def check(name: str, choice: CheckSelection, say: Progress, workers: int | None = 1) -> dict[str, Any]:
-    """Play the frozen seeds and return the report; nothing is replaced or written.
+    """Run the frozen seeds and return the report; nothing is replaced or written.
 
     Args:
         name: the environment.
-        choice: what of it.
-        say: where to tell how far it is.
-        workers: processes; 1 plays in this one, None takes as many as there are cores. The report is the same.
+        choice: selected parts.
+        say: progress.
+        workers: processes; 1 for this one, None for one per core. The report does not depend on it.
 
     Raises:
         NotFoundError: the environment, a task, an embodiment, a setting or its seeds do not exist.
@@ -143,7 +143,7 @@ def text(report: Mapping[str, Any]) -> str:
     ]
     played = [row for row in report["pairs"] if row["unsupported"] is None]
     sound = sum(map(_is_sound, played))
-    return "\n".join([*table, "", f"{sound} of {len(played)} hold: the expert solves every seed, random actions none"])
+    return "\n".join([*table, "", f"{sound} of {len(played)} pass: the expert solves every seed, random actions none"])
 
 
 def _batches(frozen: Sequence[int]) -> list[Sequence[int]]:
@@ -152,15 +152,15 @@ def _batches(frozen: Sequence[int]) -> list[Sequence[int]]:
 
 
 def _results(jobs: Sequence[_Job], workers: int | None) -> Iterator[_Played]:
-    """Yield what came of each job, in their order."""
+    """Yield the results of the jobs, in their order."""
     if workers == 1 or len(jobs) <= 1:
         yield from map(_play, jobs)
         return
     for (what, _), answer in zip(jobs, in_processes(_play, jobs, workers), strict=True):
         if answer is None:
             raise UserError(
-                f"the process that played {what.task} with {what.embodiment} ({what.setting}) died",
-                hint="Play it alone to see why: --task, --embodiment, --setting, --workers 1.",
+                f"the process that ran {what.task} with {what.embodiment} ({what.setting}) died",
+                hint="Run it alone to see why: --task, --embodiment, --setting, --workers 1.",
                 code=ExitCode.NOT_RUN,
             )
         yield answer

@@ -28,11 +28,11 @@ _EVERY = 2  # control steps to a frame: enough for the eye
 
 
 def render(what: Scenario, seed: int, camera: str | None, out: Path) -> dict[str, Any]:
-    """Write what a camera sees when an episode begins; return what is in the picture.
+    """Save an image of a camera at the beginning of an episode; return its description.
 
     Raises:
         NotFoundError: there is no such camera.
-        UserError: the scenario is not offered, the renderer is missing, or another ending than .png.
+        UserError: the scenario is not offered, the renderer is missing, or the file does not end in .png.
     """
     check_ending(out, (".png",))
     camera = camera_of(what, camera)
@@ -44,9 +44,9 @@ def render(what: Scenario, seed: int, camera: str | None, out: Path) -> dict[str
 
 
 def first_frames(what: Scenario, tasks: Sequence[str], seed: int, camera: str) -> Iterator[tuple[np.ndarray, str]]:
-    """Yield what a camera sees when an episode of each task begins, (H, W, 3) uint8, and the episode's instruction.
+    """Yield a camera's image (H, W, 3) uint8 at the beginning of an episode of each task, and its instruction.
 
-    One environment plays them one after the other: where it has a process of its own, that is started once.
+    One environment runs all of them: if it has a process of its own, that is started once.
     """
     with contextlib.closing(rollout.make(replace(what, task=tasks[0]))) as env, _renderer_errors(what):
         for task in tasks:
@@ -55,14 +55,14 @@ def first_frames(what: Scenario, tasks: Sequence[str], seed: int, camera: str) -
 
 
 def film(what: Scenario, player: str, seed: int, camera: str | None, out: Path) -> dict[str, Any]:
-    """Write a film of an episode; return what it shows, with the `episode`'s result.
+    """Save a video of an episode; return its description, with the `episode`'s result.
 
     Args:
-        what: is played.
+        what: the scenario.
         player: one of `rollout.PLAYERS`.
         seed: of the episode.
-        camera: from where; the camera for people by default.
-        out: file, whose ending is one of `FORMATS`.
+        camera: name; the overview camera by default.
+        out: file with one of the endings in `FORMATS`.
 
     Raises:
         NotFoundError: there is no such camera or player.
@@ -80,14 +80,14 @@ def film(what: Scenario, player: str, seed: int, camera: str | None, out: Path) 
 
 
 class FilmRecorder:
-    """A film of one environment.
+    """Records a video of one environment.
 
     Args:
         frequency: control rate, Hz.
-        camera: from where; the camera for people by default.
+        camera: name; the overview camera by default.
 
     Attributes:
-        steps: moments that it was shown.
+        steps: number of recorded control steps.
     """
 
     def __init__(self, frequency: float, camera: str | None = None) -> None:
@@ -97,10 +97,10 @@ class FilmRecorder:
         self.steps = 0
 
     def add_frame(self, env: Any, env_idx: int = 0) -> None:
-        """Take in the present moment; to be called once for every control step.
+        """Add a frame; to be called once for every control step.
 
         Raises:
-            UserError: if there is no such camera.
+            UserError: there is no such camera.
         """
         from PIL import Image
 
@@ -131,7 +131,7 @@ class FilmRecorder:
 
 
 def describe_picture(what: Scenario, seed: int, camera: str, out: Path) -> dict[str, Any]:
-    """Return what a picture or film shows, and where it is."""
+    """Return the description of an image or video, and its path."""
     return {"file": str(out), **asdict(what), sdk.Deploy.SEED: seed, "camera": camera}
 
 
@@ -146,7 +146,7 @@ def camera_of(what: Scenario, requested: str | None) -> str:
 
 @contextlib.contextmanager
 def _renderer_errors(what: Scenario) -> Iterator[None]:
-    """Say in one sentence that this machine cannot draw."""
+    """Report in one sentence that this machine cannot render."""
     try:
         yield
     except RuntimeError as error:

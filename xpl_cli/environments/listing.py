@@ -20,7 +20,7 @@ _SUCCESS = "success_means"  # of env.yml, or of a task there: a sentence
 
 
 def offers(name: str | None = None) -> list[dict[str, Any]]:
-    """Return what one environment, or each one, offers: tasks with the embodiments they can be played with.
+    """Return the offer of one environment, or of each: tasks with the embodiments that they support.
 
     Raises:
         NotFoundError: there is no environment of this name.
@@ -36,7 +36,7 @@ def text(offers: Sequence[Mapping[str, Any]]) -> str:
 
 
 def markdown(offers: Sequence[Mapping[str, Any]]) -> str:
-    """Return the tasks as tables in Markdown: what each asks for, with how many arms, how it is scored, how long."""
+    """Return the tasks as Markdown tables: capability, number of arms, scoring, length and instruction."""
     return "\n\n".join("\n".join(_rows(offer["tasks"])) for offer in offers)
 
 

@@ -1,7 +1,7 @@
-"""The desk of an evaluation: where environments put questions to people, and people answer (`xpl.arms.people`).
+"""Questions of environments to the operator during an evaluation, and the operator's answers (`xpl.arms.people`).
 
-A question is shown on the terminal of the evaluation, whichever process asks. Where there is none, it is answered by a
-file, or over HTTP on this host.
+A question appears on the terminal of the evaluation, whichever process asks. Without a terminal, the operator answers
+by a file, or over HTTP on this host.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ _NUMBER_DIGITS: Final = 5
 
 @contextlib.contextmanager
 def serve_questions() -> Iterator[Path]:
-    """Keep a desk for the length of a `with` block, and tell every process that is started of it; yield its folder."""
+    """Serve questions for the length of a `with` block; child processes get the folder, which is yielded."""
     folder_name = os.environ.get(DESK)
-    if folder_name:  # somebody outside keeps one already
+    if folder_name:  # a parent process serves them already
         yield Path(folder_name)
         return
     folder = Path(tempfile.mkdtemp(prefix="xpl-questions-"))
@@ -59,7 +59,7 @@ def serve_questions() -> Iterator[Path]:
 
 
 def open_questions(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the questions that nobody has answered, by number."""
+    """Return the open questions, by number."""
     questions = {}
     for path in sorted(folder.glob(f"[0-9]*{QUESTION}")):
         number = path.name.removesuffix(QUESTION)
@@ -75,7 +75,7 @@ def open_questions(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def answer_question(folder: Path, number: str, words: str) -> str | None:
-    """Answer a question; return what was understood, None if that was none of its answers."""
+    """Answer a question; return the matching answer, None if it is none of the question's."""
     question = open_questions(folder).get(number)
     chosen = None if question is None else understood(words, question["answers"])
     if chosen is not None:
@@ -90,7 +90,7 @@ def _is_terminal() -> bool:
 
 
 def _serve(folder: Path, server: _QuestionServer | None, stop: threading.Event) -> None:
-    """Show questions as they come, and take lines of the terminal for answers."""
+    """Print new questions, and read answers from the terminal."""
     announced: set[str] = set()
     while not stop.wait(_LOOK_S):
         open_now = open_questions(folder)
@@ -110,7 +110,7 @@ def _serve(folder: Path, server: _QuestionServer | None, stop: threading.Event) 
 
 
 class _QuestionServer(ThreadingHTTPServer):
-    """Takes answers over HTTP, on this host, from whoever knows the address with its secret."""
+    """Accepts answers over HTTP, on this host, from clients that know the secret in the address."""
 
     daemon_threads = True
 
@@ -129,13 +129,13 @@ class _QuestionHandler(BaseHTTPRequestHandler):
     server: _QuestionServer
 
     def do_GET(self) -> None:
-        """Tell the open questions."""
+        """Send the open questions."""
         number = self._number()
         if number is not None:
             self._reply(200, open_questions(self.server.folder))
 
     def do_POST(self) -> None:
-        """Take an answer: its words are the body."""
+        """Accept an answer: its text is the body."""
         number = self._number()
         if number is None:
             return
@@ -149,10 +149,10 @@ class _QuestionHandler(BaseHTTPRequestHandler):
         self._reply(400 if chosen is None else 200, {"expected": answers} if chosen is None else {"answer": chosen})
 
     def log_message(self, *_arguments: Any) -> None:
-        """Say nothing: the terminal is for people."""
+        """Write no log: the terminal is for the operator."""
 
     def _number(self) -> str | None:
-        """Return what the path asks for; None, and refused, where it lacks the secret."""
+        """Return the question's number in the path; None, with an error reply, if the secret is missing."""
         _, secret, *rest = [*self.path.split("/"), "", ""][:4]
         if hmac.compare_digest(secret.encode(), self.server.secret.encode()) and "Origin" not in self.headers:
             return rest[0]

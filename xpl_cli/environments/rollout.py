@@ -1,4 +1,4 @@
-"""Episodes in this process, played by an environment's own expert or by random actions; no server, no cameras."""
+"""Rollouts in this process by an environment's scripted expert or by random actions; no server, no cameras."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _JOINT = sdk.ACTION_TYPES[0]
 _MOVED, _TURNED = 0.05, 0.5  # m and rad, along and about each axis: how far random poses lie from the present one
 _EXPERT = "expert"
 PLAYERS = (_EXPERT, "random")
-"""Who can play without a policy: the environment's own expert, or random actions."""
+"""Names of players without a policy: the environment's scripted expert, or random actions."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """What is played.
+    """Environment, task and robot of a rollout.
 
     Attributes:
         environment: name of an environment package, or its folder.
@@ -187,7 +187,7 @@ def random_control(action_types: Sequence[str]) -> str:
 
 
 def make_player(name: str, what: Scenario, seed: int) -> tuple[Scenario, Player]:
-    """Return a new player by its name, one of `PLAYERS`, and what it plays.
+    """Return a new player by its name, one of `PLAYERS`, and its scenario.
 
     Raises:
         NotFoundError: there is no player of that name, or the environment names no expert.
@@ -200,7 +200,7 @@ def make_player(name: str, what: Scenario, seed: int) -> tuple[Scenario, Player]
 
 
 def _pose_near(pose: ArrayLike, rng: np.random.Generator) -> np.ndarray:
-    """Return a pose (7,) beside another one."""
+    """Return a pose (7,) near another one."""
     start = np.asarray(pose, dtype=np.float64)
     turn = rotation.from_axis_angle(rng.uniform(-_TURNED, _TURNED, 3))
     moved = start[: sdk.POSITION_DIM] + rng.uniform(-_MOVED, _MOVED, sdk.POSITION_DIM)
@@ -208,7 +208,7 @@ def _pose_near(pose: ArrayLike, rng: np.random.Generator) -> np.ndarray:
 
 
 def run_episode(env: Any, act: Player, seed: int, watch: Callable[[], None] = lambda: None) -> Result:
-    """Play one episode and return its result; `watch` is called before every step and at the end."""
+    """Run one episode and return its result; `watch` is called before every step and at the end."""
     env.reset([seed])
     while not env.is_episode_end():
         watch()

@@ -25,12 +25,12 @@ _PAPER, _INK = (255, 255, 255), (30, 30, 30)
 
 
 def sheet(what: Scenario, seed: int, camera: str | None, out: Path, chosen: Sequence[str] = ()) -> dict[str, Any]:
-    """Write a picture of how an episode of every task begins, with the tasks' names; return what it shows.
+    """Save an image of the first frame of every task, with the tasks' names; return its description.
 
     Args:
-        what: whatever its task; tasks that are not offered with its embodiment are left out.
+        what: scenario; its task is ignored, and tasks that do not support its embodiment are left out.
         seed: of all episodes.
-        camera: from where; the camera for people by default.
+        camera: name; the overview camera by default.
         out: file, which must end in .png or .jpg.
         chosen: tasks or splits; all by default.
 

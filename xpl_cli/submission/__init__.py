@@ -1,1 +1,1 @@
-"""Submissions: a run as a bundle that somebody else can check and play again."""
+"""Submissions: a run as a bundle that third parties can check and replay."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-"""The first time that zip knows: an archive tells nothing of when it was made."""
+"""The first time of the zip format: an archive does not reveal when it was made."""
 _MODE = stat.S_IFREG | 0o644
 _UNIX = 3
 _MOST_FILES = 100_000
@@ -32,16 +32,16 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def write(path: Path, content: Mapping[str, Path | bytes]) -> str:
-    """Write an archive, whole or not at all, and return the SHA-256 of its bytes.
+    """Write an archive atomically, and return the SHA-256 of its bytes.
 
     Order, times and modes are always the same, so that equal content gives equal bytes (under one version of zlib).
 
     Args:
-        path: where to.
-        content: name, with / between folders, to a file of this machine or what is to stand in it.
+        path: of the archive.
+        content: name, with / between folders, to a file of this machine or the content itself.
 
     Raises:
-        UserError: if it cannot be written.
+        UserError: it cannot be written.
     """
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:64]}.")
@@ -77,16 +77,16 @@ def _add(archive: zipfile.ZipFile, name: str, content: Path | bytes) -> None:
 
 
 def unpack(path: Path, folder: Path, *, limit: int) -> dict[str, str]:
-    """Write what an archive holds into an empty folder, and return the SHA-256 of each file by its name.
+    """Extract an archive into an empty folder, and return the SHA-256 of each file by its name.
 
     Args:
         path: the archive.
-        folder: where to.
+        folder: destination.
         limit: most bytes in all.
 
     Raises:
         NotFoundError: there is no such archive.
-        UserError: it is none, is damaged, is too large, or holds anything but files with plain names.
+        UserError: it is invalid, damaged, too large, or holds anything but files with plain names.
     """
     try:
         stream = files.opened(path, most=limit)
@@ -100,9 +100,9 @@ def unpack(path: Path, folder: Path, *, limit: int) -> dict[str, str]:
 
 
 class _BoundedReader:
-    """A file of which nobody reads more at once than an archive has reason to: how much there is to be said by it.
+    """A file whose single reads are limited in size.
 
-    An archive announces how long its list of files is, and that is read in one piece, many times larger in memory.
+    An archive announces the length of its directory, which zipfile reads at once and expands many times in memory.
     """
 
     def __init__(self, stream: IO[bytes]) -> None:
@@ -124,7 +124,7 @@ class _BoundedReader:
 
 @contextlib.contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Tell what happens while an archive is read as a mistake of the archive, or of the machine."""
+    """Report errors while an archive is read as errors of the archive, or of the machine."""
     try:
         yield
     except (UserError, KeyboardInterrupt, MemoryError):
@@ -176,7 +176,7 @@ def _checked_entries(archive: zipfile.ZipFile, path: Path, folder: Path, limit: 
 
 
 def _is_plain_name(name: str) -> bool:
-    """Tell whether a name leads to a file below the folder that it is unpacked in, on any system."""
+    """Return whether a name stays below the destination folder, on any system."""
     parts = name.split("/")
     return (
         name.isprintable()
@@ -190,7 +190,7 @@ def _is_plain_name(name: str) -> bool:
 
 
 def _extract(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> str:
-    """Write one file and return its digest; no more is read than the archive's list of files says."""
+    """Write one file and return its digest; no more is read than the archive's directory says."""
     target.parent.mkdir(parents=True, exist_ok=True)
     with archive.open(entry) as source, target.open("xb") as stream:
         return _copy_and_hash(source, stream)

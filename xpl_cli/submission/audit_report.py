@@ -1,7 +1,7 @@
-"""What the audit report of a bundle comes to: its verdict is made again from what its rules found, and never read.
+"""The audit report of a bundle: its verdict is derived again from the rules' findings, and never trusted.
 
-The report is a file that whoever made the bundle could write. Its outcomes are held against its own findings, its rules
-against those that there are, and its static gate, which runs nothing of an adapter, against the adapter in the bundle.
+The maker of the bundle could have written the report. Its outcomes are compared with its own findings, its rules with
+the existing ones, and its static gate, which runs nothing of an adapter, with that of the adapter in the bundle.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _MUST = "must"
 _SERVED_BY_MODEL = (None, Profile.FULL)
-"""Profiles of gates that no stand-in answered in."""
+"""Profiles of gates in which the real model answered."""
 _FAILING = (Outcome.NOT_RUN, Outcome.ERROR, Outcome.FAIL)
 _SEVERITY_ORDER = (Outcome.NOT_APPLICABLE, Outcome.PASS, Outcome.WARN, *_FAILING)
 _MOST_LISTED = 4
@@ -36,13 +36,13 @@ _MOST_LISTED = 4
 
 @dataclass(frozen=True)
 class BundledAudit:
-    """What the audit report of a bundle says of its adapter.
+    """The audit report of the adapter in a bundle.
 
     Attributes:
-        report: what follows from what the rules found.
-        said: what the report says that this comes to: verdict, statement, proven, unproven, as far as it says so.
-        stood_in: by the name of each gate that ran without the real model, what stood in for it.
-        variant: of the adapter that was evaluated; None for the policy itself.
+        report: what follows from the rules' findings.
+        claimed: verdict, statement, proven and unproven as the report claims them, as far as it does.
+        mocks: name of each gate that ran without the real model, to what answered instead.
+        variant: of the evaluated adapter; None for the policy itself.
     """
 
     report: TargetReport
@@ -52,7 +52,7 @@ class BundledAudit:
 
     @classmethod
     def parse(cls, target: Mapping[str, Any], variant: str | None) -> Self:
-        """Return what an entry of `targets` in a valid report says."""
+        """Return the content of an entry of `targets` in a valid report."""
         report = TargetReport(target["path"], target["name"], POLICY)
         for gate_entry in target["gates"]:
             profile = gate_entry.get("profile")
@@ -65,7 +65,7 @@ class BundledAudit:
         return cls(report, claimed_values, {gate["name"]: gate.get("stood_in") for gate in unreal}, variant)
 
     def derive_verdict(self, adapter: Path) -> Verdict:
-        """Return the verdict that follows from what rules found and from the adapter, whatever the report says.
+        """Return the verdict that follows from the rules' findings and the adapter, whatever the report claims.
 
         Args:
             adapter: folder of the adapter in the bundle.
@@ -74,7 +74,7 @@ class BundledAudit:
         return verdict_of(replace(self.report, circumstances=around))
 
     def problems(self, adapter: Path) -> Iterator[str]:
-        """Yield why the report does not show that the adapter in a folder of the bundle is green."""
+        """Yield why the report does not show that the adapter in the bundle is green."""
         report, verdict = self.report, self.derive_verdict(adapter)
         missing = [gate.value for gate in Gate if gate not in {entry.name for entry in report.gates}]
         if missing:
@@ -91,7 +91,7 @@ class BundledAudit:
             yield f"the audit's {name} gate ran without the real model: {stood_in}"
 
     def _overstatements(self, verdict: Verdict, adapter: Path) -> Iterator[str]:
-        """Yield where the report says something else than what follows."""
+        """Yield where the report claims something else than what follows."""
         made = verdict.as_json()
         if self.claimed["verdict"] != verdict.status:
             yield f"the audit claims {self.claimed['verdict']}, but its rules and the adapter give {verdict.status}"
@@ -99,13 +99,13 @@ class BundledAudit:
             if claim.claim is PARITY and claim.numbers.get("pairs") != (count := pairs.read(adapter).count):
                 yield f"the audit compared {claim.numbers.get('pairs')} golden pairs, and the adapter has {count}"
         if self.claimed.get("proven") != made["proven"]:
-            yield f"the audit says otherwise what is proven: its rules and the adapter make it {verdict}"
+            yield f"the audit claims other proofs: its rules and the adapter give {verdict}"
         if not str(self.claimed.get("statement")).startswith(f"{verdict.status.upper()} "):
-            yield f"the audit says otherwise what it comes to: its rules and the adapter make it {verdict}"
+            yield f"the audit claims another statement: its rules and the adapter give {verdict}"
 
 
 def _result(entry_data: Mapping[str, Any]) -> RuleResult:
-    """Return the result of a rule: findings that count make it fail, or warn, whatever it says of itself."""
+    """Return the result of a rule: counted findings make it fail, or warn, whatever it claims."""
     rule = next((entry.load() for entry in entries() if entry.code == entry_data["code"]), None)
     severity = entry_data["severity"] if rule is None else rule.severity
     outcome = Outcome(entry_data["outcome"])
@@ -136,7 +136,7 @@ def _missing_rules(gate: GateReport) -> Iterator[str]:
 
 
 def _static_gate_differences(report: TargetReport, adapter: Path, variant: str | None) -> Iterator[str]:
-    """Yield where the static gate says something else of the adapter in the bundle."""
+    """Yield where the static gate differs for the adapter in the bundle."""
     from xpl_cli.audit.engine.engine import audit
     from xpl_cli.audit.rules.options import AuditOptions
 

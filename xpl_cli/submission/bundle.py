@@ -30,7 +30,7 @@ DOCUMENTS = {
 }
 """Documents besides the manifest, and their schemas."""
 _MOST_BYTES = 16 << 20
-"""What none of them comes near; seconds to read, and to hold against a schema."""
+"""Limit of each document, for seconds of parsing and validation."""
 _MOST_MANIFEST = 32 << 20
 """What the manifest of as many files as an archive may hold does not reach."""
 
@@ -64,7 +64,7 @@ class BundledFile:
 
     @classmethod
     def of(cls, content: Path | bytes) -> Self:
-        """Describe a file of this machine, or what is to stand in one."""
+        """Return the entry of a file on this machine, or of content."""
         if isinstance(content, bytes):
             return cls(hashlib.sha256(content).hexdigest(), len(content))
         with content.open("rb") as stream:
@@ -88,13 +88,13 @@ class BundledCheckpoints:
 
 @dataclass(frozen=True)
 class BundleManifest:
-    """What a bundle says of itself (submission.json).
+    """The manifest of a bundle (submission.json).
 
     Attributes:
-        policy: whose runs it holds.
-        runs: what each of them claims.
+        policy: the evaluated adapter.
+        runs: the claim of each run.
         files: every other file, by its name.
-        audit: the verdict on the adapter, as JSON has it; None where nothing is said.
+        audit: the verdict on the adapter, as in JSON; None if there is none.
     """
 
     policy: BundledAdapter
@@ -104,7 +104,7 @@ class BundleManifest:
 
     @classmethod
     def parse(cls, data: Mapping[str, Any]) -> Self:
-        """Return what a valid submission.json says."""
+        """Return the manifest in a valid submission.json."""
         return cls(
             BundledAdapter(**data["policy"]),
             [RunClaim.parse(run) for run in data["runs"]],
@@ -123,12 +123,12 @@ class BundleManifest:
 
 @dataclass(frozen=True)
 class SubmissionBundle:
-    """A bundle that was unpacked.
+    """An unpacked bundle.
 
     Attributes:
-        folder: where.
-        digest: SHA-256 of its manifest, which names the whole.
-        manifest: what it says of itself.
+        folder: of its files.
+        digest: SHA-256 of its manifest, the name of the whole.
+        manifest: its manifest.
         digests: SHA-256 of every file that came with it.
     """
 
@@ -151,7 +151,7 @@ class SubmissionBundle:
         return _json(self.folder / name, name, _MOST_BYTES)
 
     def problems(self) -> Iterator[str]:
-        """Yield where its files are not those that the manifest names, or its documents not what their schemas say."""
+        """Yield files that differ from the manifest, and documents that violate their schemas."""
         folders = [run.folder for run in self.manifest.runs]
         if len(set(folders)) < len(folders):
             yield f"{MANIFEST} names a folder of a run twice"
@@ -176,11 +176,11 @@ def open_bundle(path: Path, folder: Path, *, limit: int) -> SubmissionBundle:
 
     Args:
         path: the archive.
-        folder: where to.
+        folder: destination.
         limit: most bytes in all.
 
     Raises:
-        UserError: it cannot be unpacked, or has no manifest that says what it is.
+        UserError: it cannot be unpacked, or has no valid manifest.
     """
     digests = archive.unpack(path, folder, limit=limit)
     if MANIFEST not in digests:

@@ -22,7 +22,7 @@ _WORD = re.compile(r"[A-Za-z0-9_-]+")
 
 @dataclass(frozen=True)
 class CellClaim:
-    """Numbers of episodes of one task in one setting: planned, completed, with a success to speak of, successful."""
+    """Numbers of episodes of one task in one setting: planned, completed, with defined success, successful."""
 
     task: str
     setting: str
@@ -34,11 +34,11 @@ class CellClaim:
 
 @dataclass(frozen=True)
 class RunClaim:
-    """What a bundle says of a run: an entry of `runs` in submission.schema.json.
+    """The claim of a run: an entry of `runs` in submission.schema.json.
 
     Attributes:
         run: its name.
-        folder: where its records.jsonl lies.
+        folder: of its records.jsonl.
         environment, embodiment, action_type: as in its plan.
         cells: the numbers.
     """
@@ -61,7 +61,7 @@ class RunClaim:
 
 
 def claim_of(run: Run) -> RunClaim:
-    """Return what a bundle says of a run."""
+    """Return the claim of a run."""
     return RunClaim(
         run.plan.run,
         folder(run),
@@ -73,7 +73,7 @@ def claim_of(run: Run) -> RunClaim:
 
 
 def folder(run: Run) -> str:
-    """Return where a run lies in a bundle; what its own folder is called is nobody's business."""
+    """Return the folder of a run in a bundle; the name of its own folder stays private."""
     return f"runs/{run.plan.run[:12]}"
 
 

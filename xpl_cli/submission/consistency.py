@@ -23,14 +23,13 @@ _SLACK_S = 0.01
 
 
 def problems(run: Run) -> Iterator[str]:
-    """Yield what is wrong with the records of a run, one sentence each.
+    """Yield the problems of a run's records, one sentence each.
 
-    That lines are as their schema says, that the plan is what the run is named after, that episodes are of the plan,
-    that success goes with failure, and that none is final twice or played again without need, is what `records.read`
-    sees to.
+    `records.read` has checked that lines match the schema, the plan matches the run's name, episodes are of the plan,
+    success matches failure, and no episode is final twice or retried without need.
     """
     if run.torn:
-        yield "the last line of its records is torn: an episode was lost in a crash; `xpl eval --resume` plays it"
+        yield "the last line of its records is incomplete: an episode was lost in a crash; `xpl eval --resume` runs it"
     for digest, facts in run.machines.items():
         if fingerprints.digest_of(facts) != digest:
             yield f"machine {digest[:12]} does not have the facts that it is named after"
@@ -39,7 +38,7 @@ def problems(run: Run) -> Iterator[str]:
     if (reason := containment.sentence(run)) is not None:
         yield reason
     if unusual := run_mode.run_mode_of(run.plan).description:
-        yield f"it was played {unusual}: nobody could play its episodes again, one by one"
+        yield f"it ran {unusual}: its episodes cannot be replayed one by one"
     yield from _attempts(run)
     yield from _copies(run)
     yield from _unjudged(run)
@@ -48,7 +47,7 @@ def problems(run: Run) -> Iterator[str]:
         yield f"{counts}, more than {MAX_INFRASTRUCTURE_SHARE:.0%}"
     missing = sum(cell.remaining for cell in cells(run))
     if missing:
-        yield f"{missing} of its episodes were not played; `xpl eval --resume` plays them"
+        yield f"{missing} of its episodes were not run; `xpl eval --resume` runs them"
 
 
 def _episode(line: EpisodeRecord, run: Run) -> Iterator[str]:
@@ -61,7 +60,7 @@ def _episode(line: EpisodeRecord, run: Run) -> Iterator[str]:
     if (problem := contradiction(line)) is not None:
         yield f"{name} {problem}"
     if line.machine not in run.machines:
-        yield f"{name} names a machine that the records do not tell of"
+        yield f"{name} names a machine that the records do not describe"
     inference = line.inference
     if inference is None:
         return
@@ -76,7 +75,7 @@ def _attempts(run: Run) -> Iterator[str]:
     most = run.plan.control.attempts
     for index, line in run.finals.items():
         if line.failure == INFRASTRUCTURE and line.attempt < most:
-            yield f"episode {index} was given up after {line.attempt} attempts: its plan allows {most}"
+            yield f"episode {index} ended after {line.attempt} attempts: its plan allows {most}"
 
 
 def _copies(run: Run) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""What can be said of a bundle by reading it: nothing of it is run."""
+"""Check a bundle by reading it; nothing of it is run."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _Checker = Callable[["SubmissionBundle", list["Run"]], Iterator[str]]
 
 @dataclass(frozen=True)
 class BundleCheck:
-    """One thing that was looked at.
+    """One check.
 
     Attributes:
-        name: what.
-        problems: what is wrong, one sentence each.
+        name: of the check.
+        problems: one sentence each.
     """
 
     name: str
@@ -42,9 +42,9 @@ class BundleCheck:
 
 
 def inspect(unpacked: SubmissionBundle, progress: Progress) -> tuple[tuple[BundleCheck, ...], list[Run]]:
-    """Look a bundle through, and return what was found and its runs.
+    """Check a bundle, and return the checks and its runs.
 
-    Where its files are not those of its manifest, nothing else is looked at: nobody knows what they are.
+    If its files differ from its manifest, nothing else is checked.
     """
     progress.step("files")
     files = BundleCheck("files", tuple(unpacked.problems()))
@@ -69,13 +69,13 @@ def inspect(unpacked: SubmissionBundle, progress: Progress) -> tuple[tuple[Bundl
 
 
 def verdict(unpacked: SubmissionBundle, checks: Sequence[BundleCheck]) -> Verdict | None:
-    """Return what the audit of a bundle comes to; None where it is of something else, or its files are not in order."""
+    """Return the verdict of a bundle's audit; None if it is of another adapter, or the files are invalid."""
     audit = None if checks[0].problems else _parse_audit(unpacked)
     return None if audit is None else audit.derive_verdict(unpacked.adapter)
 
 
 def _parse_audit(unpacked: SubmissionBundle) -> BundledAudit | None:
-    """Return what the audit report says of the adapter of the bundle; None if it is of another one."""
+    """Return the audit report of the bundle's adapter; None if it is of another one."""
     policy, report = unpacked.manifest.policy, unpacked.read(bundle.AUDIT)
     targets = [(target["name"], report["spec"]) for target in report["targets"]]
     return BundledAudit.parse(report["targets"][0], policy.variant) if targets == [(policy.name, policy.spec)] else None
@@ -92,7 +92,7 @@ def _records(_: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
 
 
 def _claims(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
-    """Yield where the manifest says something else than the records, or names a run twice."""
+    """Yield claims of the manifest that differ from the records, and runs that it names twice."""
     names = [entry.run for entry in unpacked.manifest.runs]
     if len(set(names)) < len(names):
         yield "a run is there twice"
@@ -102,7 +102,7 @@ def _claims(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
             if key != "cells" and (claimed := getattr(entry, key)) != recorded:
                 yield f"{bundle.MANIFEST} says {key} {claimed!r}, its records {recorded!r}"
         if entry.cells != claim.cells:
-            yield f"{bundle.MANIFEST} counts otherwise than the records of run {run.plan.run[:12]}"
+            yield f"{bundle.MANIFEST} has other counts than the records of run {run.plan.run[:12]}"
 
 
 def _adapter(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
@@ -120,7 +120,7 @@ def _adapter(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
 
 
 def _unaccounted_files(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
-    """Yield files that no digest of adapter or records speaks of: what is played again might find them."""
+    """Yield files that neither the adapter nor the records account for: a replay might read them."""
     accounted = {bundle.MANIFEST, *bundle.DOCUMENTS}
     base = bundle.adapter_folder(unpacked.manifest.policy.name)
     accounted |= {f"{base}/{path.as_posix()}" for path in fingerprints.files_of(unpacked.adapter)}
@@ -148,7 +148,7 @@ def _checkpoints(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[st
 
 
 def _audit(unpacked: SubmissionBundle, _: Sequence[Run]) -> Iterator[str]:
-    """Yield why the audit report does not speak for the adapter."""
+    """Yield why the audit report does not prove the adapter."""
     policy, audit = unpacked.manifest.policy, _parse_audit(unpacked)
     if audit is None:
         yield f"the audit is not of {policy.name} by {policy.spec}"
@@ -156,11 +156,11 @@ def _audit(unpacked: SubmissionBundle, _: Sequence[Run]) -> Iterator[str]:
     yield from audit.problems(unpacked.adapter)
     claim = unpacked.manifest.audit
     if claim is not None and any(claim[key] != audit.claimed.get(key) for key in claim):
-        yield f"{bundle.MANIFEST} says otherwise what is proven than {bundle.AUDIT}"
+        yield f"{bundle.MANIFEST} claims other proofs than {bundle.AUDIT}"
 
 
 def seed_coverage(runs: Sequence[Run]) -> list[SeedCoverage] | None:
-    """Return what runs play of their environments' evaluation seeds; None where one is not here in that version."""
+    """Return the coverage of the environments' evaluation seeds; None if one is not here in that version."""
     coverage: list[SeedCoverage] = []
     for run in runs:
         folder = _environment(run)
@@ -187,7 +187,7 @@ def _plan(_: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:
 
 
 def _environment_mismatches(folder: Path, run: Run) -> Iterator[str]:
-    """Yield where a run has tasks that its environment has not, other seeds than an evaluation plays, or more steps."""
+    """Yield tasks that the environment does not have, seeds other than an evaluation's, and too many steps."""
     tasks = environments.manifest(folder).tasks
     for cell in run.plan.cells:
         if cell.task not in tasks:

@@ -19,16 +19,16 @@ _LIMIT_S = 100.0
 
 
 def lock_of(folder: Path, environment: PythonEnvironment, *, python: str | None = None, env: str | None = None) -> Any:
-    """Return what runs a package: `submission#/$defs/interpreter`.
+    """Return the lock of a package's interpreter: `submission#/$defs/interpreter`.
 
     Args:
         folder: the adapter's or environment's.
-        environment: what its manifest declares.
+        environment: the declaration in its manifest.
         python: its interpreter, as `interpreter.resolve` takes it.
         env: the environment of its interpreter, likewise.
 
     Raises:
-        UserError: if there is no such interpreter, or it does not run.
+        UserError: there is no such interpreter, or it does not run.
     """
     interpreter_path = interpreter.resolve(folder, environment, python=python, env=env)
     declared = environment.lock

@@ -1,6 +1,6 @@
-"""Makes a bundle of runs: looks whether somebody else could check them, audits the adapter, and packs.
+"""Make a bundle of runs: check that third parties can verify them, audit the adapter, and pack.
 
-Nothing is written unless everything is in order: a bundle is one that `xpl verify` accepts.
+Nothing is written if there is a problem: `xpl verify` accepts every bundle that is written.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class SubmitRequest:
         extras: which of `EXTRAS` to pack, too.
         python, env: interpreter of the adapter.
         eval_env: interpreter of the environments.
-        progress: where to say what is being done.
+        progress: where to report progress.
     """
 
     package: Package
@@ -57,10 +57,10 @@ class SubmitRequest:
 
 @dataclass(frozen=True)
 class SubmitAnswer:
-    """What came of a request.
+    """The result of a request.
 
     Attributes:
-        problems: what has to be mended first; nothing is written then.
+        problems: what has to be fixed first; nothing is written then.
         code: exit code.
         notes: what the bundle does not show.
         digest: SHA-256 of the manifest, the bundle's name; None if there is none.
@@ -77,10 +77,10 @@ class SubmitAnswer:
 
 
 def submit(request: SubmitRequest) -> SubmitAnswer:
-    """Make a bundle, or say what has to be mended first.
+    """Make a bundle, or report what has to be fixed first.
 
     Raises:
-        UserError: a run cannot be read, or a run, an environment or an interpreter is not there.
+        UserError: a run cannot be read, or a run, an environment or an interpreter is missing.
     """
     runs = [records.read(path) for path in request.runs]
     for run in runs:
@@ -88,7 +88,7 @@ def submit(request: SubmitRequest) -> SubmitAnswer:
         if (reason := containment.sentence(run)) is not None:
             raise UserError(f"{run.folder} is not submitted: {reason}", code=ExitCode.NOT_RUN)
         if unusual := run_mode.run_mode_of(run.plan).description:
-            raise UserError(f"{run.folder} was played {unusual}: nobody could play its episodes again, one by one")
+            raise UserError(f"{run.folder} ran {unusual}: its episodes cannot be replayed one by one")
     request.progress.step(f"{len(runs)} runs, {sum(len(run.finals) for run in runs)} episodes: looking them through")
     problems = list(_problems(request.package, runs))
     if problems:
@@ -102,10 +102,10 @@ def submit(request: SubmitRequest) -> SubmitAnswer:
 
 
 def pack(request: SubmitRequest, runs: Sequence[Run], report: TargetReport) -> SubmitAnswer:
-    """Write the bundle of runs that are in order.
+    """Write the bundle of valid runs.
 
     Args:
-        request: what was asked for.
+        request: the request.
         runs: the runs, read.
         report: the audit of the adapter.
 
@@ -125,7 +125,7 @@ def _problems(package: Package, runs: Sequence[Run]) -> Iterator[str]:
     """Yield what speaks against these runs, each with the run that it is about."""
     names = [run.plan.run for run in runs]
     if len(set(names)) < len(names):
-        yield "a run is given twice: each counts once"
+        yield "a run is named twice"
     digest = fingerprints.package_digest(package.path)
     if len({run.plan.policy.variant for run in runs}) > 1:
         yield "the runs are of different variants: a bundle is about one"
@@ -138,14 +138,14 @@ def _problems(package: Package, runs: Sequence[Run]) -> Iterator[str]:
         if policy.name != package.name:
             yield f"{about}it is of {policy.name}, not of {package.name}"
         elif policy.digest != digest:
-            yield f"{about}it was played with other files than {package.path} holds now: evaluate again"
+            yield f"{about}it ran with other files than {package.path} holds now: evaluate again"
         yield from (about + problem for problem in _environment(run))
         yield from (about + problem for problem in consistency.problems(run))
         checkpoint = policy.checkpoint
         if checkpoint is not None and checkpoint.digest not in {one.digest for one in declared.values()}:
             yield (
                 f"{about}it loaded the checkpoint {checkpoint.path}, which policy.yml does not specify by its sha256 "
-                f"({checkpoint.digest}): nobody else could get it"
+                f"({checkpoint.digest}): third parties could not get it"
             )
 
 
@@ -157,7 +157,7 @@ def _environment(run: Run) -> Iterator[str]:
         yield str(error)
         return
     if fingerprints.package_digest(folder) != planned.digest:
-        yield f"it was played in another version of {planned.name} than the one here: evaluate again"
+        yield f"it ran in another version of {planned.name} than the one here: evaluate again"
 
 
 def _variant_package(adapter: Package, run: Run) -> Package:
@@ -166,7 +166,7 @@ def _variant_package(adapter: Package, run: Run) -> Package:
 
 
 def describe_adapter(run: Run) -> bundle.BundledAdapter:
-    """Return what a manifest says of the adapter that was evaluated."""
+    """Return the manifest's entry of the evaluated adapter."""
     policy = run.plan.policy
     return bundle.BundledAdapter(policy.name, policy.spec, policy.digest, policy.variant)
 
@@ -245,7 +245,7 @@ def _notes(runs: Sequence[Run]) -> Iterator[str]:
     here = fingerprints.digest_of(fingerprints.machine_facts())
     elsewhere = sum(here not in run.machines for run in runs)
     if elsewhere:
-        yield f"{elsewhere} of the runs were played on other machines: environment.json tells of this one"
+        yield f"{elsewhere} of the runs were executed on other machines: environment.json describes this one"
     errors = sum(run.infrastructure_errors for run in runs)
     if errors:
         yield f"{errors} episodes ended with an infrastructure error and count as failed"

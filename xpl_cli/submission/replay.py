@@ -1,8 +1,8 @@
-"""Episodes of a bundle played again: which, whether they came out alike, and what it means where they did not.
+"""Replayed episodes of a bundle: the sample, the comparison with the records, and its verdict.
 
-Two questions are kept apart. On an equal machine, under the same versions, a policy that calls itself deterministic
-must do the same thing again, bit by bit. Elsewhere floating-point numbers round otherwise, contacts amplify that, and
-single episodes may come out otherwise: there the question is how far the success rate may be from the recorded one.
+There are two questions. On an equal machine, under the same versions, a policy that is declared deterministic must
+repeat its episodes bit by bit. Elsewhere floating-point rounding differs, contacts amplify that, and single episodes
+may end differently: there the question is how far the success rate may be from the recorded one.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.records import Run
 
 MARGIN = 0.1
-"""Success rates that are surely no farther apart than this agree, on machines of which nothing exact can be asked."""
+"""Success rates agree if they surely differ by no more than this, on machines that need not repeat bit by bit."""
 
 
 class ReplayMatch(StrEnum):
-    """How an episode that was played again compares with its record."""
+    """How a replayed episode compares with its record."""
 
     SAME = "same"
     """Every state is the same."""
@@ -49,7 +49,7 @@ class ReplayMatch(StrEnum):
 
 
 class ReplayVerdict(StrEnum):
-    """What a sample shows."""
+    """The verdict of a sample."""
 
     AGREES = "agrees"
     DISAGREES = "disagrees"
@@ -81,7 +81,7 @@ class ReplayPair:
         return ReplayMatch.SAME if is_same else ReplayMatch.OUTCOME
 
     def as_json(self, run: str) -> dict[str, Any]:
-        """Return the pair as a verification tells it."""
+        """Return the pair as in a verification."""
         keys = ("success", "score", "end_reason", "steps", "digest", "failure")
         return {
             "run": run,
@@ -95,14 +95,14 @@ class ReplayPair:
 
 @dataclass(frozen=True)
 class SampleResult:
-    """What a sample of episodes says about all of them.
+    """The result of a sample, for all episodes.
 
     Attributes:
-        verdict: whether the record agrees with what was seen here.
+        verdict: whether the record agrees with the replay.
         sentence: why.
-        counts: episodes of the sample by how they compare.
-        differing: share of all episodes that would come out otherwise here, 95 % interval; None without any to compare.
-        change: how much higher (or lower, below 0) the success rate would be here, 95 % interval.
+        counts: episodes of the sample by match.
+        differing: share of all episodes that would end differently here, 95 % interval; None without any to compare.
+        change: difference of the success rate here (below 0: lower), 95 % interval.
     """
 
     verdict: ReplayVerdict
@@ -112,7 +112,7 @@ class SampleResult:
     change: Interval | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the finding as a verification tells it."""
+        """Return the result as in a verification."""
         return {
             "verdict": self.verdict.value,
             "sentence": self.sentence,
@@ -129,7 +129,7 @@ def draw(runs: Sequence[Run], count: int, seed: int) -> list[tuple[Run, int]]:
     Args:
         runs: all runs of a bundle.
         count: episodes to draw, at most.
-        seed: of the draw. Who made the bundle must not know it beforehand.
+        seed: of the draw. The maker of the bundle must not know it beforehand.
     """
     episodes = [(number, index) for number, run in enumerate(runs) for index in eligible(run)]
     chosen = random.Random(seed).sample(episodes, min(count, len(episodes)))  # noqa: S311 - a sample, no secret
@@ -143,17 +143,17 @@ def eligible(run: Run) -> list[int]:
 
 
 def judge(pairs: Sequence[ReplayPair], total: int, *, deterministic: bool) -> SampleResult:
-    """Return what a sample says.
+    """Return the result of a sample.
 
     Args:
         pairs: the sample.
         total: episodes that it was drawn from.
-        deterministic: whether the policy says that it repeats itself.
+        deterministic: whether the policy declares that it repeats itself.
     """
     counts = Counter(pair.match.value for pair in pairs)
     compared = [pair for pair in pairs if pair.match is not ReplayMatch.INFRASTRUCTURE_ERROR]
     if not compared:
-        return SampleResult(ReplayVerdict.UNDECIDED, "no episode could be played to its end here", counts)
+        return SampleResult(ReplayVerdict.UNDECIDED, "no episode ran to its end here", counts)
     broken = [pair for pair in compared if deterministic and _is_broken(pair)]
     if broken:
         return SampleResult(
@@ -166,7 +166,7 @@ def judge(pairs: Sequence[ReplayPair], total: int, *, deterministic: bool) -> Sa
 
 
 def _is_broken(pair: ReplayPair) -> bool:
-    """Tell whether an episode should have repeated itself and has not."""
+    """Return whether an episode should have repeated itself and has not."""
     return pair.is_equal_machine and pair.recorded.digest is not None and pair.match is not ReplayMatch.SAME
 
 
@@ -197,7 +197,7 @@ def _judge_by_outcome(compared: Sequence[ReplayPair], total: int, counts: Mappin
         return SampleResult(
             ReplayVerdict.AGREES, f"{sentence}: no farther than {MARGIN:.0%}", counts, differing, change
         )
-    return SampleResult(ReplayVerdict.UNDECIDED, f"{sentence}: a larger sample would tell", counts, differing, change)
+    return SampleResult(ReplayVerdict.UNDECIDED, f"{sentence}: a larger sample would decide", counts, differing, change)
 
 
 def _name(pair: ReplayPair) -> str:
@@ -206,7 +206,7 @@ def _name(pair: ReplayPair) -> str:
 
 
 def disagreements(pairs: Iterable[ReplayPair]) -> list[str]:
-    """Return a sentence for each episode that came out otherwise, or could not be played."""
+    """Return a sentence for each episode that ended differently, or could not be run."""
     words = {True: "succeeded", False: "failed", None: "had no outcome"}
     sentences = []
     for pair in pairs:

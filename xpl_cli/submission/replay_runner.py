@@ -1,4 +1,4 @@
-"""Plays episodes of a bundle again: the adapter served, the environment here, and nothing recorded."""
+"""Run episodes of a bundle again: serve the adapter, use the environment here, record nothing."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReplayRunner:
-    """Plays the adapter of a bundle.
+    """Replays episodes with the adapter of a bundle.
 
     Attributes:
         policy: its folder.
-        variant: of it that the runs are of; None for the policy itself.
-        is_ours: whether that is not the bundle's own: then it has its weights itself.
+        variant: of the runs; None for the policy itself.
+        is_ours: whether the adapter is not the bundle's own: then it has its weights.
         runtime: of adapter and environment.
-        progress: where to say what is being done.
+        progress: where to report progress.
     """
 
     policy: Path
@@ -59,18 +59,18 @@ class ReplayRunner:
 
     @property
     def is_deterministic(self) -> bool:
-        """Whether the policy says that it repeats itself."""
+        """Whether the policy declares that it repeats itself."""
         return bool(self._package.manifest.deterministic)
 
     def replay(self, run: Run, indices: Sequence[int]) -> list[ReplayPair]:
-        """Play some episodes of a run as its plan says.
+        """Run some episodes of a run as its plan says.
 
         Args:
             run: the run.
-            indices: which.
+            indices: of the episodes.
 
         Raises:
-            UserError: the adapter, its weights or the environment are not here, or are not those of the run.
+            UserError: the adapter, its weights or the environment are missing, or are not those of the run.
         """
         if not indices:
             return []
@@ -98,12 +98,12 @@ class ReplayRunner:
         return LocalBackend(rollout_config, assign_servers(server_config, 1, 1))
 
     def _configs(self, run: Run) -> tuple[RolloutConfig, ServerConfig]:
-        """Return what lanes and servers are told, made sure that it is what was recorded."""
+        """Return the configurations of rollout worker and server, checked against the record."""
         plan = run.plan
         adapter = self._package
         if fingerprints.package_digest(adapter.path) != plan.policy.digest:
             raise UserError(
-                f"{adapter.path} does not have the files of the run: it cannot stand for the bundle's adapter"
+                f"{adapter.path} does not have the files of the run: it cannot replace the bundle's adapter"
             )
         config = plan.policy.config
         robots.meet(config, f"run {plan.run[:12]}")

@@ -1,4 +1,4 @@
-"""What a verification leaves open, in plain words: a bundle is made by whoever wants to be believed."""
+"""What a verification does not prove: the maker of a bundle wants it to be believed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LISTED: Final = 4
 
 
 def sentences(report: VerificationReport) -> Iterator[str]:
-    """Yield what was not proven of a bundle in which nothing was found to be wrong."""
+    """Yield what is not proven of a bundle without problems."""
     if any(check.problems for check in report.checks):
         return
     for claim in () if report.verdict is None else report.verdict.unproven:
@@ -22,11 +22,10 @@ def sentences(report: VerificationReport) -> Iterator[str]:
     played = len(report.pairs)
     if not played:
         yield (
-            "that any episode comes out as recorded: none was played again, and records that were edited consistently "
-            "everywhere look like these"
+            "that any episode comes out as recorded: none was replayed, and consistently edited records look like these"
         )
     elif played < judged:
-        yield f"that the other {judged - played} of {judged} episodes come out as recorded: --sample {judged} plays all"
+        yield f"that the other {judged - played} of {judged} episodes end as recorded: --sample {judged} replays all"
     missing = [part for part in report.parts or () if not part.is_whole]
     if missing:
         parts = [*map(str, missing[:_LISTED]), *([f"{len(missing) - _LISTED} more"] if missing[_LISTED:] else [])]

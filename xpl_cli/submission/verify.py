@@ -1,7 +1,7 @@
-"""Checks a bundle: its files, its records, what it claims, and a sample of its episodes played again.
+"""Verify a bundle: its files, its records, its claims, and a sample of its episodes by replay.
 
-Everything but the replay reads and runs nothing. The replay runs the adapter that came with the bundle, as any
-evaluation of it would; it is left out where anything is wrong before.
+Everything but the replay only reads. The replay runs the adapter of the bundle, as any evaluation of it would; it is
+skipped if any check fails.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class VerifyRequest:
 
     Attributes:
         path: the bundle.
-        sample: episodes to play again, at most; 0 for none.
-        seed: which ones; drawn anew by default, so that nobody knows them beforehand.
-        policy: adapter to play instead of the one in the bundle; it must have the same files.
+        sample: episodes to replay, at most; 0 for none.
+        seed: of the sample; random by default, so that the maker of the bundle cannot know it.
+        policy: adapter to replay instead of the one in the bundle; it must have the same files.
         folder: new folder to unpack into and leave; a temporary one by default.
         limit: most bytes that are unpacked.
-        runtime: of adapter and environment, where episodes are played.
-        progress: where to say what is being done.
+        runtime: of adapter and environment of the replay.
+        progress: where to report progress.
     """
 
     path: Path
@@ -58,19 +58,19 @@ class VerifyRequest:
 
 @dataclass(frozen=True)
 class VerificationReport:
-    """What was found.
+    """The result of a verification.
 
     Attributes:
         digest: the bundle's name.
-        policy: of whose runs it is.
-        runs: what the bundle claims of each (`runs` of its manifest).
-        checks: what was looked at, with what is wrong.
-        verdict: what its audit says of the adapter, as it follows from what rules found; None where it cannot be read.
+        policy: name of the evaluated policy.
+        runs: claims of the bundle (`runs` of its manifest).
+        checks: with their problems.
+        verdict: on the adapter, as it follows from the findings in its audit; None if the audit cannot be read.
         seed: of the sample.
-        pairs: run and episode, as recorded and as played here.
-        finding: what the sample says; None if none was asked for.
-        replay_skipped: why nothing was played although it was asked for.
-        parts: what its runs play of the evaluation seeds; None where that cannot be told here.
+        pairs: run and episode, as recorded and as replayed.
+        finding: the result of the sample; None if none was requested.
+        replay_skipped: why no episode was run although it was requested.
+        parts: coverage of the evaluation seeds; None if it is unknown here.
     """
 
     digest: str
@@ -86,7 +86,7 @@ class VerificationReport:
 
     @property
     def code(self) -> ExitCode:
-        """Exit code: findings before what could not be told."""
+        """Exit code: findings before undecided results."""
         disagrees = self.finding is not None and self.finding.verdict is replay.ReplayVerdict.DISAGREES
         if disagrees or any(check.problems for check in self.checks):
             return ExitCode.FINDINGS
@@ -114,11 +114,11 @@ class VerificationReport:
 
 
 def verify(request: VerifyRequest) -> VerificationReport:
-    """Check a bundle and play a sample of it.
+    """Verify a bundle and replay a sample of it.
 
     Raises:
         NotFoundError: there is no such bundle.
-        UserError: it is no bundle, or the folder to unpack into is there already.
+        UserError: it is no bundle, or the folder to unpack into exists.
     """
     with _folder(request.folder) as name:
         request.progress.step(f"{request.path.name}: unpacking")
@@ -152,7 +152,7 @@ def _folder(requested: Path | None) -> AbstractContextManager[str]:
 def _with_replay(
     request: VerifyRequest, unpacked: SubmissionBundle, report: VerificationReport, runs: Sequence[Run]
 ) -> VerificationReport:
-    """Return the report with what a sample says."""
+    """Return the report with the result of a replayed sample."""
     seed = secrets.randbits(32) if request.seed is None else request.seed
     drawn = replay.draw(runs, request.sample, seed)
     pairs: list[tuple[str, replay.ReplayPair]] = []

@@ -1,1 +1,1 @@
-"""A benchmark's own launcher, told by env.yml as data: called with what the standard names, its result read back."""
+"""A benchmark's own launcher, described by env.yml: called with the standard's arguments, its result read back."""

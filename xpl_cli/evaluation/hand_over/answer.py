@@ -1,4 +1,4 @@
-"""What came of a hand-over: `xpl.env-hand-over/1`."""
+"""The result of a hand-over: `xpl.env-hand-over/1`."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HandOverAnswer:
-    """What was played, by which command, and what came of it.
+    """What was run, by which command, and the result.
 
     Attributes:
-        environment, bench_name, policy, task, embodiment, action_type: what was played.
+        environment, bench_name, policy, task, embodiment, action_type: of the run.
         run_id: name of the run.
         rehearsal: whether it was a rehearsal, which gives no numbers.
-        command: words that launched it.
-        seconds: how long it took.
-        result: the file that the benchmark left.
-        episodes, successes, mean_score: None where the benchmark tells a rate only.
-        success_rate: None where there is no episode, too.
+        command: command line of the launcher.
+        seconds: duration.
+        result: the file that the benchmark wrote.
+        episodes, successes, mean_score: None if the benchmark reports a rate only.
+        success_rate: None also without episodes.
     """
 
     environment: str
@@ -44,7 +44,7 @@ class HandOverAnswer:
     mean_score: float | None = None
 
     def with_layouts(self, path: Path, layouts: Sequence[LayoutResult]) -> HandOverAnswer:
-        """Return the answer with what the benchmark says of each layout."""
+        """Return the answer with the benchmark's result of each layout."""
         won, count = sum(layout.success for layout in layouts), len(layouts)
         return replace(
             self,
@@ -58,7 +58,7 @@ class HandOverAnswer:
     def text(self) -> str:
         """Return the answer in a sentence."""
         if self.rehearsal:
-            return f"{self.policy} ran to the end of a rehearsal of {self.bench_name}, which tells no numbers"
+            return f"{self.policy} completed a rehearsal of {self.bench_name}, which gives no numbers"
         where = f"{self.policy} on {self.bench_name}/{self.task}"
         if self.episodes is None:
             return f"{where}: success rate {self.success_rate:.3g}"

@@ -37,16 +37,16 @@ if TYPE_CHECKING:
 STATE_FILE = "hand_over.json"
 _UNSAID = "default"
 _UNSAID_ENVIRONMENTS = (None, "", "-", "null", "none")
-"""What launchers put where no environment is given."""
+"""Values of launchers for "no environment"."""
 _SAFE = re.compile(r"[\w.:+-]+")
 _MOST_BYTES = 1 << 20
 
 
 def make_plan(request: HandOverRequest) -> HandOverPlan:
-    """Return what a request comes to; nothing is started.
+    """Return the plan of a request; nothing is started.
 
     Raises:
-        UserError: the environment hands nothing over, or not this; there is no workspace; or `out` holds another run.
+        UserError: the environment has no launcher, or not for this; there is no workspace; or `out` holds another run.
     """
     folder = environments.find(request.environment)
     facts = environments.manifest(folder)
@@ -92,18 +92,18 @@ def make_plan(request: HandOverRequest) -> HandOverPlan:
 
 
 def hand_over(request: HandOverRequest) -> HandOverAnswer:
-    """Play a request and return what came of it.
+    """Run the launcher and return the result.
 
     Raises:
-        UserError: as for `plan`; the policy cannot be served, the launcher failed, or its result cannot be relied on.
+        UserError: as for `make_plan`; the policy cannot be served, the launcher failed, or its result is unreliable.
     """
     planned = make_plan(request)
     if request.rehearse and request.out is not None:
-        raise UserError("a rehearsal says nothing that could be recorded: leave --out away")
+        raise UserError("a rehearsal has no result to record: omit --out")
     if planned.launcher.entry.result.form == RATE and request.out is not None:
         raise UserError(
-            f"{planned.launcher.bench_name} tells a rate, and not which episodes succeeded: nothing can be recorded",
-            hint="leave --out away",
+            f"{planned.launcher.bench_name} reports a rate without single episodes: it cannot be recorded",
+            hint="omit --out",
         )
     before = set() if planned.workspace is None else _results(planned)
     if request.out is not None:
@@ -116,7 +116,7 @@ def hand_over(request: HandOverRequest) -> HandOverAnswer:
         code = process.run(words, planned.workspace or Path.cwd(), _variables(request, planned), request.hours)
     seconds = time.perf_counter() - clock
     if code != 0:
-        again = "; what it had played it may go on from with --resume" if request.out is not None else ""
+        again = "; --resume may continue it" if request.out is not None else ""
         raise UserError(f"the launcher ended with exit code {code}{again}", code=ExitCode.NOT_RUN)
     answer = HandOverAnswer(
         environment=planned.facts.name,
@@ -202,7 +202,7 @@ def _host_and_port(url: str) -> tuple[str, str]:
     """Return host and port of an address.
 
     Raises:
-        UserError: it is none that launchers can be told.
+        UserError: launchers cannot use it.
     """
     try:
         address = urlsplit(url)
@@ -210,7 +210,7 @@ def _host_and_port(url: str) -> tuple[str, str]:
     except ValueError:
         host = port = None
     if not host or not port or address.scheme != "ws":
-        raise UserError(f"launchers are told ws://HOST:PORT, got {url!r}")
+        raise UserError(f"launchers take ws://HOST:PORT, got {url!r}")
     return host, str(port)
 
 

@@ -1,7 +1,7 @@
-"""How a benchmark is launched, as `hand_over` of env.yml says: words of a command, and where its result will lie.
+"""The launcher of a benchmark, from `hand_over` of env.yml: words of a command, and the path of its result.
 
-Words may hold `{names}`. They are those of setup_eval_env_client.sh in the standard, which is what launchers of the
-ecosystem are called with, and a few more (`MORE`). Nothing is run by a shell.
+Words may hold `{names}`: the arguments of setup_eval_env_client.sh in the standard, with which launchers of the
+ecosystem are called, and a few more (`MORE`). No shell runs them.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ MORE = {
     "workspace": "folder of the benchmark",
     sdk.Deploy.POLICY_NAME: "name of the adapter",
     "policy_dir": "folder of the adapter",
-    sdk.Deploy.EVAL_BATCH: "true or false, as deploy.yml says",
+    sdk.Deploy.EVAL_BATCH: "true or false, as in deploy.yml",
     "episodes": "how many episodes are wanted",
     "run_id": "name of this run, a time; the same one when a run goes on",
     "package": "folder of the environment package",
     "python": "this tool's interpreter",
 }
 RATE = "rate"
-"""Form of a result that does not say which episodes succeeded."""
+"""Form of a result without the success of each episode."""
 _NAME = re.compile(r"\{(\w*)\}")
 
 
@@ -99,7 +99,7 @@ class Launcher:
             raise NotFoundError(
                 f"no workspace of {self.bench_name} is known",
                 hint=f"name its folder with --workspace or in {self.entry.workspace.variable}"
-                + ("; --rehearse plays a stand-in without one" if self.entry.rehearsal else ""),
+                + ("; --rehearse runs a mock without one" if self.entry.rehearsal else ""),
             )
         folder = path_given.resolve()
         for file in self.entry.workspace.files:
@@ -107,7 +107,7 @@ class Launcher:
             if not (folder / path).is_file():
                 hint = None
                 if values[sdk.Deploy.POLICY_NAME] in Path(path).parts:
-                    hint = f"{self.bench_name} looks for the adapter there: link {values['policy_dir']} to that folder"
+                    hint = f"{self.bench_name} expects the adapter there: link {values['policy_dir']} to that folder"
                 raise NotFoundError(f"{folder} is no workspace of {self.bench_name} for this run: no {path}", hint=hint)
         return folder
 
@@ -127,7 +127,7 @@ class Launcher:
 
 
 def known_names() -> tuple[str, ...]:
-    """Return what words may name: the arguments of setup_eval_env_client.sh, and `MORE`."""
+    """Return the allowed names in words: the arguments of setup_eval_env_client.sh, and `MORE`."""
     arguments = spec.data("package")["scripts"][sdk.File.SETUP_EVAL_ENV_CLIENT_SH]
     return (*(name.strip("[]") for name in arguments), *MORE)
 

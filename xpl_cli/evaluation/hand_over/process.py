@@ -1,4 +1,4 @@
-"""The process of a benchmark's launcher: its words go to stderr, and it ends with whatever ends the command."""
+"""The process of a benchmark's launcher: its output goes to stderr, and it ends with the command."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def run(words: Sequence[str], folder: Path, variables: Mapping[str, str], hours:
     """Run a command and return its exit code, negative for a signal.
 
     Args:
-        words: the command line; no shell reads it.
-        folder: where it runs.
+        words: the command line, without a shell.
+        folder: working directory.
         variables: all of its environment variables.
-        hours: after so long it is ended.
+        hours: timeout.
 
     Raises:
         UserError: it cannot be started, or took too long.

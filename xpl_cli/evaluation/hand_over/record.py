@@ -1,4 +1,4 @@
-"""What a benchmark's launcher found, as a recorded run like any other: one plan, one line for each layout."""
+"""Record the results of a benchmark's launcher as a run: one plan, one line for each layout."""
 
 from __future__ import annotations
 
@@ -43,22 +43,22 @@ def write(
     layouts: Sequence[LayoutResult],
     conduct: AttemptExecution,
 ) -> None:
-    """Write the record of a run; what launched it counts as facts of the machine.
+    """Write the record of a run; the launcher counts as a fact of the machine.
 
     Args:
         request: names the adapter, and the folder of the run, in which nothing is recorded yet.
-        planned: what was handed over.
-        result: the file that the benchmark left.
-        layouts: what that says of each.
-        conduct: when the launcher was called, and how long it took.
+        planned: the plan of the hand-over.
+        result: the file that the benchmark wrote.
+        layouts: results in that file.
+        conduct: start and duration of the launcher.
 
     Raises:
         UserError: there is nothing to record, or it cannot be written.
     """
     package, config, facts = request.package, planned.config, planned.facts
-    assert request.out is not None  # noqa: S101 - for the type checker: nobody records to nowhere
+    assert request.out is not None  # noqa: S101 - for the type checker: the caller has checked
     if not layouts:
-        raise UserError("the benchmark tells of no episode: nothing can be recorded")
+        raise UserError("the benchmark reports no episode: there is nothing to record")
     task, setting = task_and_setting(
         str(config[sdk.Deploy.TASK_NAME]), facts.hand_over.randomized if facts.hand_over else None
     )
@@ -97,7 +97,7 @@ def write(
                 failure=None if layout.success else TASK,
                 end_reason=SUCCESS if layout.success else NO_SUCCESS,
                 started=conduct.started,
-                # A benchmark tells no times of single episodes.
+                # A benchmark reports no times of single episodes.
                 wall_seconds=round(conduct.wall_seconds / len(layouts), 3),
                 machine=machine,
             )

@@ -1,4 +1,4 @@
-"""What is handed over to a benchmark's own launcher, and what that comes to."""
+"""Request and plan of a hand-over to a benchmark's own launcher."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HandOverRequest:
-    """What is handed over.
+    """What to hand over.
 
     Attributes:
         package: the adapter.
         environment: name of the environment package, or its folder.
         task: of the benchmark; deploy.yml's or the first by default.
-        episodes: how many; the benchmark may have fewer.
-        workspace: folder of the benchmark; None is what the environment variable says.
-        rehearse: whether the stand-in plays.
+        episodes: number; the benchmark may have fewer.
+        workspace: folder of the benchmark; None for the environment variable's.
+        rehearse: whether to run the mock launcher.
         out: folder of the record; None for none.
-        resume: whether the run in `out` goes on.
-        connect: address of a policy server that runs; None serves the adapter.
+        resume: whether the run in `out` continues.
+        connect: address of a running policy server; None serves the adapter.
         overrides: keys of deploy.yml.
         python, env, gpu: interpreter and device of the adapter.
-        eval_env: environment whose `python` the launcher finds first; None leaves that as it is.
+        eval_env: environment whose `python` the launcher finds first; None for no change.
         env_gpu: device of the simulator.
-        hours: after so long the launcher is ended.
+        hours: timeout of the launcher.
     """
 
     package: Package
@@ -63,7 +63,7 @@ class HandOverPlan:
         facts: its env.yml.
         launcher: as declared there.
         config: the adapter's configuration.
-        values: what words may name, but for the server's address.
+        values: values of the names in words, but for the server's address.
         workspace: folder of the benchmark; None for a rehearsal.
     """
 

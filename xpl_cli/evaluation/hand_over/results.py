@@ -43,7 +43,7 @@ def layouts(path: Path) -> list[LayoutResult]:
     """Return the layouts of a _result.json, by number.
 
     Raises:
-        ResultError: it is none, contradicts itself, or tells a layout twice.
+        LauncherResultError: it is invalid, contradicts itself, or has a layout twice.
     """
     try:
         result = benchmark_files.read_json(path)
@@ -53,7 +53,7 @@ def layouts(path: Path) -> list[LayoutResult]:
     numbers = [entry.number for entry in entries]
     if len(set(numbers)) < len(numbers):
         twice = next(number for number in numbers if numbers.count(number) > 1)
-        raise LauncherResultError(f"{path} tells layout {twice} twice")
+        raise LauncherResultError(f"{path} has layout {twice} twice")
     won = sum(entry.success for entry in entries)
     rate = result.success_rate
     if entries and rate is not None and not math.isclose(rate, won / len(entries), abs_tol=1e-6):

@@ -1,1 +1,1 @@
-"""Many runs side by side: a ranking that says how sure it is, and the result files of two benchmarks in the field."""
+"""Rankings of runs with their uncertainty, and the result files of two other benchmarks."""

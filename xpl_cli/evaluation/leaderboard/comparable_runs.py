@@ -28,10 +28,10 @@ class ComparableRuns:
     """Runs that are ranked together.
 
     Attributes:
-        runs: them, in the order in which they were named.
-        common: whether they hold only the episodes that all of them played.
-        differences: in what a run differs from the first one, besides the policy: the run's place, and the difference.
-        remarks: why runs that were named are not among them, and what else is to be said of some, in sentences.
+        runs: in the order of the command line.
+        common: whether they hold only the episodes that all of them have.
+        differences: differences from the first run besides the policy: the run's index, and the difference.
+        remarks: why requested runs are not among them, and remarks on others, in sentences.
     """
 
     runs: tuple[Run, ...]
@@ -49,12 +49,12 @@ class IncompatibleRunsError(UserError):
 
 
 def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -> ComparableRuns:
-    """Return the field of some runs.
+    """Return the runs that can be ranked.
 
     Args:
         runs: to be ranked.
-        common: only the episodes count that all of them played.
-        anyway: accept differences, which the field then names.
+        common: count only the episodes that all of them have.
+        anyway: accept differences and report them.
 
     Raises:
         IncompatibleRunsError: they differ in tasks, seeds, standard, environment, robot, control or in the number of
@@ -83,7 +83,7 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
         sentences = " ".join(_sentence(runs, *barrier) for barrier in barriers[:_MOST_LISTED])
         raise IncompatibleRunsError(
             f"these runs are not alike. {sentences}{more}",
-            hint="--common ranks by the episodes that all of them played, --anyway in spite of all differences",
+            hint="--common ranks by their common episodes, --anyway despite all differences",
             code=ExitCode.NOT_RUN,
         )
     launched = (f"{run.folder}: {remark}" for run in runs if (remark := containment.remark(run)) is not None)
@@ -91,7 +91,7 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
 
 
 def _refuse_contradictions(run: Run) -> None:
-    """Raise where a record says of an episode that it succeeded and that it did not."""
+    """Raise if the record of an episode contradicts itself about success."""
     for line in run.finals.values():
         problem = contradiction(line)
         if problem is not None:

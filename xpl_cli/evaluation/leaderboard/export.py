@@ -1,12 +1,12 @@
-"""Result files as two benchmarks in the field write them, in the folders in which their own tools look for them.
+"""Write result files in the formats and folders of two other benchmarks, for their own tools.
 
 RoboDojo, read by its `summarize`: one `_result.json` for each task, robot and seed; the tasks of its randomized setting
 have names of their own. Source: RoboDojo-Benchmark/RoboDojo, src/eval_client/eval_env.py and
 scripts/internal/summarize_result.py at 36bfcb7.
 
 RoboTwin: one `_result.txt` for each task and setting. Source: RoboTwin-Platform/RoboTwin, script/eval_policy.py at
-0c3f24c, which writes two lines before the rate (the time, the kind of instructions) that readers of a plain number
-would trip over; the rate is the last line there and the only one here.
+0c3f24c, which writes two lines before the rate (the time, the kind of instructions) on which readers of a plain number
+would fail; the rate is the last line there and the only one here.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ FORMATS: dict[str, Callable[[Run], Iterable[tuple[Path, str]]]] = {"robodojo": r
 
 
 def write(name: str, runs: Iterable[Run], folder: Path) -> int:
-    """Write the files of some runs; return how many.
+    """Write the files of some runs; return their number.
 
     Raises:
-        UserError: there is no such format, something stood in for a part of the benchmark, two runs would write the
-            same file, or it cannot be written.
+        UserError: there is no such format, a run used a mock of a part of the benchmark, two runs would write the same
+            file, or it cannot be written.
     """
     if name not in FORMATS:
         raise UserError(f"there is no format {name!r}; there are {', '.join(FORMATS)}")

@@ -1,9 +1,9 @@
-"""What results of the field come to: for each policy by dimension, by robot or setting, and in all, with their spread.
+"""Aggregate result files of other benchmarks: for each policy by dimension, by robot or setting, and overall.
 
-RoboDojo's rule (`counts` in `envs/robodojo/env.yml`): a task counts for a seed once all its episodes are there, half of
-each form of those that are randomized too; a dimension is the mean of its tasks, a policy the mean of its dimensions,
+RoboDojo's rule (`counts` in `envs/robodojo/env.yml`): a task counts for a seed once all its episodes exist, half of
+each form for tasks with a randomized form; a dimension is the mean of its tasks, a policy the mean of its dimensions,
 so that none with many tasks outweighs the others; mean and standard deviation are over the seeds. Tasks that the rule
-does not know count with whatever episodes they have, as a dimension of their own.
+does not know count with all of their episodes, as a dimension of their own.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ class MeanScore:
 
 @dataclass
 class PolicyScores:
-    """What the results of one policy come to.
+    """The scores of one policy.
 
     Attributes:
         policy: its name.
-        overall: in all; None where nothing counts.
+        overall: None if nothing counts.
         dimensions: by dimension.
         variants: by robot, or by setting.
         halves: of the tasks with a randomized form: `standard` and `random`.
         tasks: by task.
-        counted, expected: tasks and seeds that count, and that there are.
+        counted, expected: tasks and seeds that count, and all of them.
     """
 
     policy: str
@@ -118,11 +118,11 @@ def dimension_of(task: str) -> str:
 
 
 def score_policies(results: Sequence[BenchmarkResult], *, partial: bool = False) -> list[PolicyScores]:
-    """Return what the results of each policy come to, by name.
+    """Return the scores of each policy, by name.
 
     Args:
         results: the latest of each task, policy, robot and seed.
-        partial: count tasks of RoboDojo too that lack episodes.
+        partial: count also tasks of RoboDojo that lack episodes.
     """
     by_policy: dict[str, list[BenchmarkResult]] = defaultdict(list)
     for result in results:

@@ -28,7 +28,7 @@ ALPHA = 0.05
 
 @dataclass(frozen=True)
 class GapToFirst:
-    """By how much a run differs from the first one on the episodes that both played.
+    """Difference between a run and the first one, on their common episodes.
 
     Attributes:
         pairs: number of these.
@@ -76,7 +76,7 @@ class RankingRow:
 
     @property
     def is_close(self) -> bool:
-        """Whether these episodes do not tell it apart from the first."""
+        """Whether these episodes show no difference from the first."""
         return self.to_first is not None and self.to_first.adjusted_p_value >= ALPHA
 
 
@@ -95,11 +95,11 @@ class Ranking(JsonDocument):
     """Runs in their order.
 
     Attributes:
-        environment: in which all were played.
+        environment: of all runs.
         confidence: of every interval.
-        common: whether only the episodes count that all runs played.
-        tasks, settings: what was played.
-        differences: in what runs differ.
+        common: whether only common episodes count.
+        tasks, settings: of the runs.
+        differences: between the runs.
         rows: the runs.
         notes: what the order does not show, in sentences.
     """
@@ -126,7 +126,7 @@ class Ranking(JsonDocument):
 
 
 def rank(field: ComparableRuns, by: str = SUCCESS) -> Ranking:
-    """Return the ranking: by success rate, then by mean score, unless otherwise asked; equal ones share a rank.
+    """Return the ranking: by success rate, then by mean score, unless `by` differs; equal ones share a rank.
 
     Args:
         field: the runs.
@@ -171,7 +171,7 @@ def _subsets(field: ComparableRuns) -> Iterator[str]:
         return
     if missing:
         more = " and others" if len(missing) > 1 else ""
-        yield f"A subset of the protocol was played, {missing[0]}{more}: this is no board."
+        yield f"The runs cover a subset of the protocol, {missing[0]}{more}: this is no leaderboard."
 
 
 def _unique(names: Iterable[str | None]) -> list[str]:
@@ -231,11 +231,11 @@ def _gaps(runs: Sequence[Run]) -> tuple[list[GapToFirst | None], list[str]]:
 def _notes(result: Ranking) -> Iterator[str]:
     names = result.labels
     if result.common:
-        yield "Only episodes count that were played in every run; figures of the single runs differ from these."
+        yield "Only episodes of all runs count; the figures of the single runs differ from these."
     close = [name for name, row in zip(names, result.rows, strict=True) if row.is_close]
     if close:
         yield (
-            f"Not told apart from {names[0]} by these episodes: {', '.join(close)}. Their order may be luck "
+            f"No difference from {names[0]} is shown by these episodes: {', '.join(close)}. Their order may be chance "
             "(exact McNemar test on equal seeds, corrected for the number of comparisons by Holm)."
         )
     if len(names) > 1:

@@ -59,7 +59,7 @@ def title(ranking: Ranking) -> str:
     tasks, settings = len(ranking.tasks), len(ranking.settings)
     runs = amount(len(ranking.rows), "run")
     what = f"{amount(tasks, 'task')} in {amount(settings, 'setting')}"
-    limits = ["by the episodes that all runs played"] if ranking.common else []
+    limits = ["by common episodes"] if ranking.common else []
     if any(is_barrier(difference.what) for difference in ranking.differences):
         limits.append("in spite of differences")
     return ", ".join([f"{runs} in {ranking.environment}: {what}", *limits])
@@ -93,10 +93,10 @@ def rows(ranking: Ranking) -> list[tuple[str, ...]]:
 
 
 def describe_standing(row: RankingRow) -> str:
-    """Return how a row stands to the first, as far as these episodes tell."""
+    """Return how a row compares with the first, as far as these episodes show."""
     if row.to_first is None:
         return ""
-    return "not told apart from the first" if row.is_close else "behind the first"
+    return "no difference from the first shown" if row.is_close else "behind the first"
 
 
 def _gap(to_first: GapToFirst | None) -> tuple[str, str]:

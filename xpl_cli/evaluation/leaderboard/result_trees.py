@@ -1,7 +1,7 @@
-"""Results that the two benchmarks of the field left in their folders (see `export` for the form), read strictly.
+"""Read the result folders of two other benchmarks (see `export` for their form), with validation.
 
-A file is found by its name, wherever below a folder it lies; the folders above it say what it is of. Of several results
-of one task, policy, robot and seed the latest counts, as with the benchmarks' own tools.
+A file is found by its name, at any depth below a folder; the folders above it name task, policy and robot. Of several
+results of one task, policy, robot and seed the latest counts, as with the benchmarks' own tools.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ _Read = TypeVar("_Read")
 
 @dataclass(frozen=True)
 class BenchmarkResult:
-    """What one file says.
+    """The content of one file.
 
     Attributes:
         benchmark: `robodojo` or `robotwin`.
         policy, task: by the names of their folders.
         variant: RoboDojo: the robot. RoboTwin: the setting.
         seed: RoboDojo's layout seed; RoboTwin has none, 0.
-        made_by: what else its folders say: the checkpoint and so on.
-        when: the time that its folder is named after, which sorts as text.
-        episodes: success and score (0 to 1) of each, in order; None where the file has no such list.
+        made_by: other names of its folders: the checkpoint and so on.
+        when: the time in its folder's name, which sorts as text.
+        episodes: success and score (0 to 1) of each, in order; None if the file has no such list.
         success: rate, 0 to 1.
-        score: mean, 0 to 1; None where the file has none.
+        score: mean, 0 to 1; None if missing.
     """
 
     benchmark: str
@@ -60,11 +60,11 @@ class BenchmarkResult:
 
 
 class BenchmarkResultError(ValueError):
-    """A file is no result; says why in one sentence."""
+    """A file is no result; the message says why in one sentence."""
 
 
 def is_tree(path: Path) -> bool:
-    """Tell whether a folder is none of a recorded run, and holds results of the field."""
+    """Return whether a folder is not a recorded run, and holds results of another benchmark."""
     return path.is_dir() and not (path / records.FILE).exists() and next(_result_files(path), None) is not None
 
 
@@ -112,10 +112,10 @@ def read(paths: Sequence[Path], *, skip: bool = False) -> tuple[list[BenchmarkRe
 
 
 def parse_result(path: Path) -> BenchmarkResult:
-    """Return what a file says.
+    """Return the content of a file.
 
     Raises:
-        ResultError: it lies in no folders of a result, or says no such thing.
+        BenchmarkResultError: its folders are not those of a result, or it is invalid.
     """
     benchmark = _NAMES[path.name]
     folders = path.resolve().parts[:-1]
@@ -123,7 +123,7 @@ def parse_result(path: Path) -> BenchmarkResult:
         raise BenchmarkResultError("it lies in no folders that name task, policy and robot")
     task, policy, variant, made_by, when = folders[-5:]
     if stand_ins.is_one(variant):
-        raise BenchmarkResultError(f"in {variant} something stands in for a part of the benchmark")
+        raise BenchmarkResultError(f"{variant} replaces a part of the benchmark by a mock")
     if benchmark == ROBOTWIN:
         return BenchmarkResult(
             ROBOTWIN,

@@ -24,18 +24,17 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.leaderboard.policy_scores import MeanScore, PolicyScores
 
 _CAUTION: Final = (
-    "Result files tell neither what was evaluated nor which episodes are the same: no interval and no test goes with "
-    "them."
+    "Result files hold neither the evaluated checkpoint nor matching episodes: they allow no interval and no test."
 )
 
 
 @dataclass(frozen=True)
 class BenchmarkTable:
-    """A table.
+    """A table of texts.
 
     Attributes:
-        title: what it shows.
-        header, rows: its texts.
+        title: heading.
+        header, rows: texts.
     """
 
     title: str
@@ -45,7 +44,7 @@ class BenchmarkTable:
 
 @dataclass(frozen=True)
 class PolicyRow:
-    """A policy in the ranking: one more than the number of better ones, and what its results come to."""
+    """A policy in the ranking: one more than the number of better ones, and its scores."""
 
     rank: int
     tally: PolicyScores
@@ -53,12 +52,12 @@ class PolicyRow:
 
 @dataclass(frozen=True)
 class Results:
-    """A ranking of results of the field (`xpl.results/1`).
+    """A ranking of result files of another benchmark (`xpl.results/1`).
 
     Attributes:
-        benchmark: whose results they are.
+        benchmark: its name.
         by: what they are ranked by.
-        dimensions: those that any policy has something in, in the order of the benchmark.
+        dimensions: those for which any policy has a result, in the order of the benchmark.
         rows: the policies.
         notes: what was left out, and what the figures do not show.
     """
@@ -78,11 +77,11 @@ class Results:
 def rank(
     scores: Sequence[PolicyScores], benchmark: str = ROBODOJO, by: str = SUCCESS, notes: Sequence[str] = ()
 ) -> Results:
-    """Return the ranking: equal ones share a rank, and who has nothing that counts is last.
+    """Return the ranking: equal ones share a rank, and policies without a counted result are last.
 
     Args:
-        scores: what the results of each policy come to.
-        benchmark: whose results they are.
+        scores: of each policy.
+        benchmark: its name.
         by: `success`, `score`, or a dimension, by its success rate.
         notes: sentences about what was left out.
 

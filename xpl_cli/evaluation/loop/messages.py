@@ -55,12 +55,12 @@ class LoopRequest:
             target, operation = head["target"], head["operation"]
             arguments, options = packed.decode(buffers[0], shared.resolve)
         except (LookupError, TypeError, ValueError) as error:
-            raise LoopProtocolError(f"the process of its evaluation loop sent no question: {error!s:.200}") from None
+            raise LoopProtocolError(f"its evaluation loop sent an invalid request: {error!s:.200}") from None
         operations = (
             {TASK_ENV: ENV_OPERATIONS, CLIENT: CLIENT_OPERATIONS}.get(target, ()) if isinstance(target, str) else ()
         )
         if operation not in operations or not isinstance(arguments, list) or not isinstance(options, dict):
-            raise LoopProtocolError(f"the process of its evaluation loop requested {operation!r:.80}")
+            raise LoopProtocolError(f"its evaluation loop requested {operation!r:.80}")
         return cls(target, operation, arguments, options, bool(head.get("pipelined")))
 
 
@@ -95,7 +95,7 @@ def parse_message(head: object, buffers: Sequence[Data], shared: SharedArrays) -
         LoopProtocolError: the message is invalid.
     """
     if not isinstance(head, dict) or not isinstance(head.get("raised", {}), dict):
-        raise LoopProtocolError("the process of its evaluation loop fell out of step")
+        raise LoopProtocolError("its evaluation loop sent an invalid message")
     if "target" in head:
         return LoopRequest.parse(head, buffers, shared)
     return LoopException.parse(head) if "raised" in head else None

@@ -104,7 +104,7 @@ def _arrays(content: bytes) -> dict[str, np.ndarray]:
 
 
 def _array(content: bytes, name: str) -> np.ndarray:
-    """Return an array of a .npy; what its header says has to be there before anything is made for it."""
+    """Return the array of a .npy; its header is checked against its size before memory is allocated."""
     import numpy as np
     from numpy.lib import format as npy
 
@@ -115,7 +115,7 @@ def _array(content: bytes, name: str) -> np.ndarray:
         raise ValueError(f"{name!r:.80} is of version {version}")
     shape, is_fortran, dtype = readers[version](stream)
     if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
-        raise ValueError(f"{name!r:.80}: its header says {dtype} {shape!s:.80}, which is not what it holds")
+        raise ValueError(f"{name!r:.80}: its header says {dtype} {shape!s:.80}, its content differs")
     return np.frombuffer(content, dtype, offset=stream.tell()).reshape(shape, order="F" if is_fortran else "C")
 
 

@@ -53,11 +53,11 @@ def inference_seconds(episode: EpisodeRecord) -> float | None:
 
 
 def packed(run: Run) -> dict[str, Any]:
-    """Return the final episodes by column, in which whatever occurs more than once stands once.
+    """Return the final episodes by column; repeated texts are stored once.
 
     Returns:
-        `values`: texts and objects; `columns`: numbers as they are, and for the names in `shared`, places in `values`;
-        `earlier`: place of the error of each earlier attempt, by index.
+        `values`: texts and objects; `columns`: numbers as they are, and for the names in `shared`, indices of `values`;
+        `earlier`: index of the error of each earlier attempt, by episode.
     """
     pool = _Pool()
     finals = run.finals.values()
@@ -89,7 +89,7 @@ def as_csv(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 
 class _Pool:
-    """Values, each kept once."""
+    """Values, each stored once."""
 
     def __init__(self) -> None:
         self.values: list[object] = []

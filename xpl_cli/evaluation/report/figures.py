@@ -1,7 +1,7 @@
 """Small charts for the page, as SVG without text.
 
-Every chart fills the box it is given, so it is drawn in shares of its width and height; what is to keep its shape, such
-as dots and lines, is a stroke that does not scale. Labels are HTML beside it, and stay readable on a phone.
+Every chart fills its box, so it is drawn in shares of width and height; dots and lines are strokes that do not scale.
+Labels are HTML beside it, and stay readable on a phone.
 """
 
 from __future__ import annotations

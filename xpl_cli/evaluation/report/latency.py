@@ -1,4 +1,4 @@
-"""The round trips of get_action, as the page shows them."""
+"""The latency of get_action in the report."""
 
 from __future__ import annotations
 

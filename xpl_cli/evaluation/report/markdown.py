@@ -40,12 +40,12 @@ def render(run: Run, summary: Summary) -> str:
     if page.latency:
         parts += ["## Latency", in_markdown(page.latency.said)]
     if page.notes:
-        parts += ["## What these figures do not say", "\n".join(f"- {in_markdown(note)}" for note in page.notes)]
+        parts += ["## Caveats", "\n".join(f"- {in_markdown(note)}" for note in page.notes)]
     parts += ["## What was run", table(("", ""), [(pair.name, pair.value) for pair in page.versions])]
     return "\n\n".join(parts) + "\n"
 
 
 def table(header: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table; what a cell holds is text, whatever it looks like."""
+    """Return a table; the content of cells is escaped."""
     first, *others = (f"| {' | '.join(in_markdown(str(cell)) for cell in line)} |" for line in (header, *rows))
     return "\n".join([first, f"| {' | '.join(['---'] * len(header))} |", *others])

@@ -38,13 +38,13 @@ class Film(TypedDict):
 
 
 class EpisodeMedia(TypedDict, total=False):
-    """What the page shows of an episode.
+    """Media of an episode in the report.
 
     Attributes:
-        film: of it.
-        curves: of it (`curves.read`).
-        trace: address of the file with its curves, where they are not embedded.
-        problem: a sentence, where a file is gone or was changed.
+        film: its video.
+        curves: its curves (`curves.read`).
+        trace: address of the file with its curves, if they are not embedded.
+        problem: a sentence, if a file is missing or was changed.
     """
 
     film: Film
@@ -54,15 +54,15 @@ class EpisodeMedia(TypedDict, total=False):
 
 
 def collect_media(run: Run, budget: int, link: str) -> dict[str, EpisodeMedia]:
-    """Return what the page shows of each episode that has a film or curves.
+    """Return the media of each episode that has a video or curves.
 
     Args:
         run: the run.
         budget: bytes that may be embedded.
-        link: how the page's folder reaches the run's, with a slash at the end unless it is empty.
+        link: path from the page's folder to the run's, with a slash at the end unless it is empty.
 
     Returns:
-        what is shown, by index.
+        media by index of the episode.
     """
     media: dict[str, EpisodeMedia] = {}
     full: set[str] = set()
@@ -82,7 +82,7 @@ def collect_media(run: Run, budget: int, link: str) -> dict[str, EpisodeMedia]:
                 continue
             if piece is not None:
                 budget -= size
-            elif size:  # read in vain: the others of its kind are linked without a look
+            elif size:  # too large: the others of its kind are linked without reading them
                 full.add(kind)
             entry |= piece or _link(kind, f"{link}{file.path}")
         if entry:
@@ -107,7 +107,7 @@ def locate(folder: Path, file: RecordedFile, kind: str) -> Path:
 
 
 def _piece(kind: str, path: Path, file: RecordedFile, budget: int) -> tuple[EpisodeMedia | None, int]:
-    """Return a film or curves to embed, None where the budget does not bear them; and their size, 0 without a look."""
+    """Return a video or curves to embed, None if the budget is too small; and their size, 0 if not read."""
     if path.stat().st_size > budget:
         return None, 0
     content = files.content(path)

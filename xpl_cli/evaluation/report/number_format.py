@@ -43,5 +43,5 @@ def duration(seconds: float) -> str:
 
 
 def many(count: int, noun: str) -> str:
-    """Return a number of things: 1 step, 12 345 steps."""
+    """Return a number with its noun: 1 step, 12 345 steps."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}".replace(",", _SPACE)

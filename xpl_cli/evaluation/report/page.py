@@ -22,7 +22,7 @@ def render(run: Run, summary: Summary, media: Mapping[str, EpisodeMedia]) -> str
     Args:
         run: the run.
         summary: of it, `xpl.summary/1`.
-        media: what is shown of which episode (`media.shown`).
+        media: of the episodes (`media.collect_media`).
     """
     return pages.render(
         "report/page.html.jinja",

@@ -30,7 +30,7 @@ class LabelledClass:
 
 @dataclass(frozen=True)
 class Bar:
-    """A rate as a chart and in words."""
+    """A rate as a chart and as text."""
 
     figure: Markup
     text: str
@@ -123,7 +123,7 @@ class CorrectionCount:
 
 @dataclass(frozen=True)
 class Headline:
-    """The success rate of all, in words and as a chart."""
+    """The overall success rate, as text and as a chart."""
 
     rate: str
     unit: str
@@ -142,7 +142,7 @@ class Contrasts:
 
 @dataclass(frozen=True)
 class PageView:
-    """What the template of the page asks for, in the order in which it shows it."""
+    """The variables of the page's template, in order."""
 
     title: str
     policy: str

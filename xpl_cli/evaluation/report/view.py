@@ -1,4 +1,4 @@
-"""What the page says, in the order in which it says it: texts and charts, made from a summary and the run."""
+"""Texts and charts of the page, made from a summary and the run."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ _MOST_REASONS = 8
 
 
 def view(run: Run, summary: Summary, media_said: str) -> PageView:
-    """Return what the page says.
+    """Return the content of the page.
 
     Args:
         run: the run.
         summary: of it.
-        media_said: a sentence on films and curves.
+        media_said: a sentence on videos and curves.
     """
     overall = summary.overall
     complete = not overall.remaining
@@ -95,7 +95,7 @@ def _headline(summary: Summary) -> Headline:
     overall = summary.overall
     rate, interval = overall.success_rate, overall.success_interval
     if rate is None or interval is None:
-        caption = "No episode has a success to speak of yet."
+        caption = "No episode defines success yet."
         return Headline(wording.NOTHING, "", caption, figures.strip(None, None, "s0", caption))
     low, high = interval
     caption = (
@@ -181,7 +181,7 @@ def _contrasts(summary: Summary, kinds: Mapping[str, str]) -> Contrasts:
     return Contrasts(
         lines,
         f"{first.capitalize()} against {others[0] if named else 'the others'}",
-        f"Success{named} less success in {first}, in points, {how}. An interval that holds 0 shows no difference.",
+        f"Success rate{named} minus that in {first}, in points, {how}. An interval with 0 shows no difference.",
     )
 
 
@@ -244,7 +244,7 @@ def _failures(run: Run, overall: SummaryRow) -> Failures:
         "remaining": "not run yet",
     }
     reasons = Counter(
-        episode.error or episode.end_reason or "no reason given"
+        episode.error or episode.end_reason or "no reason"
         for episode in run.finals.values()
         if episode.failure is not None
     )

@@ -1,1 +1,1 @@
-"""What the records of runs show, how sure that is, and what they do not show."""
+"""Statistics of recorded runs: rates, intervals, tests, and what they do not show."""

@@ -1,4 +1,4 @@
-"""What the data do not show, in plain words: the sentences beside every table."""
+"""Caveats: sentences beside every table on what the data do not show."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MANY = 10
 
 
 def of_instruction(instruction: str | None) -> list[str]:
-    """Return what is to be said of a policy that was told one of `INSTRUCTIONS` instead of what it is to do."""
+    """Return the caveat for a policy that got one of `INSTRUCTIONS` instead of the task's instruction."""
     if instruction is None:
         return []
     return [f"The policy was {INSTRUCTIONS[instruction]}, so that this is no rate of the task."]
@@ -61,13 +61,13 @@ def of_execution(beyond: int, machines: int, recovered: int) -> list[str]:
         )
     if beyond:
         notes.append(
-            f"{were(beyond, 'episode')} played at the same time as the one that ended a task, and not counted, so that "
-            "the result does not depend on the number of workers."
+            f"{amount(beyond, 'episode')} ran beside the one that ended a task and do not count, so that the "
+            "result does not depend on the number of workers."
         )
     if machines > 1:
         notes.append(
-            f"Episodes were played on {machines} machines or sets of library versions, which may give different "
-            "results for equal seeds."
+            f"Episodes ran on {machines} machines or sets of library versions, which may give different results for "
+            "equal seeds."
         )
     return notes
 
@@ -76,17 +76,15 @@ def of_skipped(lines: Sequence[str]) -> list[str]:
     """Return what should be known of a run of which lines were left out because they are bad."""
     if not lines:
         return []
-    return [
-        f"{were(len(lines), 'line')} left out of the record, as if nobody had written them: {'; '.join(lines[:3])}."
-    ]
+    return [f"{were(len(lines), 'line')} left out of the record: {'; '.join(lines[:3])}."]
 
 
 def scope() -> str:
     """Return what intervals are about at all."""
     return (
-        "The intervals tell how far the rates of many more episodes of the same kind may lie from these: same "
-        "checkpoint, tasks, settings, environment and robot. They say nothing about other tasks, another training run "
-        "of the same method, or a real robot."
+        "The intervals cover the sampling of episodes: how far the rates of many more episodes with the same "
+        "checkpoint, tasks, settings, environment and robot may lie from these. They do not cover other tasks, another "
+        "training run of the same method, or a real robot."
     )
 
 
@@ -101,8 +99,7 @@ def of_stopping() -> str:
 def _of_missing_episodes(overall: SummaryRow, cells: Sequence[Cell]) -> Iterator[str]:
     if overall.remaining:
         yield (
-            f"{amount(overall.remaining, 'episode')} of {overall.planned} still to be played: the rows tell of "
-            "those that were."
+            f"{amount(overall.remaining, 'episode')} of {overall.planned} still to be run: the rows cover the others."
         )
     yield from _of_infrastructure_errors(overall, cells)
     undefined = [f"{cell.task} ({cell.setting})" for cell in cells if cell.counted and not cell.outcomes]
@@ -142,7 +139,7 @@ def _of_stopping(width: float | None, cells: Sequence[Cell]) -> Iterator[str]:
     yield of_stopping()
     short = [f"{cell.task} ({cell.setting})" for cell in cells if not cell.ended and not cell.remaining]
     if short:
-        yield f"No seeds are left, and the interval is still wider than asked for: {', '.join(short)}."
+        yield f"No seeds are left, and the interval is still wider than requested: {', '.join(short)}."
 
 
 def _of_width(rows: Sequence[SummaryRow]) -> Iterator[str]:
@@ -175,6 +172,5 @@ def _of_means(rows: Sequence[SummaryRow]) -> Iterator[str]:
 def _of_seeds(cells: Sequence[Cell]) -> Iterator[str]:
     if not all(cell.frozen for cell in cells):
         yield (
-            "Not all seeds are the environment's evaluation seeds: nothing says that the policy was not trained or "
-            "tuned on them."
+            "Not all seeds are the environment's evaluation seeds: the policy may have been trained or tuned on them."
         )

@@ -1,7 +1,7 @@
-"""Which of two runs is better, on the episodes that both played: `xpl.comparison/1` (spec/v1/comparison.schema.json).
+"""Compare two runs on their common episodes: `xpl.comparison/1` (spec/v1/comparison.schema.json).
 
-Equal tasks, settings and seeds are equal cases, so that luck with easy seeds helps both alike. What is tested is in how
-many cases only one of the two succeeded.
+Equal tasks, settings and seeds are equal cases, so that easy seeds help both alike. The exact McNemar test uses the
+cases in which only one of the two succeeded.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 
 
 class IncomparableError(UserError):
-    """Two runs whose results say nothing about which policy is better."""
+    """Two runs whose results cannot be compared."""
 
     def __init__(self, message: str) -> None:
-        hint = "play both in the same environment, on the same tasks and seeds"
+        hint = "run both in the same environment, on the same tasks and seeds"
         super().__init__(message, hint=hint, code=ExitCode.NOT_RUN)
 
 
@@ -44,10 +44,10 @@ class _Matches:
     """Episodes of one task and setting that both runs finished; those with an infrastructure error count as failed.
 
     Attributes:
-        task, setting: what was played.
+        task, setting: of the episodes.
         lines: of the first run and of the second, for each common seed.
-        successes: whether each of the two certainly succeeded, for each common seed.
-        scores: of each of the two, for each common seed; None where it has none.
+        successes: whether each of the two counts as a success, for each common seed.
+        scores: of each of the two, for each common seed; None if it has none.
     """
 
     task: str
@@ -76,16 +76,15 @@ def compare(first: Run, second: Run) -> Comparison:
     """Return the comparison of two runs, finished or not.
 
     Raises:
-        IncomparableError: they were played in different environments, have no episode in common, or equal seeds are
-            not equal cases.
+        IncomparableError: the environments differ, there is no common episode, or equal seeds have different layouts.
     """
     sides = (first.plan, second.plan)
     names = [plan.environment.name for plan in sides]
     if names[0] != names[1]:
-        raise IncomparableError(f"the runs were played in different environments: {names[0]} and {names[1]}")
+        raise IncomparableError(f"the runs have different environments: {names[0]} and {names[1]}")
     matches = _matches(first, second)
     if not matches:
-        raise IncomparableError("no episode was played in both runs: they have no task, setting and seed in common")
+        raise IncomparableError("the runs have no episode in common: no equal task, setting and seed")
     _require_equal_layouts(matches)
     rows = [_row(match.task, match.setting, [match]) for match in matches]
     raised = intervals.holm([row.p_value for row in rows])
@@ -135,7 +134,7 @@ def _by_seed(lines: Iterable[EpisodeRecord]) -> dict[int, EpisodeRecord]:
 
 
 def _require_equal_layouts(matches: Sequence[_Matches]) -> None:
-    """Raise unless equal seeds drew equal scenes, as far as the records tell."""
+    """Raise unless equal seeds have equal layouts, as far as these are recorded."""
     unlike = [
         (match, first.seed)
         for match in matches
@@ -145,7 +144,7 @@ def _require_equal_layouts(matches: Sequence[_Matches]) -> None:
     if unlike:
         match, seed = unlike[0]
         raise IncomparableError(
-            f"equal seeds are not equal cases: in {len(unlike)} common episodes things stood elsewhere, first in "
+            f"equal seeds are not equal cases: in {len(unlike)} common episodes the layouts differ, first in "
             f"{match.task} ({match.setting}), seed {seed}"
         )
 

@@ -25,7 +25,7 @@ class ComparisonMethods:
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """One of the two runs: where it lies, its name, and what its plan says."""
+    """One of the two runs: its folder, its name, and parts of its plan."""
 
     folder: str
     run: str
@@ -42,12 +42,12 @@ class ComparisonRow:
 
     Attributes:
         task, setting: None for all.
-        pairs: episodes that both played.
-        both, only_first, only_second, neither: in how many of them these succeeded.
+        pairs: number of common episodes.
+        both, only_first, only_second, neither: numbers of pairs in which these succeeded.
         first_rate, second_rate: success rates.
         difference, interval: second minus first.
         p_value: of "neither is better".
-        score_difference, score_interval: of the mean scores; None where there are none.
+        score_difference, score_interval: of the mean scores; None without scores.
         adjusted_p_value: corrected for the number of rows; None for all together.
     """
 
@@ -78,15 +78,15 @@ class UnpairedEpisodes:
 
 @dataclass(frozen=True)
 class Comparison(JsonDocument):
-    """Two runs on the episodes that both played.
+    """Two runs on their common episodes.
 
     Attributes:
         first, second: the runs.
         confidence, methods: of all figures.
-        differences: in what the runs differ besides the policy.
+        differences: between the runs besides the policy.
         left_out: episodes without a partner.
-        same_trajectories: pairs in which both moved exactly alike.
-        known_layouts: pairs of which both records tell that things stood alike.
+        same_trajectories: pairs with equal states.
+        known_layouts: pairs in which both records have the layout.
         cells, overall: the rows.
         verdict: the answer in a sentence.
         notes: what the data do not show, in sentences.

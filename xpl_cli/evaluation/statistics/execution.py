@@ -1,4 +1,4 @@
-"""How a run went: time, retries, latency, errors. Unlike its results, this differs from one playing to the next."""
+"""Execution of a run: time, retries, latency, errors. Unlike results, they differ if the run is repeated."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _inference(run: Run) -> Latency:
 
 
 def _quantile(bins: Sequence[int], share: float) -> float | None:
-    """Return the time in s that a share of the round trips did not exceed, as exactly as bins can tell."""
+    """Return the time in s below which this share of the round trips lies, interpolated within a bin."""
     target, below = share * sum(bins), 0
     for index, count in enumerate(bins):
         if count and below + count >= target:

@@ -16,7 +16,7 @@ RESAMPLES: Final = 2000
 """Draws of the bootstrap: the ends of an interval move by about a fiftieth of its width from one seed to another."""
 
 FEWEST_RESAMPLED: Final = 10
-"""Fewer values than these say too little about their own spread to be resampled."""
+"""Fewer values than these are too few for the bootstrap."""
 
 MOST_CORRECTED: Final = 1000
 """More values than these need no correction for skewness, whose cost grows with their square."""
@@ -118,15 +118,15 @@ def clopper_pearson(successes: int, count: int) -> Interval:
 
 
 def bootstrap(values: Iterable[float]) -> Interval:
-    """Return the interval of the mean of some values in 0..1, by resampling (bias-corrected and accelerated).
+    """Return the interval of the mean of values in 0..1 by the bootstrap (bias-corrected and accelerated).
 
-    The same values give the same interval, in whatever order. Values that are all equal, and fewer than ten, say too
-    little about their spread: they get the wider interval that `wilson` gives to any mean.
+    Equal values give equal intervals, in whatever order. Values that are all equal, and fewer than ten, do not show
+    their spread: they get the wider interval of `wilson`.
 
     Source: B. Efron, Better Bootstrap Confidence Intervals, JASA 82 (1987).
 
     Raises:
-        ValueError: if there is no value.
+        ValueError: there is no value.
     """
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""In what two runs differ, so that nobody takes results of unlike things for a comparison of policies."""
+"""Differences between two runs besides the policy, which would invalidate a comparison."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunDifference:
-    """One thing in which two runs differ.
+    """One difference between two runs.
 
     Attributes:
         what: name of it.
-        first, second: what it is in each, as text.
+        first, second: values of the runs, as text.
     """
 
     what: str
@@ -32,7 +32,7 @@ class RunDifference:
 
 
 def find_differences(first: Run, second: Run) -> list[RunDifference]:
-    """Return in what two runs differ besides the policy, and what follows from it; results are not looked at."""
+    """Return the differences between two runs besides the policy and its consequences; results are not compared."""
     facts = zip(_facts(first), _facts(second), strict=True)
     return [
         *(
@@ -62,7 +62,7 @@ def _facts(run: Run) -> Iterator[tuple[str, object]]:
 
 
 def _cells(first: RunPlan, second: RunPlan) -> Iterator[RunDifference]:
-    """Yield what only one of two plans plays."""
+    """Yield tasks and seeds that only one of two plans has."""
     one, other = ({cell.cell_key: cell for cell in plan.cells} for plan in (first, second))
     if one.keys() != other.keys():
         yield RunDifference(

@@ -1,7 +1,7 @@
-"""What a run found: `xpl.summary/1` (spec/v1/summary.schema.json), from its record and nothing else.
+"""The summary of a run: `xpl.summary/1` (spec/v1/summary.schema.json), computed from its record alone.
 
-Rows over several cells are means of the cells' values: each weighs the same, however many of its episodes were played.
-Where all cells have equally many, that is what all episodes together would give.
+Rows over several cells are means of the cells' values: each weighs the same, whatever its number of episodes. If all
+cells have equally many, that equals the value over all episodes.
 """
 
 from __future__ import annotations

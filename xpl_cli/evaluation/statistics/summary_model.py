@@ -65,17 +65,17 @@ class ExecutionStats:
 
 @dataclass(frozen=True)
 class SummaryRow:
-    """What one cell or several come to.
+    """Figures of one cell or of several.
 
     Attributes:
-        task, setting, dimension: what all of its cells share; None where they differ.
+        task, setting, dimension: common value of its cells; None if they differ.
         planned, completed, remaining: numbers of episodes.
-        judged, successes: of those that have a success to speak of.
-        success_rate, success_interval: infrastructure errors count as failed; None where no episode has a success.
+        judged, successes: numbers of episodes that define success, and that succeeded.
+        success_rate, success_interval: infrastructure errors count as failed; None if no episode defines success.
         infrastructure_bounds: the rate if all episodes with an infrastructure error had failed, and if all had
-            succeeded; None where there is none.
-        mean_score, score_interval: None where no episode has a score.
-        failures: number of episodes by whose failure it was.
+            succeeded; None if there is none.
+        mean_score, score_interval: None if no episode has a score.
+        failures: number of episodes by class of failure.
         mean_steps: control steps of an episode.
         corrections: number of corrected steps by kind of correction.
     """
@@ -126,7 +126,7 @@ class SummaryMethods:
 
 @dataclass(frozen=True)
 class Summary(JsonDocument):
-    """What a run found.
+    """The summary of a run.
 
     Attributes:
         run, policy, environment, embodiment, action_type, until_width: as in its plan.

@@ -1,4 +1,4 @@
-"""What a comparison of two runs shows, and what it does not, in plain words."""
+"""The verdict on two compared runs, and its caveats, in sentences."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def verdict(result: Comparison) -> str:
     rates, (low, high) = [percent(row.first_rate), percent(row.second_rate)], row.interval
     if not row.only_first + row.only_second:
         sentence = f"{first} and {second} succeeded in the same episodes: {row.both} of {row.pairs}."
-        return f"{sentence} A difference of {points(low, high)} points fits these data all the same."
+        return f"{sentence} A difference of {points(low, high)} points is still compatible with these data."
     evidence = f"{amount(row.pairs, 'pair')}, {_p(row.p_value)}"
     if row.p_value >= _ALPHA:
         return (
@@ -75,7 +75,7 @@ def format_p_value(value: float) -> str:
 
 
 def text(result: Comparison) -> str:
-    """Return a comparison for people: the verdict, the table, and what the data do not show."""
+    """Return a comparison as text: the verdict, the table, and its caveats."""
     first, second = result.names
     rows = [*result.cells, *([result.overall] if len(result.cells) > 1 else [])]
     return as_lines(
@@ -106,7 +106,7 @@ def _of_test(row: ComparisonRow) -> Iterator[str]:
     if discordant and least >= _ALPHA:
         yield (
             f"Only {discordant} of {amount(row.pairs, 'pair')} ended differently. Had all of them favoured "
-            f"one side, it would still be {_p(least)}: so few cannot show which is better."
+            f"one side, it would still be {_p(least)}: so few pairs cannot show a difference."
         )
     low, high = row.interval
     if row.p_value >= _ALPHA and not low <= 0 <= high:
@@ -138,7 +138,7 @@ def _of_pairs(result: Comparison) -> Iterator[str]:
     elif same:
         yield f"In {same} of {amount(pairs, 'pair')} the two moved exactly alike."
     if not result.known_layouts:
-        yield "The records do not tell where things stood: that equal seeds drew equal scenes is taken on trust."
+        yield "The records hold no layouts: that equal seeds gave equal scenes is an assumption."
 
 
 def _p(value: float) -> str:

@@ -47,7 +47,7 @@ def points(low: float, high: float) -> str:
 
 
 def were(count: int, thing: str, which: str = "") -> str:
-    """Return a number of things with a verb: `1 episode was`, `3 episodes of Foo were`."""
+    """Return a number with noun and verb: `1 episode was`, `3 episodes of Foo were`."""
     return f"{amount(count, thing)}{which and ' ' + which} {'was' if count == 1 else 'were'}"
 
 
@@ -59,7 +59,7 @@ def rate(row: Rated) -> str:
 
 
 def table(summary: Summary) -> list[tuple[str, ...]]:
-    """Return what a terminal shows under HEADER."""
+    """Return the texts below HEADER."""
     return [_texts(row) for row in table_rows(summary)]
 
 
@@ -70,7 +70,7 @@ def table_rows(summary: Summary) -> list[SummaryRow]:
 
 
 def text(summary: Summary) -> str:
-    """Return a summary for people: the table, what went wrong, and what the data do not show."""
+    """Return a summary as text: the table, failures, and caveats."""
     lines = [
         f"{summary.policy} in {summary.environment}, {summary.embodiment}, {summary.action_type} control",
         "",
@@ -84,7 +84,7 @@ def text(summary: Summary) -> str:
 
 
 def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return lines of a table whose columns stand below each other."""
+    """Return the lines of a table with aligned columns."""
     lines = [header, *rows]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
