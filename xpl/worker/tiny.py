@@ -1,0 +1,160 @@
+"""Makes a tiny random checkpoint by a package's tiny.py, and measures how far each input moves the answer.
+
+A task in the policy's interpreter. tiny.py defines `write(folder, gain)`: it writes the real files of the model, of its
+real classes with a shrunken configuration. `gain(name)` is a factor, 1.0 at first, by which it scales the weights that
+read an input: a camera's name, "state", "instruction" or "history". Random weights often ignore an input; its gain then
+grows until the answer moves, or until it does not help any more.
+
+    {"policy_dir", "config", "manifest", "file", "function", "folder", "seed", "share", "most_bytes",
+     "bases": [[observation, ...], ...], "inputs": [{"name", "gain", "observations": [[observation, ...], ...]}, ...]}
+    one answer for each round: {"effects": {input: share}, "gains": {name: factor}, "asked": [name, ...], "bytes"}
+
+`bases` are episodes; `observations` of an input are these episodes with this input changed.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import random
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Callable, NoReturn
+
+import numpy as np
+
+from xpl import ecosystem
+from xpl.episodes import EpisodeCounter
+from xpl.policy import Policy
+from xpl.process.modules import execute, register_package
+from xpl.worker.copies import own
+from xpl.worker.errand import FAILURES, carry_out, failed, result
+from xpl.worker.inprocess import load
+from xpl.worker.loading import LoadError
+
+Gain = Callable[[str], float]
+Recipe = Callable[[Path, Gain], object]
+_STEP = 4.0
+"""Factor by which a gain grows."""
+_ROUNDS = 7
+"""Most checkpoints that are written: a gain reaches 4096."""
+
+
+def main(asked: str, answers: str) -> NoReturn:
+    """Write a checkpoint as one file says, write what was measured to another, and end."""
+    carry_out(asked, answers, _rounds)
+
+
+def _rounds(request: Mapping[str, Any]) -> Iterator[bytes]:
+    try:
+        write = _recipe(Path(request["policy_dir"]), request["file"], request["function"])
+        gains: dict[str, float] = {}
+        before: dict[str, float] = {}
+        for _ in range(_ROUNDS):
+            asked = _written(write, Path(request["folder"]), request, gains)
+            effects = measure(load(request), request["bases"], request["inputs"])
+            yield result({"effects": effects, "gains": dict(gains), "asked": asked, "bytes": _size(request["folder"])})
+            weak = {one["gain"] for one in request["inputs"] if effects[one["name"]] < request["share"]}
+            helps = {
+                name
+                for name in weak & set(asked)
+                if name not in gains
+                or any(effects[one["name"]] > before[one["name"]] for one in request["inputs"] if one["gain"] == name)
+            }
+            if not helps:
+                return
+            before = effects
+            for name in helps:
+                gains[name] = gains.get(name, 1.0) * _STEP
+    except FAILURES as error:
+        yield failed(error)
+
+
+def _recipe(folder: Path, file: str, function: str) -> Recipe:
+    """Import the recipe of a package.
+
+    Raises:
+        LoadError: if it does not define the function.
+    """
+    ecosystem.offer(folder)
+    package = f"_xpl_tiny_{folder.name}"
+    register_package(package, folder)
+    path = folder / file
+    if not path.is_file():
+        raise LoadError(f"{folder} has no {file}")
+    write: Any = getattr(execute(f"{package}.{path.stem}", path), function, None)
+    if not callable(write):
+        raise LoadError(f"{path} defines no function {function}(folder, gain)")
+    recipe: Recipe = write
+    return recipe
+
+
+def _written(write: Recipe, folder: Path, request: Mapping[str, Any], gains: Mapping[str, float]) -> list[str]:
+    """Write a checkpoint into an empty folder, with fixed seeds, and return which gains the recipe asked for.
+
+    Raises:
+        LoadError: if it wrote nothing, or too much.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    _seed(request["seed"])
+    asked: dict[str, None] = {}
+
+    def gain(name: str) -> float:
+        asked[name] = None
+        return gains.get(name, 1.0)
+
+    write(folder, gain)
+    size = _size(folder)
+    if not 0 < size <= request["most_bytes"]:
+        raise LoadError(
+            f"the recipe wrote {size} bytes; expected 1 to {request['most_bytes']}: shrink the configuration"
+        )
+    return list(asked)
+
+
+def _seed(seed: int) -> None:
+    """Seed Python's, numpy's and torch's global generators."""
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002 - libraries draw from the global one
+    if importlib.util.find_spec("torch") is not None:
+        import torch
+
+        torch.manual_seed(seed)
+
+
+def _size(folder: str | Path) -> int:
+    return sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
+
+
+def measure(model: Any, bases: Sequence[Sequence[Any]], inputs: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Return by input how far it moves an answer: the largest change of a number, as a share of that number's span.
+
+    Args:
+        model: an adapter's.
+        bases: episodes, each the observations up to the question.
+        inputs: `name`, and `observations`: the same episodes with this input changed.
+    """
+    answers = [_answer(model, episode) for episode in bases]
+    changed = {one["name"]: [_answer(model, episode) for episode in one["observations"]] for one in inputs}
+    every = np.concatenate([*answers, *(answer for several in changed.values() for answer in several)])
+    span = np.ptp(every, axis=0)
+    span[span == 0] = np.inf
+    return {
+        name: max(float((np.abs(new - old) / span).max()) for new, old in zip(several, answers))
+        for name, several in changed.items()
+    }
+
+
+def _answer(model: Any, episode: Sequence[Any]) -> np.ndarray:
+    """Return the steps of an answer, (H, D), with all keys of the action side by side.
+
+    Each question is asked in a first episode, so that a model that samples draws the same numbers for all.
+    """
+    if isinstance(model, Policy):
+        model._episodes = EpisodeCounter()  # noqa: SLF001 - its seeds are those of the first episode again
+    model.reset()
+    for observation in episode:
+        model.update_obs(own(observation))
+    steps = model.get_action()
+    return np.stack([np.concatenate([np.ravel(step[key]) for key in sorted(step)]) for step in steps])
