@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl.catalogue.convention import convention_of_key
 from xpl.convert.gaps import gaps
-from xpl.nested import written
+from xpl.nested import format_path
 
 if TYPE_CHECKING:
     from xpl.manifest import Manifest
@@ -70,7 +70,7 @@ def statements(manifest: Manifest) -> dict[str, tuple[Statement, ...]]:
         standing = max((one for one, _ in hits), key=list(Certainty).index, default=Certainty.KNOWN)
         told = ", ".join(f"{key}: {_format_value(value)}" for key, value in values.items())
         why = "; ".join(dict.fromkeys(why for _, why in hits))
-        _add(found.setdefault(convention, []), Statement((written(path) or "model_io",), told, standing, why))
+        _add(found.setdefault(convention, []), Statement((format_path(path) or "model_io",), told, standing, why))
     return {convention: tuple(told) for convention, told in found.items()}
 
 

@@ -64,8 +64,8 @@ class Configurations:
     def own(self) -> dict[str, object]:
         """Keys of deploy.yml that are the adapter's own, with their values."""
         deploy = self.probe.package.deploy
-        known = _STANDARD.union(sdk.CHECKPOINT_KEYS, *sdk.CONFIG_ALIASES.values())
-        return {key: value for key, value in deploy.items() if key not in known}
+        standard_keys = _STANDARD.union(sdk.CHECKPOINT_KEYS, *sdk.CONFIG_ALIASES.values())
+        return {key: value for key, value in deploy.items() if key not in standard_keys}
 
     def own_keys(self) -> dict[str, object]:
         """Return the adapter's own keys of deploy.yml.

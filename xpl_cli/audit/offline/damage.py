@@ -19,15 +19,15 @@ _UNKNOWN = 99
 
 def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[RecordedClient], Answer]]]:
     """Yield operations with something wrong in them, each with a name for people; they return the policy's answer."""
-    whole = probe.observation()
+    complete = probe.observation()
     for name, obs in {
         "an empty observation": {sdk.Obs.ENV_IDX: 0},
-        "an observation without state": {key: value for key, value in whole.items() if key != sdk.Obs.STATE},
-        "an observation without pictures": {key: value for key, value in whole.items() if key != sdk.Obs.VISION},
-        "state and pictures of the wrong type": {**whole, sdk.Obs.STATE: "none", sdk.Obs.VISION: []},
+        "an observation without state": {key: value for key, value in complete.items() if key != sdk.Obs.STATE},
+        "an observation without pictures": {key: value for key, value in complete.items() if key != sdk.Obs.VISION},
+        "state and pictures of the wrong type": {**complete, sdk.Obs.STATE: "none", sdk.Obs.VISION: []},
     }.items():
         yield name, partial(_update_and_act, obs=obs)
-    batch = [whole, {sdk.Obs.ENV_IDX: 1}]
+    batch = [complete, {sdk.Obs.ENV_IDX: 1}]
     yield "a batch whose second observation is empty", partial(_update_and_act_batch, observations=batch)
     yield "an unknown environment", lambda policy: policy.get_action_batch([_UNKNOWN])
 

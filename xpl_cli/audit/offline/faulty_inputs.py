@@ -88,13 +88,13 @@ def judge(
         unclear: what to say where it refuses with an error that does not name the input.
         fix: advice.
     """
-    found: dict[tuple[str, str], list[tuple[FaultyInput, Answer]]] = {}
+    failures: dict[tuple[str, str], list[tuple[FaultyInput, Answer]]] = {}
     for case in cases:
         answer = policy.act(case.obs)
         refused = isinstance(answer, PolicyServerError)
         if not (refused and case.is_named_by(answer)):
-            found.setdefault((case.name, unclear if refused else goes_on), []).append((case, answer))
-    for (name, message), entries in found.items():
+            failures.setdefault((case.name, unclear if refused else goes_on), []).append((case, answer))
+    for (name, message), entries in failures.items():
         case, answer = entries[0]
         yield blame(
             message.format(name=name, faults=", ".join(entry.fault for entry, _ in entries)),

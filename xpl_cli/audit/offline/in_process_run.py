@@ -68,34 +68,36 @@ def run_in_process(probe: Probe) -> InProcessRun:
         NotRun: if it cannot be loaded there, does not answer, or does not come through a reset that fails.
     """
     probe.require_answer()
-    asking = (sdk.Method.GET_ACTION, ())
+    get_action = (sdk.Method.GET_ACTION, ())
     script: list[inprocess.Call] = []
     for obs in _pictures(probe):
-        script += [(sdk.Method.RESET, ()), (sdk.Method.UPDATE_OBS, (obs,)), asking]
+        script += [(sdk.Method.RESET, ()), (sdk.Method.UPDATE_OBS, (obs,)), get_action]
     pictures_end = len(script)
     script.append((sdk.Method.RESET, ()))
     for step in range(_EPISODE):
-        script += [(sdk.Method.UPDATE_OBS, (probe.observation(0, step),)), asking, asking]
+        script += [(sdk.Method.UPDATE_OBS, (probe.observation(0, step),)), get_action, get_action]
     script.append((sdk.Method.RESET, ()))
     for step in range(_BATCHES):
         script.append((sdk.Method.UPDATE_OBS_BATCH, (probe.observations([0, 1], step),)))
         script.append((sdk.Method.GET_ACTION_BATCH, ([1, 0],)))
     script += [(watch.BREAK_RESET, ()), (watch.NOTES, ())]
-    answered = inprocess.answers(probe, script, watch=True)
-    broken, notes = answered[-2:]
-    for answer, what in ((answered[pictures_end + 2], "answer"), (broken, "reset again after a reset that failed")):
+    answers = inprocess.answers(probe, script, watch=True)
+    broken, notes = answers[-2:]
+    for answer, what in ((answers[pictures_end + 2], "answer"), (broken, "reset again after a reset that failed")):
         if answer.error is not None:
             raise NotRun(f"in a process without a server the adapter does not {what}: {answer.error}")
-    episodes = [_first_error(answered[at : at + 3]) for at in range(0, pictures_end, 3)]
+    episodes = [_first_error(answers[at : at + 3]) for at in range(0, pictures_end, 3)]
     pairs = zip(episodes[::2], episodes[1::2], strict=True)
-    noted = tuple(ModelNote(told["what"], told["method"], told["key"], told.get("with", "")) for told in notes.result)
-    return InProcessRun(noted, tuple(broken.result), dict(zip(FORMS, pairs, strict=True)))
+    model_notes = tuple(
+        ModelNote(entry["what"], entry["method"], entry["key"], entry.get("with", "")) for entry in notes.result
+    )
+    return InProcessRun(model_notes, tuple(broken.result), dict(zip(FORMS, pairs, strict=True)))
 
 
 def _pictures(probe: Probe) -> list[ObservationDict]:
     """Return observations with decoded and encoded pictures in turn, for each form."""
-    sent = [encoded(probe.observation(), form) for form in FORMS]
-    return [obs for one in sent for obs in (decoded(one), one)]
+    encoded_forms = [encoded(probe.observation(), form) for form in FORMS]
+    return [obs for one in encoded_forms for obs in (decoded(one), one)]
 
 
 def _first_error(answers: Sequence[TaskAnswer]) -> TaskAnswer:

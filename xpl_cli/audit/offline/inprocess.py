@@ -33,19 +33,19 @@ def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> lis
     Raises:
         NotRun: if the adapter cannot be loaded there, or the process ends or hangs.
     """
-    order = {
+    request = {
         **load_request(probe),
         "script": [[method, list(arguments)] for method, arguments in script],
         "watch": watch,
     }
-    done = subprocess_task.run("xpl.worker.inprocess", order, process_options(probe))
-    found = answers_after_load(done)
-    if done.problem is not None or len(found) < len(script):
-        raise NotRun(f"the adapter's process {done.failure} (call {len(found) + 1}, {script[len(found)][0]})")
-    unreal = next((answer.error for answer in found if answer.unreal), None)
+    result = subprocess_task.run("xpl.worker.inprocess", request, process_options(probe))
+    answered = answers_after_load(result)
+    if result.problem is not None or len(answered) < len(script):
+        raise NotRun(f"the adapter's process {result.failure} (call {len(answered) + 1}, {script[len(answered)][0]})")
+    unreal = next((answer.error for answer in answered if answer.unreal), None)
     if unreal is not None:
         raise NotRun(unreal)
-    return found
+    return answered
 
 
 def load_request(probe: Probe) -> dict[str, object]:
@@ -82,15 +82,15 @@ def process_options(probe: Probe, limit_s: float = LIMIT_S) -> subprocess_task.T
     )
 
 
-def answers_after_load(done: subprocess_task.TaskResult) -> list[Answer]:
+def answers_after_load(result: subprocess_task.TaskResult) -> list[Answer]:
     """Return the answers of a process after that of loading the adapter.
 
     Raises:
         NotRun: if it could not be loaded.
     """
-    if not done.answers:
-        raise NotRun(f"the adapter's process {done.failure} (loading)")
-    first, *others = done.answers
+    if not result.answers:
+        raise NotRun(f"the adapter's process {result.failure} (loading)")
+    first, *others = result.answers
     if first.error is not None:
         raise NotRun(f"the model could not be loaded without the server: {first.error}")
     return others

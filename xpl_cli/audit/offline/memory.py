@@ -90,20 +90,20 @@ def _measure_stretches(probe: Probe, policy: Client, pid: int) -> LongEpisode:
 
 def private_memory(pid: int) -> int | None:
     """Return the memory that the children of a process, and theirs, have for themselves, bytes; None if unknown."""
-    found = [processes.private_bytes(member.pid) for member in processes.descendants(pid)]
-    known = [size for size in found if size is not None]
-    return sum(known) if known else None
+    sizes = [processes.private_bytes(member.pid) for member in processes.descendants(pid)]
+    known_sizes = [size for size in sizes if size is not None]
+    return sum(known_sizes) if known_sizes else None
 
 
 def _run_stretch(probe: Probe, policy: Client, first: int, most: int) -> int:
     """Go on with an episode for one stretch and return how many steps that were."""
     deadline = time.monotonic() + _SECONDS
-    for played in range(1, most + 1):
-        policy.update_obs(_enlarged(probe.observation(0, first + played)))
+    for steps in range(1, most + 1):
+        policy.update_obs(_enlarged(probe.observation(0, first + steps)))
         policy.get_action()
         if time.monotonic() > deadline:
             break
-    return played
+    return steps
 
 
 def _enlarged(obs: ObservationDict) -> ObservationDict:

@@ -102,14 +102,14 @@ class MotionEpisodes:
     @cached_property
     def all(self) -> tuple[MotionEpisode, ...]:
         """One motion of every robot and action type that the manifest declares, the configured pair first."""
-        played = []
+        episodes = []
         for name, action_type in self._probe.combinations():
             embodiment = get_embodiment(name)
             with self._probe.served_as(name, action_type) as policy:
                 answers = tuple(self._run_episode(policy, embodiment, action_type))
                 near_limits = tuple(self._run_near_limits(policy, embodiment, action_type))
-            played.append(MotionEpisode(embodiment, action_type, answers, near_limits))
-        return tuple(played)
+            episodes.append(MotionEpisode(embodiment, action_type, answers, near_limits))
+        return tuple(episodes)
 
     @property
     def sound(self) -> list[MotionEpisode]:
@@ -118,10 +118,10 @@ class MotionEpisodes:
         Raises:
             NotApplicable: if there is none.
         """
-        found = [motion for motion in self.all if motion.sound]
-        if not found:
+        episodes = [motion for motion in self.all if motion.sound]
+        if not episodes:
             raise NotApplicable("no action has the form that the embodiment asks for")
-        return found
+        return episodes
 
     def _run_episode(self, policy: RecordedClient, embodiment: Embodiment, action_type: str) -> Iterator[MotionAnswer]:
         obs = self._probe.observation(embodiment=embodiment)
@@ -158,12 +158,12 @@ class MotionEpisodes:
 
 def _joints_near_limits(embodiment: Embodiment, *, first_is_high: bool) -> dict[str, np.ndarray]:
     """Return joints near their limits, by turns the lower and the upper one."""
-    found = {}
+    joints = {}
     for arm in embodiment.arms:
         if arm.lower is not None and arm.upper is not None:
             is_high = (np.arange(arm.dof) % 2 == 1) ^ first_is_high
             share = np.where(is_high, 1.0 - _MARGIN, _MARGIN)
-            found[arm.prefix + sdk.State.ARM_JOINT_STATE] = (arm.lower + share * (arm.upper - arm.lower)).astype(
+            joints[arm.prefix + sdk.State.ARM_JOINT_STATE] = (arm.lower + share * (arm.upper - arm.lower)).astype(
                 np.float32
             )
-    return found
+    return joints

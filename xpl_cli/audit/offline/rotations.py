@@ -76,18 +76,18 @@ def sign_sensitive_rotations(model_io: ModelIO) -> list[str]:
     Those are quaternions that the model is told with the sign that they happen to have (`sign: any`), and those to
     which numbers are added.
     """
-    found = []
+    names = []
     for entry in model_io.state:
-        found += [
+        names += [
             f"model_io.state {entry['input']}, rotation {how['arm']}"
             for how in _quaternions(entry)
             if how.get("sign", "any") == "any"
         ]
     for how in _quaternions(model_io.action):
-        told = how.get("reference") or model_io.action.get("reference", "absolute")
-        if told != "absolute" and how.get("applied") == "numbers" and how.get("sign", "any") == "any":
-            found.append(f"model_io.action, rotation {how['arm']}")
-    return found
+        reference = how.get("reference") or model_io.action.get("reference", "absolute")
+        if reference != "absolute" and how.get("applied") == "numbers" and how.get("sign", "any") == "any":
+            names.append(f"model_io.action, rotation {how['arm']}")
+    return names
 
 
 def _quaternions(vector: Entry) -> list[Entry]:

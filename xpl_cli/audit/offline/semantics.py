@@ -63,7 +63,7 @@ class Semantics:
             NotApplicable: if the policy is declared not deterministic.
             NotRun: if it is not, against its declaration; the rule `seed-repeats` reports that.
         """
-        return [change for change, found in self.effects if change.kind in kinds and found is None]
+        return [change for change, difference_text in self.effects if change.kind in kinds and difference_text is None]
 
     def ignored_inputs(self) -> set[str]:
         """Return the inputs that have no effect at all; what is part of them needs no finding of its own."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl.client import Client, ClientError, PolicyServerError
-from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment, undeclared
+from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment, why_undeclared
 from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun
 from xpl_cli.audit.served.checkpoints import ServedCheckpoint
 from xpl_cli.audit.served.compare import difference, same
@@ -71,7 +71,7 @@ class Probe(Servers):
             why = _NO_ROBOT if is_open else str(error)
             raise NotRun(f"{why}: name one with --set {sdk.Deploy.ENV_CFG_TYPE}=NAME") from None
         self.action_type: str = self.config[sdk.Deploy.ACTION_TYPE]
-        refused = undeclared(target.manifest, self.embodiment.name, self.action_type)
+        refused = why_undeclared(target.manifest, self.embodiment.name, self.action_type)
         if refused is not None and {sdk.Deploy.ENV_CFG_TYPE, sdk.Deploy.ACTION_TYPE} & options.overrides.keys():
             raise NotRun(f"{refused}: --set asks for what the policy was not made for")
         self.checkpoint = ServedCheckpoint.of(target, self.config)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl.nested import leaves, written
+from xpl.nested import format_path, leaves
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.isolation import subprocess_task
 from xpl_cli.lifecycle import interpreter
@@ -149,7 +149,7 @@ def _guess_view(
 
 def _values(inputs: Any) -> Iterator[tuple[str, Any]]:
     """Yield every value among inputs with its place."""
-    yield from ((written(place), value) for place, value in leaves(unbatched(inputs)) if value is not None)
+    yield from ((format_path(place), value) for place, value in leaves(unbatched(inputs)) if value is not None)
 
 
 def _planes(value: np.ndarray) -> Iterator[np.ndarray]:

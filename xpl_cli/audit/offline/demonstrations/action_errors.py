@@ -62,13 +62,13 @@ class ActionErrors:
 
     def units(self, like: ActionErrors | None = None) -> dict[ActionPart, float]:
         """Return the mean error of each part, in its unit; only where another's is known, too."""
-        known = self.known if like is None else self.known & like.known
-        found = {}
+        is_known = self.known if like is None else self.known & like.known
+        errors = {}
         for part in dict.fromkeys(self.parts):
-            chosen = self.values[..., [one == part for one in self.parts]].mean(-1)[known]
+            chosen = self.values[..., [one == part for one in self.parts]].mean(-1)[is_known]
             chosen = chosen[np.isfinite(chosen)]  # what was refused has no value
-            found[part] = float(chosen.mean()) if chosen.size else float("nan")
-        return found
+            errors[part] = float(chosen.mean()) if chosen.size else float("nan")
+        return errors
 
     @cached_property
     def known(self) -> np.ndarray:
@@ -97,52 +97,53 @@ class ErrorMetric:
         self.horizon = max(map(len, self._demonstrated))
         self._keys = list(self._demonstrated[0][0])
 
-    def errors(self, given: Chunks, wanted: Sequence[int], refused: Collection[int] = ()) -> ActionErrors:
+    def errors(self, answers: Chunks, questions: Sequence[int], refused: Collection[int] = ()) -> ActionErrors:
         """Return the errors of the answers to some questions.
 
         Args:
-            given: the answers; a question without one is not known, ...
-            wanted: numbers of the questions.
+            answers: the answers; a question without one is not known, ...
+            questions: numbers of the questions.
             refused: ... or as far off as anything can be, if it is among these.
         """
         columns = [column for key in self._keys for column in self._columns(key)]
-        said = {
-            key: np.full((len(wanted), self.horizon, len(self._demonstrated[0][0][key])), np.nan) for key in self._keys
+        predicted = {
+            key: np.full((len(questions), self.horizon, len(self._demonstrated[0][0][key])), np.nan)
+            for key in self._keys
         }
-        done = {key: values[list(wanted)] for key, values in self._stacked.items()}
-        for place, number in enumerate(wanted):
-            for step, one in enumerate((given.get(number) or ())[: self.horizon]):
-                for key, values in said.items():
+        demonstrated = {key: values[list(questions)] for key, values in self._stacked.items()}
+        for row, number in enumerate(questions):
+            for step, one in enumerate((answers.get(number) or ())[: self.horizon]):
+                for key, values in predicted.items():
                     if one is not None and key in one and np.shape(one[key]) == values.shape[2:]:
-                        values[place, step] = one[key]
-        values = np.concatenate([_distances(key, said[key], done[key]) for key in self._keys], axis=-1)
+                        values[row, step] = one[key]
+        values = np.concatenate([_distances(key, predicted[key], demonstrated[key]) for key in self._keys], axis=-1)
         shares = np.minimum(values / self._spread, _MOST)
-        for place, number in enumerate(wanted):
+        for row, number in enumerate(questions):
             if number in refused:
-                shares[place, : len(self._demonstrated[number])] = _MOST
+                shares[row, : len(self._demonstrated[number])] = _MOST
         return ActionErrors(tuple(columns), values, shares)
 
     @cached_property
     def _stacked(self) -> dict[str, np.ndarray]:
         """By key (questions, horizon, width) what was done, NaN after an episode's end."""
-        found = {}
+        stacks = {}
         for key in self._keys:
-            found[key] = np.full((len(self._demonstrated), self.horizon, len(self._demonstrated[0][0][key])), np.nan)
+            stacks[key] = np.full((len(self._demonstrated), self.horizon, len(self._demonstrated[0][0][key])), np.nan)
             for number, chunk in enumerate(self._demonstrated):
-                found[key][number, : len(chunk)] = [one[key] for one in chunk]
-        return found
+                stacks[key][number, : len(chunk)] = [one[key] for one in chunk]
+        return stacks
 
     @cached_property
     def _spread(self) -> np.ndarray:
         """(columns,): what each column spreads over in the episodes, by its part's floor at least."""
-        found = []
+        spreads = []
         for key in self._keys:
             rows = np.concatenate([one.commanded[key] for one in self.session.recordings])
             middle = np.median(rows, axis=0)
             if key.endswith(sdk.State.EE_POSE):
                 middle[_TURN] = rotation.normalise(rows[len(rows) // 2, _TURN])
-            found.append(_distances(key, rows, np.broadcast_to(middle, rows.shape)).mean(0))
-        spread = np.concatenate(found)
+            spreads.append(_distances(key, rows, np.broadcast_to(middle, rows.shape)).mean(0))
+        spread = np.concatenate(spreads)
         columns = [column for key in self._keys for column in self._columns(key)]
         for part in set(columns):
             chosen = [one == part for one in columns]
@@ -165,42 +166,42 @@ class ErrorMetric:
 
     def repeat_action(self) -> Chunks:
         """Return the witness that repeats the action before each question; at the first step, it holds the pose."""
-        found = {}
+        chunks = {}
         for number, (episode, step) in enumerate(self.session.question_steps):
             rows = self.session.recordings[episode].commanded
-            said = {key: values[step - 1] for key, values in rows.items()} if step else self._state(episode, step)
-            found[number] = [said] * self.horizon
-        return found
+            action = {key: values[step - 1] for key, values in rows.items()} if step else self._state(episode, step)
+            chunks[number] = [action] * self.horizon
+        return chunks
 
-    def motion_share(self, given: Chunks, wanted: Sequence[int]) -> float:
+    def motion_share(self, answers: Chunks, questions: Sequence[int]) -> float:
         """Return how far answers lead arms from where they are, as a share of how far they were led.
 
         NaN where nothing is known.
         """
-        still, led = self.hold_pose(), [0.0, 0.0]
-        for number in wanted:
-            for said, done, held in zip(
-                given.get(number) or (), self._demonstrated[number], still[number], strict=False
+        still, moved = self.hold_pose(), [0.0, 0.0]
+        for number in questions:
+            for predicted, demonstrated, start in zip(
+                answers.get(number) or (), self._demonstrated[number], still[number], strict=False
             ):
-                if said is None or held is None:
+                if predicted is None or start is None:
                     continue
                 for key in (key for key in self._keys if not key.endswith(sdk.State.EE_JOINT_STATE)):
-                    led[0] += float(np.abs(np.asarray(said[key]) - held[key]).sum())
-                    led[1] += float(np.abs(np.asarray(done[key]) - held[key]).sum())
-        return led[0] / led[1] if led[1] > 0 else float("nan")
+                    moved[0] += float(np.abs(np.asarray(predicted[key]) - start[key]).sum())
+                    moved[1] += float(np.abs(np.asarray(demonstrated[key]) - start[key]).sum())
+        return moved[0] / moved[1] if moved[1] > 0 else float("nan")
 
     def _state(self, episode: int, step: int) -> State:
         return {key: values[step] for key, values in self.session.recordings[episode].state.items()}
 
 
-def _distances(key: str, said: np.ndarray, done: np.ndarray) -> np.ndarray:
+def _distances(key: str, predicted: np.ndarray, demonstrated: np.ndarray) -> np.ndarray:
     """Return how far rows (..., width) of one key are apart: by number, of poses three positions and one angle."""
     if not key.endswith(sdk.State.EE_POSE):
-        far: np.ndarray = np.abs(said - done)
-        return far
-    one, other = said[..., _TURN], done[..., _TURN]
+        distances: np.ndarray = np.abs(predicted - demonstrated)
+        return distances
+    one, other = predicted[..., _TURN], demonstrated[..., _TURN]
     lengths = np.linalg.norm(one, axis=-1) * np.linalg.norm(other, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         angle = 2.0 * np.arccos(np.clip(np.abs((one * other).sum(-1)) / lengths, 0.0, 1.0))
-    places = np.abs(said[..., : sdk.POSITION_DIM] - done[..., : sdk.POSITION_DIM])
-    return np.concatenate((places, angle[..., None]), axis=-1)
+    positions = np.abs(predicted[..., : sdk.POSITION_DIM] - demonstrated[..., : sdk.POSITION_DIM])
+    return np.concatenate((positions, angle[..., None]), axis=-1)

@@ -58,26 +58,26 @@ def margin(declared: ActionErrors, changed: ActionErrors, episodes: Sequence[int
         changed: those with the change, of the same questions.
         episodes: of each question, its episode.
     """
-    known = declared.known
-    if 3 * (known & changed.known).sum() < known.sum():
+    is_known = declared.known
+    if 3 * (is_known & changed.known).sum() < is_known.sum():
         return None
     # Where it is not known what the change would command, it gains nothing.
     other = np.where(changed.known, changed.steps, declared.steps)
     numbers = np.unique(np.asarray(episodes))
     sums = np.zeros((2, len(numbers)))
-    for place, number in enumerate(numbers):
-        chosen = known & (np.asarray(episodes) == number)[:, None]
+    for slot, number in enumerate(numbers):
+        chosen = is_known & (np.asarray(episodes) == number)[:, None]
         if chosen.any():
-            sums[:, place] = declared.steps[chosen].mean(), other[chosen].mean()
+            sums[:, slot] = declared.steps[chosen].mean(), other[chosen].mean()
     before, after = sums
     if not before.sum() > 0:
         return None
-    drawn = np.random.default_rng(0).integers(0, len(numbers), (_RESAMPLES, len(numbers)))
-    shares = after[drawn].sum(1) / np.maximum(before[drawn].sum(1), 1e-12)
+    resamples = np.random.default_rng(0).integers(0, len(numbers), (_RESAMPLES, len(numbers)))
+    shares = after[resamples].sum(1) / np.maximum(before[resamples].sum(1), 1e-12)
     gained = before - after
-    spare = gained.mean() - (1 - CERTAIN) * before.mean()
+    mean_gain = gained.mean() - (1 - CERTAIN) * before.mean()
     noise = float(gained.std(ddof=1)) if len(numbers) > 1 else 0.0
-    needed = math.ceil((_Z * noise / spare) ** 2) + 1 if spare > 0 else len(numbers) + 1
+    needed = math.ceil((_Z * noise / mean_gain) ** 2) + 1 if mean_gain > 0 else len(numbers) + 1
     least, most = np.percentile(shares, (100 - _ONE_SIDED, _ONE_SIDED))
     return Margin(
         share=float(after.sum() / before.sum()),

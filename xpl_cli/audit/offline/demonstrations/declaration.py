@@ -55,8 +55,8 @@ def read(package: Path) -> tuple[Path, Mapping[str, str]]:
     for problem in _validator().iter_errors(document):
         where = "/".join(map(str, problem.instance_path))
         raise DeclarationError(f"{FILE}{', ' + where if where else ''}: {problem.message}")
-    named = document["demonstrations"]
-    return (package / str(named["path"])).resolve(), dict(named["digests"])
+    entry = document["demonstrations"]
+    return (package / str(entry["path"])).resolve(), dict(entry["digests"])
 
 
 def render(path: str, digests: Mapping[str, str]) -> str:
@@ -85,14 +85,14 @@ def declare(package: Path, demonstrations: Path) -> tuple[Path, dict[str, str]]:
     if not (package / sdk.File.POLICY_YML).is_file():
         raise UserError(f"{package} holds no {sdk.File.POLICY_YML}", code=ExitCode.NOT_FOUND)
     try:
-        found = open_folder(demonstrations)
+        trajectories = open_folder(demonstrations)
     except TrajectoryError as error:
         raise UserError(str(error), code=ExitCode.NOT_FOUND) from None
     root = demonstrations if demonstrations.is_dir() else demonstrations.parent
-    digests = {Path(one.path).relative_to(root).as_posix(): digest(Path(one.path)) for one in found}
+    digests = {Path(one.path).relative_to(root).as_posix(): digest(Path(one.path)) for one in trajectories}
     path = package / FILE
-    place = os.path.relpath(root.resolve(), package.resolve())
-    write_file(path, render(Path(place).as_posix(), digests).encode())
+    relative = os.path.relpath(root.resolve(), package.resolve())
+    write_file(path, render(Path(relative).as_posix(), digests).encode())
     return path, digests
 
 

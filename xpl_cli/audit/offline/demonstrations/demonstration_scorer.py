@@ -37,51 +37,51 @@ class DemonstrationScorer(SearchRuler):
         count: how many were tried.
     """
 
-    def __init__(self, ruler: ErrorMetric, given: Sequence[Chunk], refused: Collection[int]) -> None:
-        self._ruler, self._given, self._refused = ruler, given, refused
+    def __init__(self, metric: ErrorMetric, answers: Sequence[Chunk], refused: Collection[int]) -> None:
+        self._metric, self._answers, self._refused = metric, answers, refused
         self._own: dict[tuple[int, ...], ActionErrors] = {}
-        self._few = select_few(ruler.session.question_steps)
-        self.everything = list(range(len(given)))
+        self._few = select_few(metric.session.question_steps)
+        self.everything = list(range(len(answers)))
         self.first_round: list[tuple[str, str, float]] = []
         self.count = 0
 
-    def set_baseline(self, own: Chunks | None, wanted: Sequence[int]) -> None:
+    def set_baseline(self, own: Chunks | None, questions: Sequence[int]) -> None:
         """Hold what follows against answers of the adapter that were asked alike; None for those that it served."""
         if own is None:
             self._own.clear()
         else:
-            self._own[tuple(wanted)] = self._ruler.errors(own, wanted)
+            self._own[tuple(questions)] = self._metric.errors(own, questions)
 
     @property
     def rounds(self) -> Sequence[Sequence[int]]:
         """Of each episode one question."""
         return (self._few,)
 
-    def select(self, answered: Sequence[MistakeAnswers], wanted: Sequence[int], turn: int) -> list[int]:
+    def select(self, results: Sequence[MistakeAnswers], questions: Sequence[int], round_number: int) -> list[int]:
         """Return the places of those that fit better on a few questions."""
-        del turn
+        del round_number
         shares = []
-        for place, one in enumerate(answered):
-            found = self.margin(one, wanted)
-            if found is not None:
-                self.first_round.append((one.words, one.convention, found.share))
-                shares.append((found.share, place))
-        self.count += len(answered)
-        return sorted(place for share, place in sorted(shares)[:_MOST] if share <= _PROMISING)
+        for slot, one in enumerate(results):
+            margin = self.margin(one, questions)
+            if margin is not None:
+                self.first_round.append((one.words, one.convention, margin.share))
+                shares.append((margin.share, slot))
+        self.count += len(results)
+        return sorted(slot for share, slot in sorted(shares)[:_MOST] if share <= _PROMISING)
 
-    def margin(self, answered: MistakeAnswers, wanted: Sequence[int]) -> Margin | None:
+    def margin(self, result: MistakeAnswers, questions: Sequence[int]) -> Margin | None:
         """Return how answers fit beside what is declared, None where too little is known."""
-        if answered.answers is None:
+        if result.answers is None:
             return None
-        own = self._own.get(tuple(wanted))
-        declared = self._declared(tuple(wanted)) if own is None else own
-        changed = self._ruler.errors(answered.answers, wanted)
-        return margin(declared, changed, [self._ruler.session.question_steps[number][0] for number in wanted])
+        own = self._own.get(tuple(questions))
+        declared = self._declared(tuple(questions)) if own is None else own
+        changed = self._metric.errors(result.answers, questions)
+        return margin(declared, changed, [self._metric.session.question_steps[number][0] for number in questions])
 
-    def hardly_moves(self, given: Chunks) -> bool:
+    def hardly_moves(self, answers: Chunks) -> bool:
         """Tell whether answers lead arms less far than it would take to say anything."""
-        return self._ruler.motion_share(given, self.everything) < _HARDLY
+        return self._metric.motion_share(answers, self.everything) < _HARDLY
 
     @cache  # noqa: B019 - lives as long as one search
-    def _declared(self, wanted: tuple[int, ...]) -> ActionErrors:
-        return self._ruler.errors({number: self._given[number] for number in wanted}, wanted, self._refused)
+    def _declared(self, questions: tuple[int, ...]) -> ActionErrors:
+        return self._metric.errors({number: self._answers[number] for number in questions}, questions, self._refused)

@@ -70,10 +70,10 @@ class _RecordedScene:
 
     recordings: Sequence[EpisodeRecording]
 
-    def observation(self, env: int, place: int) -> ObservationDict:
+    def observation(self, env: int, index: int) -> ObservationDict:
         """Return an observation as a policy gets it."""
-        shown = self.recordings[place // _EPISODE].trajectory.observation(place % _EPISODE)
-        return {**shown, sdk.Obs.ENV_IDX: env}
+        recorded = self.recordings[index // _EPISODE].trajectory.observation(index % _EPISODE)
+        return {**recorded, sdk.Obs.ENV_IDX: env}
 
 
 @dataclass(frozen=True)
@@ -100,19 +100,19 @@ class BatchedReplay(SessionReplay):
     Several are asked in batches, as environments beside each other.
     """
 
-    def calls_for(self, wanted: Sequence[int]) -> list[Call]:
+    def calls_for(self, numbers: Sequence[int]) -> list[Call]:
         """Return the calls that ask some questions."""
-        found = []
-        for start in range(0, len(wanted), _BATCH):
-            shown = [self.session.questions[number].recipes for number in wanted[start : start + _BATCH]]
-            longest = max(map(len, shown))
-            found.append(Call(reset=True))
+        calls = []
+        for start in range(0, len(numbers), _BATCH):
+            recipes_by_env = [self.session.questions[number].recipes for number in numbers[start : start + _BATCH]]
+            longest = max(map(len, recipes_by_env))
+            calls.append(Call(reset=True))
             for moment in range(longest):
-                later = [moment - longest + len(recipes) for recipes in shown]
-                now = [(env, shown[env][at][1]) for env, at in enumerate(later) if at >= 0]
-                found.append(Call(show=tuple(now)))
-            found.append(Call(ask=tuple(range(len(shown)))))
-        return found
+                later = [moment - longest + len(recipes) for recipes in recipes_by_env]
+                observed = [(env, recipes_by_env[env][at][1]) for env, at in enumerate(later) if at >= 0]
+                calls.append(Call(show=tuple(observed)))
+            calls.append(Call(ask=tuple(range(len(recipes_by_env)))))
+        return calls
 
 
 def load_recording(trajectory: Trajectory, robot: Embodiment, action_type: str) -> EpisodeRecording:
@@ -124,13 +124,13 @@ def load_recording(trajectory: Trajectory, robot: Embodiment, action_type: str) 
         LackingError: neither was recorded, or it is another robot's.
         TrajectoryError: the file cannot be read.
     """
-    made_by = trajectory.episode.get("robot")
-    if made_by not in {None, robot.name}:
+    recorded_robot = trajectory.episode.get("robot")
+    if recorded_robot not in {None, robot.name}:
         raise MissingDataError(
-            f"{trajectory.key} was recorded with {made_by}, and the policy is served for {robot.name}: "
-            f"--set {sdk.Deploy.ENV_CFG_TYPE}={made_by}, if it was trained for that"
+            f"{trajectory.key} was recorded with {recorded_robot}, and the policy is served for {robot.name}: "
+            f"--set {sdk.Deploy.ENV_CFG_TYPE}={recorded_robot}, if it was trained for that"
         )
-    seen = [dict(trajectory.observation(step)[sdk.Obs.STATE]) for step in (0, len(trajectory) - 1)]
+    states = [dict(trajectory.observation(step)[sdk.Obs.STATE]) for step in (0, len(trajectory) - 1)]
     steps = [trajectory.action(step) for step in range(len(trajectory))]
     dims = robot.dims(action_type)
     commanded = {}
@@ -139,10 +139,10 @@ def load_recording(trajectory: Trajectory, robot: Embodiment, action_type: str) 
         if values is None and key.endswith(sdk.State.EE_POSE):
             values = _by_kinematics(steps, key, robot)
         if values is None or values.shape[1:] != (width,):
-            got = "nothing" if values is None else f"{values.shape[1:]} numbers"
-            raise MissingDataError(f"{trajectory.key} holds {got} of action/{key}, and the policy commands ({width},)")
+            held = "nothing" if values is None else f"{values.shape[1:]} numbers"
+            raise MissingDataError(f"{trajectory.key} holds {held} of action/{key}, and the policy commands ({width},)")
         commanded[key] = values
-    lacking = sorted(key for key in dims if any(key not in one for one in seen))
+    lacking = sorted(key for key in dims if any(key not in one for one in states))
     if lacking:
         raise MissingDataError(
             f"{trajectory.key} lacks state/{', state/'.join(lacking)}: holding the pose is the witness"
@@ -167,17 +167,17 @@ def make_session(  # noqa: PLR0913, PLR0917 - what is served, and how far it loo
     """
     calls: list[Call] = []
     answers: list[tuple[dict[str, np.ndarray], ...]] = []
-    asked: list[tuple[int, int]] = []
-    each = max(_LEAST, min(_MOST, _QUESTIONS // len(recordings)))
+    question_steps: list[tuple[int, int]] = []
+    per_episode = max(_LEAST, min(_MOST, _QUESTIONS // len(recordings)))
     for number, episode in enumerate(recordings):
-        for step in _steps(episode.steps, each, (number * _GOLDEN) % 1.0):
+        for step in _steps(episode.steps, per_episode, (number * _GOLDEN) % 1.0):
             first = max(0, step - (_MEMORY if span == 0 else span) + 1)
             calls.append(Call(reset=True))
             calls += [Call(show=((0, number * _EPISODE + at),)) for at in range(first, step + 1)]
             calls.append(Call(ask=(0,)))
-            done = episode.commanded_from(step, horizon)
-            answers.append(({key: np.stack([one[key] for one in done])[None] for key in done[0]},))
-            asked.append((number, step))
+            commanded = episode.commanded_from(step, horizon)
+            answers.append(({key: np.stack([one[key] for one in commanded])[None] for key in commanded[0]},))
+            question_steps.append((number, step))
     return RecordedSession(
         embodiment=robot.name,
         action_type=action_type,
@@ -187,29 +187,29 @@ def make_session(  # noqa: PLR0913, PLR0917 - what is served, and how far it loo
         calls=tuple(calls),
         answers=tuple(answers),
         recordings=tuple(recordings),
-        question_steps=tuple(asked),
+        question_steps=tuple(question_steps),
     )
 
 
-def select_few(asked: Sequence[tuple[int, int]]) -> list[int]:
+def select_few(question_steps: Sequence[tuple[int, int]]) -> list[int]:
     """Return questions on which changes are tried first: of each episode one, elsewhere in each; 12 of all at most.
 
     Of few episodes there are eight, so that all phases of an episode are among them.
     """
     by_episode: dict[int, list[int]] = {}
-    for number, (episode, _) in enumerate(asked):
+    for number, (episode, _) in enumerate(question_steps):
         by_episode.setdefault(episode, []).append(number)
-    found = set()
-    for turn in range(max(8, min(12, len(by_episode)))):
-        numbers = list(by_episode.values())[turn % len(by_episode)]
-        found.add(numbers[int(len(numbers) * ((turn * _GOLDEN) % 1.0))])
-    return sorted(found)
+    numbers_found = set()
+    for pick in range(max(8, min(12, len(by_episode)))):
+        numbers = list(by_episode.values())[pick % len(by_episode)]
+        numbers_found.add(numbers[int(len(numbers) * ((pick * _GOLDEN) % 1.0))])
+    return sorted(numbers_found)
 
 
 def _steps(length: int, count: int, phase: float) -> Iterator[int]:
     """Yield places that are evenly spread over an episode, which begin elsewhere in each."""
-    places = [int((number + phase) * (length - 1) / count) for number in range(count)]
-    yield from dict.fromkeys(places)
+    steps = [int((number + phase) * (length - 1) / count) for number in range(count)]
+    yield from dict.fromkeys(steps)
 
 
 def _column(steps: Sequence[Action], key: str) -> np.ndarray | None:

@@ -17,22 +17,22 @@ _MOST_POINTS: Final = 64
 _COLOURS = ("#333333", "#d62728", "#1f77b4")
 
 
-def plot_errors(ruler: ErrorMetric, declared: Chunks, changed: Chunks, words: str) -> tuple[str, str]:
+def plot_errors(metric: ErrorMetric, declared: Chunks, changed: Chunks, words: str) -> tuple[str, str]:
     """Return a picture and the number of an action that it shows: the one that the change mends most.
 
     Args:
-        ruler: of the demonstrations.
+        metric: of the demonstrations.
         declared: what the adapter answers.
         changed: what it would with the change.
         words: of the change.
     """
-    episode = ruler.session.question_steps[0][0]
-    chosen = [number for number, (one, _) in enumerate(ruler.session.question_steps) if one == episode]
-    key, index = _most_improved(ruler, declared, changed, chosen)
-    rows = ruler.session.recordings[episode].commanded[key][:, index]
+    episode = metric.session.question_steps[0][0]
+    questions = [number for number, (one, _) in enumerate(metric.session.question_steps) if one == episode]
+    key, index = _most_improved(metric, declared, changed, questions)
+    rows = metric.session.recordings[episode].commanded[key][:, index]
     every = max(1, len(rows) // _MOST_POINTS)
     lines = [[(float(at), float(rows[at])) for at in range(0, len(rows), every)]]
-    chunks = [[_trace(ruler, given, number, key, index) for number in chosen] for given in (declared, changed)]
+    chunks = [[_trace(metric, given, number, key, index) for number in questions] for given in (declared, changed)]
     values = [value for _, value in lines[0]] + [
         value for traces in chunks for trace in traces for _, value in trace if np.isfinite(value)
     ]
@@ -50,10 +50,10 @@ def plot_errors(ruler: ErrorMetric, declared: Chunks, changed: Chunks, words: st
     strokes = [_line(points(lines[0]), _COLOURS[0])]
     for colour, traces in zip(_COLOURS[1:], chunks, strict=True):
         strokes += [_line(points(trace), colour) for trace in traces if trace]
-    named = ("done", "as declared", f"with {words}")
+    labels = ("done", "as declared", f"with {words}")
     legend = "".join(
-        f'<text x="{_EDGE + 150 * place}" y="14" fill="{colour}">{escape(text[:40])}</text>'
-        for place, (text, colour) in enumerate(zip(named, _COLOURS, strict=True))
+        f'<text x="{_EDGE + 150 * slot}" y="14" fill="{colour}">{escape(text[:40])}</text>'
+        for slot, (text, colour) in enumerate(zip(labels, _COLOURS, strict=True))
     )
     part = f"{key}[{index}]"
     axes = (
@@ -71,26 +71,26 @@ def _line(points: str, colour: str) -> str:
     return f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.5"/>'
 
 
-def _trace(ruler: ErrorMetric, given: Chunks, number: int, key: str, index: int) -> list[tuple[float, float]]:
-    step = ruler.session.question_steps[number][1]
-    said = given.get(number) or ()
+def _trace(metric: ErrorMetric, answers: Chunks, number: int, key: str, index: int) -> list[tuple[float, float]]:
+    step = metric.session.question_steps[number][1]
+    chunk = answers.get(number) or ()
     return [
-        (float(step + place), float(one[key][index]))
-        for place, one in enumerate(said[: ruler.horizon])
-        if one is not None and step + place < ruler.session.recordings[ruler.session.question_steps[number][0]].steps
+        (float(step + offset), float(one[key][index]))
+        for offset, one in enumerate(chunk[: metric.horizon])
+        if one is not None and step + offset < metric.session.recordings[metric.session.question_steps[number][0]].steps
     ]
 
 
-def _most_improved(ruler: ErrorMetric, declared: Chunks, changed: Chunks, chosen: Sequence[int]) -> tuple[str, int]:
+def _most_improved(metric: ErrorMetric, declared: Chunks, changed: Chunks, questions: Sequence[int]) -> tuple[str, int]:
     """Return key and index of the number whose error falls most, in what it spreads over."""
-    best, found = -np.inf, next(iter((key, 0) for key in ruler.session.recordings[0].commanded))
-    for key, rows in ruler.session.recordings[ruler.session.question_steps[chosen[0]][0]].commanded.items():
+    best, most_improved = -np.inf, next(iter((key, 0) for key in metric.session.recordings[0].commanded))
+    for key, rows in metric.session.recordings[metric.session.question_steps[questions[0]][0]].commanded.items():
         for index in range(rows.shape[1]):
-            far = [
+            errors = [
                 np.nanmean([abs(value - rows[int(at), index]) for at, value in trace] or [np.nan])
-                for given in (declared, changed)
-                if (trace := [point for number in chosen for point in _trace(ruler, given, number, key, index)])
+                for answers in (declared, changed)
+                if (trace := [point for number in questions for point in _trace(metric, answers, number, key, index)])
             ]
-            if len(far) == 2 and (gain := (far[0] - far[1]) / (np.ptp(rows[:, index]) or 1.0)) > best:
-                best, found = gain, (key, index)
-    return found
+            if len(errors) == 2 and (gain := (errors[0] - errors[1]) / (np.ptp(rows[:, index]) or 1.0)) > best:
+                best, most_improved = gain, (key, index)
+    return most_improved

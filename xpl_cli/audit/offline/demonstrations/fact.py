@@ -60,15 +60,16 @@ class DemonstrationComparison:
             NotApplicable: there are none to be held against.
             NotRun: they cannot be read, are others than were declared, do not fit the robot, or are too few.
         """
-        found = self._episodes()
-        if len(found) < LEAST_EPISODES:
+        trajectories = self._episodes()
+        if len(trajectories) < LEAST_EPISODES:
             raise NotRun(
-                f"{amount(len(found), 'episode')} tell nothing for certain: at least {LEAST_EPISODES} are needed"
+                f"{amount(len(trajectories), 'episode')} tell nothing for certain: at least {LEAST_EPISODES} are needed"
             )
-        places = np.unique(np.linspace(0, len(found) - 1, min(len(found), _MOST_EPISODES)).astype(int))
+        indices = np.unique(np.linspace(0, len(trajectories) - 1, min(len(trajectories), _MOST_EPISODES)).astype(int))
         try:
             return [
-                load_recording(found[int(place)], self.probe.embodiment, self.probe.action_type) for place in places
+                load_recording(trajectories[int(index)], self.probe.embodiment, self.probe.action_type)
+                for index in indices
             ]
         except (MissingDataError, TrajectoryError) as error:
             raise NotRun(str(error)) from None
@@ -83,24 +84,24 @@ class DemonstrationComparison:
         if self.probe.profile.name is Profile.SHADOW:
             raise NotRun("what a policy does with demonstrations only the real model can tell, and it is not here")
         recordings = self.recordings
-        shown = recordings[0].trajectory.observation(0)
-        lacking = [name for name in self.probe.required if not _has_input(shown, name)]
-        if lacking:
-            raise NotRun(f"the policy requires {', '.join(lacking)}, which the demonstrations do not have")
+        observation = recordings[0].trajectory.observation(0)
+        missing = [name for name in self.probe.required if not _has_input(observation, name)]
+        if missing:
+            raise NotRun(f"the policy requires {', '.join(missing)}, which the demonstrations do not have")
         manifest = self.probe.package.manifest
         temporal, model_io = manifest.temporal, manifest.model_io
         is_recurrent = model_io is not None and model_io.recurrent
         reach = 0 if is_recurrent or temporal.kind == "memory" else manifest.reach
         horizon = min(_MOST_HORIZON, temporal.chunk or 1)
         seed = int(self.probe.config.get(sdk.Deploy.SEED) or 0)
-        made = make_session(recordings, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)
-        size = sum(entry[sdk.Camera.COLOR].nbytes for entry in shown.get(sdk.Obs.VISION, {}).values())
-        steps = sum(len(call.show) for call in made.calls)
+        session_made = make_session(recordings, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)
+        size = sum(entry[sdk.Camera.COLOR].nbytes for entry in observation.get(sdk.Obs.VISION, {}).values())
+        steps = sum(len(call.show) for call in session_made.calls)
         if size * steps > _MOST_BYTES:
             fewer = max(LEAST_EPISODES, int(len(recordings) * _MOST_BYTES / (size * steps)))
             chosen = recordings[:: -(-len(recordings) // fewer)]
-            made = make_session(chosen, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)
-        return made
+            session_made = make_session(chosen, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)
+        return session_made
 
     @cached_property
     def metric(self) -> ErrorMetric:
@@ -115,21 +116,21 @@ class DemonstrationComparison:
             NotRun: if it refuses all.
         """
         self.probe.options.time_limit.check()
-        course = BatchedReplay(self.session)
+        replay = BatchedReplay(self.session)
         answers: list[Chunk] = []
-        refused: dict[int, str] = {}
+        refusals: dict[int, str] = {}
         with self.probe.session() as client:
             for question in self.session.questions:
                 number = [question.number]
                 try:
-                    calls = course.calls_for(number)
+                    calls = replay.calls_for(number)
                     answers += [
-                        takes[0] for takes in replay_calls(client, self.session, calls, [question], course.observation)
+                        takes[0] for takes in replay_calls(client, self.session, calls, [question], replay.observation)
                     ]
                 except QuestionRefusedError as refusal:
                     answers.append([])
-                    refused[question.number] = str(refusal)
-        return answers, refused
+                    refusals[question.number] = str(refusal)
+        return answers, refusals
 
     @property
     def answers(self) -> list[Chunk]:
@@ -154,11 +155,11 @@ class DemonstrationComparison:
     @cached_property
     def baselines(self) -> Mapping[str, ActionErrors]:
         """Errors of holding the pose, and of repeating the action before."""
-        witnesses: dict[str, Chunks] = {
+        chunks: dict[str, Chunks] = {
             "holding the pose": self.metric.hold_pose(),
             "the action before": self.metric.repeat_action(),
         }
-        return {name: self.metric.errors(said, self._all_questions) for name, said in witnesses.items()}
+        return {name: self.metric.errors(answers, self._all_questions) for name, answers in chunks.items()}
 
     @cached_property
     def outcome(self) -> ConventionSearchResult:
@@ -167,18 +168,18 @@ class DemonstrationComparison:
         Raises:
             NotRun: the adapter refuses some of the observations, and no convention explains that.
         """
-        found = ConventionSearch(self.probe, self.metric, self.answers, self.refusals).run()
-        if found.best is None and self.refusals:
+        result = ConventionSearch(self.probe, self.metric, self.answers, self.refusals).run()
+        if result.best is None and self.refusals:
             number, why = next(iter(self.refusals.items()))
             some = f"{len(self.refusals)} of {len(self.answers)} observations"
             episode, step = self.session.question_steps[number]
             where = f"{self.session.recordings[episode].trajectory.key}, step {step}"
             raise NotRun(f"the adapter refuses {some} of the demonstrations, and nothing explains it: {where}: {why}")
-        return found
+        return result
 
-    def margin_to(self, witness: ActionErrors) -> Margin | None:
+    def margin_to(self, baseline: ActionErrors) -> Margin | None:
         """Return how the adapter fits beside a witness."""
-        return margin(witness, self.errors, [episode for episode, _ in self.session.question_steps])
+        return margin(baseline, self.errors, [episode for episode, _ in self.session.question_steps])
 
     def table(self, changed: ActionErrors | None = None) -> dict[str, dict[str, float]]:
         """Return the errors of each part in its unit: of the adapter, of a change, and of the witnesses."""
@@ -212,9 +213,11 @@ class DemonstrationComparison:
         root = path if path.is_dir() else path.parent
         if not root.is_dir():
             raise NotRun(f"the demonstrations that {declaration.FILE} names are not here: {path}")
-        others = [name for name, digest in digests.items() if not _has_digest(root / name, root, digest)]
-        if others:
-            raise NotRun(f"the demonstrations are not those that {declaration.FILE} names: {listed(others, 1)} differ")
+        differing = [name for name, digest in digests.items() if not _has_digest(root / name, root, digest)]
+        if differing:
+            raise NotRun(
+                f"the demonstrations are not those that {declaration.FILE} names: {listed(differing, 1)} differ"
+            )
         from xpl.trajectory import Trajectory
 
         return [Trajectory(str(root / name)) for name in sorted(digests)]
@@ -235,10 +238,10 @@ def _has_digest(path: Path, root: Path, digest: str) -> bool:
     return declaration.digest(path) == digest
 
 
-def _has_input(shown: Mapping[str, object], name: str) -> bool:
+def _has_input(observation: Mapping[str, object], name: str) -> bool:
     """Tell whether an observation has an input, a field of the state of any arm."""
     group, _, field = name.partition(".")
-    inner = shown.get(group)
+    inner = observation.get(group)
     if not field:
         return inner is not None
     return isinstance(inner, Mapping) and any(one == field or one.endswith(f"_{field}") for one in inner)

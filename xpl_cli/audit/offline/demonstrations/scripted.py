@@ -39,8 +39,8 @@ def write(package: Path, robot: str, episodes: int, seed: int = 0) -> Path:
     folder, rng = package / "demonstrations", np.random.default_rng(seed)
     for number in range(episodes):
         path = folder / f"episode_{number:07d}.hdf5"
-        told = {"robot": robot, sdk.Deploy.ACTION_TYPE: sdk.ACTION_TYPES[0]}
-        with Writer(path, images="png", frequency=25.0, episode=told) as episode:
+        metadata = {"robot": robot, sdk.Deploy.ACTION_TYPE: sdk.ACTION_TYPES[0]}
+        with Writer(path, images="png", frequency=25.0, episode=metadata) as episode:
             for obs, action in _episode(robot, rng):
                 episode.add(obs, action)
     digests = {path.name: declaration.digest(path) for path in sorted(folder.glob("*.hdf5"))}

@@ -113,98 +113,98 @@ class ConventionSearch:
     def __init__(
         self,
         probe: Probe,
-        ruler: ErrorMetric,
-        given: Sequence[Chunk],
+        metric: ErrorMetric,
+        answers: Sequence[Chunk],
         refused: Collection[int],
         seconds: float = SEARCH_S,
     ) -> None:
-        self._probe, self._ruler, self._given, self._refused = probe, ruler, given, frozenset(refused)
-        self._session = ruler.session
-        self._course = BatchedReplay(self._session)
-        until = time.monotonic() + min(seconds, probe.options.time_limit.remaining)
-        self._ways = MistakeFamilies(probe, self._course, {}, until, self._read)
-        self._demonstrated = DemonstrationScorer(ruler, given, self._refused)
+        self._probe, self._metric, self._own_answers, self._refused = probe, metric, answers, frozenset(refused)
+        self._session = metric.session
+        self._replay = BatchedReplay(self._session)
+        deadline = time.monotonic() + min(seconds, probe.options.time_limit.remaining)
+        self._families = MistakeFamilies(probe, self._replay, {}, deadline, self._read)
+        self._scorer = DemonstrationScorer(metric, answers, self._refused)
         self._complete = True
 
     def run(self) -> ConventionSearchResult:
         """Try all mistakes."""
-        with self._ways.loaded, self._perturb_server() as around:
+        with self._families.loaded, self._perturb_server() as adapter:
             by_block = self._search_block()
-            found = [*(by_block or ()), *self._search_outer_changes(around, all_of_them=by_block is None)]
-        with self._perturb_server(once=False) as around:
-            unread = tuple(self._find_unread(around))
-        better = [one for one in found if one.given and one.margin.is_better]
-        alike = _best_and_ties([one for one in better if self._is_near(one)])
-        first = self._demonstrated.first_round
-        told = {convention for _, convention, share in first if not 1 / _TOLD < share < _TOLD}
+            changes = [*(by_block or ()), *self._search_outer_changes(adapter, all_of_them=by_block is None)]
+        with self._perturb_server(once=False) as adapter:
+            unread = tuple(self._find_unread(adapter))
+        better = [one for one in changes if one.given and one.margin.is_better]
+        best = _best_and_ties([one for one in better if self._is_near(one)])
+        first_round = self._scorer.first_round
+        determined = {convention for _, convention, share in first_round if not 1 / _TOLD < share < _TOLD}
         return ConventionSearchResult(
-            tried=self._demonstrated.count,
+            tried=self._scorer.count,
             complete=self._complete,
-            best=alike[0] if alike else None,
-            ties=tuple(alike[1:]),
-            determined=tuple(sorted(told)),
-            undetermined=tuple(sorted({convention for _, convention, _ in first} - told)),
+            best=best[0] if best else None,
+            ties=tuple(best[1:]),
+            determined=tuple(sorted(determined)),
+            undetermined=tuple(sorted({convention for _, convention, _ in first_round} - determined)),
             unread=unread,
             unconnected=tuple(self._find_unconnected(unread)),
-            far=tuple(one.words for one in better) if not alike else (),
-            first_round=tuple(first),
-            final_round=tuple(found),
+            far=tuple(one.words for one in better) if not best else (),
+            first_round=tuple(first_round),
+            final_round=tuple(changes),
         )
 
     # -- families ------------------------------------------------------------------------------------------------------
 
     def _search_block(self) -> list[ScoredChange] | None:
         """Return what other words of the block come to; None where the adapter does not convert by it alone."""
-        family = self._ways.block_family(_is_decidable)
+        family = self._families.block_family(_is_decidable)
         if family is None:
             return None
-        ways, block = self._ways, self._ways.case.block
+        families, block = self._families, self._families.case.block
 
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
+        def ask(chosen: Sequence[int], questions: Sequence[int]) -> Iterator[MistakeAnswers]:
             if not self._refused:
                 # What is drawn depends on how it is asked, so that changes are held against answers asked alike.
-                own = ways.loaded.answers_by_block([block], wanted, ways.seconds_left)
-                self._demonstrated.set_baseline(own[0] if own else None, wanted)
-            yield from family.answers(chosen, wanted)
+                own = families.loaded.answers_by_block([block], questions, families.seconds_left)
+                self._scorer.set_baseline(own[0] if own else None, questions)
+            yield from family.answers(chosen, questions)
 
         changes = self._rank_changes(replace(family, answers=ask), in_block=True)
-        if not ways.by_block:  # what the block alone does not say is no question of time
+        if not families.by_block:  # what the block alone does not say is no question of time
             self._complete = True
             return None
         return changes
 
-    def _search_outer_changes(self, around: PerturbedAdapter, *, all_of_them: bool) -> list[ScoredChange]:
+    def _search_outer_changes(self, adapter: PerturbedAdapter, *, all_of_them: bool) -> list[ScoredChange]:
         """Return what changes around the adapter come to."""
-        found, chunks = [], set[str]()
-        for one in (*rates(), *self._ways.outer_mistakes):
+        mistakes, chunks = [], set[str]()
+        for one in (*rates(), *self._families.outer_mistakes):
             # Of those of equal words the first orders the steps. The others order their changes, from the state: that
             # takes away how far a prediction begins from there, which brings any policy nearer.
             again, is_chunk = one.description in chunks, one.convention == "chunk"
             chunks |= {one.description} if is_chunk else set()
-            wanted = _is_decidable(one) and not (is_chunk and again)
-            if wanted and (all_of_them or one.convention in _ALL_ADAPTERS):
-                found.append(one)
+            is_wanted = _is_decidable(one) and not (is_chunk and again)
+            if is_wanted and (all_of_them or one.convention in _ALL_ADAPTERS):
+                mistakes.append(one)
 
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
+        def ask(chosen: Sequence[int], is_wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
             for number in chosen:
-                if self._ways.seconds_left <= 0:
+                if self._families.seconds_left <= 0:
                     return
-                one = found[number]
-                yield MistakeAnswers(one.description, one.convention, self._answers(around, one, wanted))
+                one = mistakes[number]
+                yield MistakeAnswers(one.description, one.convention, self._answers(adapter, one, is_wanted))
 
-        self._demonstrated.set_baseline(None, ())
-        return self._rank_changes(MistakeFamily(found, ask), in_block=False)
+        self._scorer.set_baseline(None, ())
+        return self._rank_changes(MistakeFamily(mistakes, ask), in_block=False)
 
-    def _find_unread(self, around: PerturbedAdapter) -> Iterator[str]:
+    def _find_unread(self, adapter: PerturbedAdapter) -> Iterator[str]:
         """Yield the cameras and texts of which an answer does not depend."""
-        shown = [
+        mistakes = [
             (camera, Mistake(0, camera, "camera", change_observations=black_out(camera)))
-            for camera in self._ways.case.cameras
+            for camera in self._families.case.cameras
         ]
-        if self._ways.case.instructions:
-            shown.append((sdk.Obs.INSTRUCTION, Mistake(0, "", sdk.Obs.INSTRUCTION, change_observations=blank)))
+        if self._families.case.instructions:
+            mistakes.append((sdk.Obs.INSTRUCTION, Mistake(0, "", sdk.Obs.INSTRUCTION, change_observations=blank)))
         if self._history > 1:
-            shown.append(
+            mistakes.append(
                 (
                     "history",
                     Mistake(0, "", "history_length", change_observations=lambda seen: [dict(seen[-1])], windowed=True),
@@ -212,79 +212,79 @@ class ConventionSearch:
             )
         later = [
             number
-            for number in self._demonstrated.rounds[0]
+            for number in self._scorer.rounds[0]
             if number not in self._refused and self._session.question_steps[number][1] > 0
         ]
         if not (numbers := later[:_UNREAD]):
             return
         # In a connection of its own each time, so that equal numbers are drawn.
-        same = self._answers(
-            around,
+        repeated = self._answers(
+            adapter,
             Mistake(0, "", "", change_observations=lambda seen: [dict(obs) for obs in seen], windowed=True),
             numbers,
         )
-        if same is None:
+        if repeated is None:
             return
-        own = self._ruler.errors(same, numbers)
-        for name, mistake in shown:
-            given = self._answers(around, mistake, numbers)
-            if given is not None and _are_equal(own, self._ruler.errors(given, numbers)):
+        own = self._metric.errors(repeated, numbers)
+        for name, mistake in mistakes:
+            answers = self._answers(adapter, mistake, numbers)
+            if answers is not None and _are_equal(own, self._metric.errors(answers, numbers)):
                 yield name
 
     def _find_unconnected(self, unread: Sequence[str]) -> Iterator[tuple[str, str]]:
         """Yield what is unread although the model_io block hands it over, with its convention."""
-        handed = {camera for entry in self._ways.model_io.images for camera in entry["cameras"]}
-        said = {one.trajectory.instructions[:1] for one in self._session.recordings}
+        cameras = {camera for entry in self._families.model_io.images for camera in entry["cameras"]}
+        instructions = {one.trajectory.instructions[:1] for one in self._session.recordings}
         for name in unread:
-            if name in handed:
+            if name in cameras:
                 yield name, "camera"
             elif name == "history":
                 yield name, "history_length"
-            elif name in self._ways.model_io.data and len(said) > 1:
+            elif name in self._families.model_io.data and len(instructions) > 1:
                 yield name, name
 
     def _rank_changes(self, family: MistakeFamily, *, in_block: bool) -> list[ScoredChange]:
         """Return the mistakes whose undoing fits better on a few questions, tried on all."""
-        tried = rank(family, self._demonstrated)
-        self._complete = self._complete and len(tried.first_round) == len(family.mistakes)
+        ranking = rank(family, self._scorer)
+        self._complete = self._complete and len(ranking.first_round) == len(family.mistakes)
         changes = []
-        for _, one in tried.final_round:
-            found = self._demonstrated.margin(one, self._demonstrated.everything)
-            if found is not None and one.answers is not None and not self._demonstrated.hardly_moves(one.answers):
-                changes.append(ScoredChange(one.words, one.convention, in_block, found, one.answers))
+        for _, one in ranking.final_round:
+            margin = self._scorer.margin(one, self._scorer.everything)
+            if margin is not None and one.answers is not None and not self._scorer.hardly_moves(one.answers):
+                changes.append(ScoredChange(one.words, one.convention, in_block, margin, one.answers))
         return changes
 
     def _is_near(self, change: ScoredChange) -> bool:
         """Tell whether a change brings the policy about as near as holding the pose, or nearer."""
-        found = self._ruler.errors(change.answers, self._demonstrated.everything)
-        still = self._ruler.errors(self._ruler.hold_pose(), self._demonstrated.everything)
-        known = found.known & still.known
-        return bool(found.steps[known].mean() <= _FAR * still.steps[known].mean())
+        errors = self._metric.errors(change.answers, self._scorer.everything)
+        still = self._metric.errors(self._metric.hold_pose(), self._scorer.everything)
+        is_known = errors.known & still.known
+        return bool(errors.steps[is_known].mean() <= _FAR * still.steps[is_known].mean())
 
-    def _answers(self, around: PerturbedAdapter, mistake: Mistake, wanted: Sequence[int]) -> Chunks | None:
+    def _answers(self, adapter: PerturbedAdapter, mistake: Mistake, questions: Sequence[int]) -> Chunks | None:
         try:
-            return around.answers(mistake, [number for number in wanted if number not in self._refused])
+            return adapter.answers(mistake, [number for number in questions if number not in self._refused])
         except (NotRun, ClientError, ValueError):
             return None
 
     def _perturb_server(self, *, once: bool = True) -> PerturbedAdapter:
         connect = partial(self._probe.connected, self._probe.server().url)
-        return PerturbedAdapter(self._course, dict(enumerate(self._given)), connect, once=once)
+        return PerturbedAdapter(self._replay, dict(enumerate(self._own_answers)), connect, once=once)
 
     @property
     def _history(self) -> int:
         """Observations that the model_io block hands over; 1 where it does not say."""
-        history = self._ways.model_io.longest
+        history = self._families.model_io.longest
         return 1 if history is None else history.length
 
     @cached_property
     def _read(self) -> ReadInputs:
         """What the adapter reads of the demonstrations, everything if it does not say that."""
         read = list(self._probe.package.manifest.read)
-        there = self._session.recordings[0].trajectory.cameras
+        recorded_cameras = self._session.recordings[0].trajectory.cameras
         reads = [name.partition(".")[2] for name in read if name.startswith(f"{sdk.Obs.STATE}.")]
         texts = {text for one in self._session.recordings for text in one.trajectory.instructions}
-        cameras = [name for name in there if not read or f"{sdk.Obs.VISION}.{name}" in read]
+        cameras = [name for name in recorded_cameras if not read or f"{sdk.Obs.VISION}.{name}" in read]
         return ReadInputs(cameras, reads or None, sorted(texts) if not read or sdk.Obs.INSTRUCTION in read else [])
 
 
@@ -302,11 +302,11 @@ def _best_and_ties(changes: Sequence[ScoredChange]) -> list[ScoredChange]:
     if not changes:
         return []
     least = min(one.margin.share for one in changes)
-    found: dict[str, ScoredChange] = {}
+    by_words: dict[str, ScoredChange] = {}
     for one in changes:
         if one.margin.share - least <= _LIKE * (1 - least):
-            found.setdefault(one.words, one)
-    return list(found.values())
+            by_words.setdefault(one.words, one)
+    return list(by_words.values())
 
 
 def _are_equal(one: ActionErrors, other: ActionErrors) -> bool:

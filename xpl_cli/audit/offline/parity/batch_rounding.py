@@ -27,49 +27,51 @@ if TYPE_CHECKING:
     """Connects to a new server of the adapter."""
 
 
-def unbatched_answers(judged: Judgement, serving: Serving) -> dict[int, Chunk]:
+def unbatched_answers(judgement: Judgement, connect: Serving) -> dict[int, Chunk]:
     """Return the answers of environments by themselves, where those of batches differ from the golden ones by rounding.
 
     Args:
-        judged: a session with one take of each question.
-        serving: of the adapter.
+        judgement: a session with one take of each question.
+        connect: of the adapter.
 
     Returns:
         By the question's number, for all whose answers differ; empty if any of them differs for another reason, or by
         more than batches round.
     """
-    off = [question for question, differs in zip(judged.session.questions, judged.differs, strict=True) if differs]
-    if not off or max(judged.shares.values()) > OF_SPAN:
+    differing = [
+        question for question, differs in zip(judgement.session.questions, judgement.differs, strict=True) if differs
+    ]
+    if not differing or max(judgement.shares.values()) > OF_SPAN:
         return {}
-    course, found = SessionReplay(judged.session), {}
-    for env in sorted({question.env for question in off}):
+    replay, answers = SessionReplay(judgement.session), {}
+    for env in sorted({question.env for question in differing}):
         try:
-            alone, among_others = _answers_alone(course, env, serving), _answers_among_copies(course, env, serving)
+            alone, among_others = _answers_alone(replay, env, connect), _answers_among_copies(replay, env, connect)
         except QuestionRefusedError:
             return {}
-        for number in (question.number for question in off if question.env == env):
-            if judged.differ(judged.answers[number], among_others[number]):
+        for number in (question.number for question in differing if question.env == env):
+            if judgement.differ(judgement.answers[number], among_others[number]):
                 return {}
-            if judged.differ(judged.golden[number], alone[number]):
+            if judgement.differ(judgement.golden[number], alone[number]):
                 return {}
-            found[number] = alone[number]
-    return found
+            answers[number] = alone[number]
+    return answers
 
 
-def _answers_alone(course: SessionReplay, env: int, serving: Serving) -> dict[int, Chunk]:
+def _answers_alone(replay: SessionReplay, env: int, connect: Serving) -> dict[int, Chunk]:
     """Return the answers to all questions of an environment that nothing is beside."""
-    own = [question for question in course.session.questions if question.env == env]
-    calls = course.calls_for([question.number for question in own])
-    with serving() as client:
-        return replay_by_question(client, course.session, calls, own, course.observation)
+    questions = [question for question in replay.session.questions if question.env == env]
+    calls = replay.calls_for([question.number for question in questions])
+    with connect() as client:
+        return replay_by_question(client, replay.session, calls, questions, replay.observation)
 
 
-def _answers_among_copies(course: SessionReplay, env: int, serving: Serving) -> dict[int, Chunk]:
+def _answers_among_copies(replay: SessionReplay, env: int, connect: Serving) -> dict[int, Chunk]:
     """Return the answers to all questions where every environment shows what this one does at its places."""
-    session = course.session
+    session = replay.session
 
-    def observation(other: int, place: int) -> ObservationDict:
-        return {**course.observation(env, place), sdk.Obs.ENV_IDX: other}
+    def observation(env_idx: int, recipe: int) -> ObservationDict:
+        return {**replay.observation(env, recipe), sdk.Obs.ENV_IDX: env_idx}
 
-    with serving() as client:
+    with connect() as client:
         return replay_by_question(client, session, session.calls, session.questions, observation)

@@ -54,35 +54,37 @@ class Shift:
     parts: tuple[str, ...]
 
 
-def find_shift(session: PairSession, given: Sequence[Sequence[Chunk]], share: float) -> Shift | None:
+def find_shift(session: PairSession, answers: Sequence[Sequence[Chunk]], share: float) -> Shift | None:
     """Return what is distributed otherwise most clearly, None if nothing is.
 
     Args:
         session: the golden answers.
-        given: the adapter's takes of each question.
+        answers: the adapter's takes of each question.
         share: of the span of the golden answers that is no difference.
     """
-    golden, other = _columns(session, given)
+    golden, other = _columns(session, answers)
     span = spreads([session.chunk(question, take) for question in session.questions for take in range(session.takes)])
-    found = [*_means(golden, other, span, share), *_spreads(golden, other, span, share)]
-    found = sorted((one for one in found if one.sigmas > one.limit), key=lambda one: -one.sigmas / one.limit)
-    if not found:
+    shifts = [*_means(golden, other, span, share), *_spreads(golden, other, span, share)]
+    shifts = sorted((one for one in shifts if one.sigmas > one.limit), key=lambda one: -one.sigmas / one.limit)
+    if not shifts:
         return None
-    parts = tuple(dict.fromkeys(one.part for one in found))
-    return Shift(**{**vars(found[0]), "parts": parts})
+    parts = tuple(dict.fromkeys(one.part for one in shifts))
+    return Shift(**{**vars(shifts[0]), "parts": parts})
 
 
-def average_takes(session: PairSession, given: Sequence[Sequence[Chunk]]) -> tuple[PairSession, list[Chunk], float]:
+def average_takes(
+    session: PairSession, adapter_takes: Sequence[Sequence[Chunk]]
+) -> tuple[PairSession, list[Chunk], float]:
     """Return a session of one take, with the means of the golden answers, the adapter's means, and the noise.
 
     Returns:
         the noise is that of one take: the largest standard deviation of a number, as a share of the span of the means.
     """
-    golden, other = _columns(session, given)
+    golden, other = _columns(session, adapter_takes)
     answers = iter(
         {key: values.mean(0, keepdims=True).astype(np.float32) for key, values in answer.items()} for answer in golden
     )
-    calls = tuple(tuple(next(answers) for _ in told) for told in session.answers)
+    calls = tuple(tuple(next(answers) for _ in call_answers) for call_answers in session.answers)
     means = session.with_answers(calls, takes=1)
     chunks = [
         [{key: values[:, step].mean(0).astype(np.float32) for key, values in answer.items()} for step in range(steps)]
@@ -99,14 +101,14 @@ def average_takes(session: PairSession, given: Sequence[Sequence[Chunk]]) -> tup
     return means, chunks, noise
 
 
-def _columns(session: PairSession, given: Sequence[Sequence[Chunk]]) -> tuple[list[Answer], list[Answer]]:
+def _columns(session: PairSession, answers: Sequence[Sequence[Chunk]]) -> tuple[list[Answer], list[Answer]]:
     """Return golden and given answers of each question, (K, steps, numbers) by key, with quaternions of one sign.
 
     Of golden chunks that are longer than the adapter's, which hands on their beginning, as much is taken.
     """
     golden: list[Answer] = []
     other: list[Answer] = []
-    for question, takes in zip(session.questions, given, strict=True):
+    for question, takes in zip(session.questions, answers, strict=True):
         steps = len(takes[0])
         one = {key: values[:, :steps].astype(np.float64) for key, values in question.answer.items()}
         two = {key: np.array([[step[key] for step in chunk] for chunk in takes], np.float64) for key in one}
@@ -127,7 +129,7 @@ def _one_sign(key: str, values: np.ndarray, first: np.ndarray) -> np.ndarray:
 def _means(golden: Sequence[Answer], other: Sequence[Answer], span: Mapping[str, float], share: float) -> list[Shift]:
     count = sum(values[0].size for answer in golden for values in answer.values())
     limit = _quantile(count)
-    found = []
+    shifts = []
     for number, (one, two) in enumerate(zip(golden, other, strict=True)):
         for key in one:
             apart = np.abs(one[key].mean(0) - two[key].mean(0))
@@ -138,12 +140,12 @@ def _means(golden: Sequence[Answer], other: Sequence[Answer], span: Mapping[str,
                 sigmas = beyond / np.maximum(error[:, index], share * span[part] / limit)
                 step = int(sigmas.argmax())
                 golden_mean, mean = (float(values[key][:, step, index].mean()) for values in (one, two))
-                found.append(Shift(part, number, step, golden_mean, mean, "mean", float(sigmas[step]), limit, ()))
-    return found
+                shifts.append(Shift(part, number, step, golden_mean, mean, "mean", float(sigmas[step]), limit, ()))
+    return shifts
 
 
 def _spreads(golden: Sequence[Answer], other: Sequence[Answer], span: Mapping[str, float], share: float) -> list[Shift]:
-    found = []
+    shifts = []
     widths = {key: values.shape[-1] for key, values in golden[0].items()}
     takes = len(next(iter(golden[0].values())))
     if takes < 2:
@@ -162,8 +164,8 @@ def _spreads(golden: Sequence[Answer], other: Sequence[Answer], span: Mapping[st
                 twos.append(float(np.sqrt(variances[1].mean())))
             sigmas = abs(float(np.mean(ratios))) / scatter
             mean_one, mean_two = float(np.mean(ones)), float(np.mean(twos))
-            found.append(Shift(part, 0, None, mean_one, mean_two, "spread", sigmas, limit, ()))
-    return found
+            shifts.append(Shift(part, 0, None, mean_one, mean_two, "spread", sigmas, limit, ()))
+    return shifts
 
 
 def _quantile(count: int) -> float:

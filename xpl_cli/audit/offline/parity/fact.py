@@ -85,13 +85,13 @@ class Parity:
                 raise NotApplicable(f"no golden pairs of the variant {variant}: its conversions are unproven")
             raise NotRun(f"{names.CODE} was never recorded: `xpl model-io record` asks it and writes {names.PAIRS}")
         try:
-            found = recording.read(self._path)
+            pairs = recording.read(self._path)
         except UserError as error:
             raise NotRun(str(error)) from None
-        if found.variant != variant:
-            told = "the policy itself" if found.variant is None else f"its variant {found.variant}"
-            raise NotApplicable(f"the golden pairs are of {told}: these conversions are unproven")
-        return found
+        if pairs.variant != variant:
+            recorded_of = "the policy itself" if pairs.variant is None else f"its variant {pairs.variant}"
+            raise NotApplicable(f"the golden pairs are of {recorded_of}: these conversions are unproven")
+        return pairs
 
     @property
     def recorded(self) -> GoldenPairs | None:
@@ -107,11 +107,11 @@ class Parity:
         manifest = self.probe.package.manifest
         values = [one.where.removeprefix("model_io.") for one in manifest.assumed]
         try:
-            read = reference_file.read_file(self._path)
+            reference = reference_file.read_file(self._path)
         except UserError:
             return 0, values
         applying = conventions.applying(manifest)
-        return len(read.all_conventions(applying)), [*read.without_source(applying), *values]
+        return len(reference.all_conventions(applying)), [*reference.without_source(applying), *values]
 
     @cached_property
     def tolerance(self) -> float:
@@ -135,8 +135,8 @@ class Parity:
 
     def judge(self, compared: SessionComparison) -> Judgement:
         """Return the judgement of a session with one take of each question."""
-        given = [takes[0] for takes in compared.answers]
-        return Judgement(compared.session, given, self.tolerance, self.pairs.noise)
+        answers = [takes[0] for takes in compared.answers]
+        return Judgement(compared.session, answers, self.tolerance, self.pairs.noise)
 
     def shift(self, compared: SessionComparison) -> Shift | None:
         """Return what of a session with many takes is distributed otherwise."""
@@ -146,9 +146,9 @@ class Parity:
         """Return the single change that explains best how a session differs, None if none does."""
         if compared.session.takes == 1:
             return ParitySearch(self.probe, self.judge(compared), self.settings).run()
-        means, given, noise = distribution.average_takes(compared.session, compared.answers)
-        judged = Judgement(means, given, max(self.tolerance, 4 * noise), {})  # one answer of a change is as noisy
-        return None if judged.deviation is None else ParitySearch(self.probe, judged, self.settings).run()
+        means, answers, noise = distribution.average_takes(compared.session, compared.answers)
+        judgement = Judgement(means, answers, max(self.tolerance, 4 * noise), {})  # one answer of a change is as noisy
+        return None if judgement.deviation is None else ParitySearch(self.probe, judgement, self.settings).run()
 
     @cached_property
     def margins(self) -> dict[str, Any]:
@@ -156,20 +156,20 @@ class Parity:
         first = self.comparisons[0]
         if first.session.takes > 1:
             return {}
-        shown = margins.measure_margins(self.probe, self.judge(first), self.settings)
-        return margins.summarize_margins(shown, len(first.session.questions)) if shown else {}
+        measured = margins.measure_margins(self.probe, self.judge(first), self.settings)
+        return margins.summarize_margins(measured, len(first.session.questions)) if measured else {}
 
     def _compare(self, session: PairSession) -> SessionComparison:
         self.probe.options.time_limit.check()
         # What was asked of this audit counts for more than what was recorded with; the session is what it is.
         settings = {**self.settings, **self.probe.options.overrides}
-        serving = partial(self.probe.fresh_session, **overrides(session, settings))
+        connect = partial(self.probe.fresh_session, **overrides(session, settings))
         try:
-            with serving() as client:
+            with connect() as client:
                 compared = SessionComparison(session, replay_session(client, session))
         except QuestionRefusedError as refusal:
             return SessionComparison(session, [], refusal)
         if session.takes == 1 and compared.too_long is None:
-            for number, chunk in unbatched_answers(self.judge(compared), serving).items():
+            for number, chunk in unbatched_answers(self.judge(compared), connect).items():
                 compared.answers[number] = [chunk]
         return compared

@@ -37,8 +37,8 @@ class GoldenPairScorer(Scorer):
         among: numbers of the questions that are looked at; a difference has to be among them.
     """
 
-    def __init__(self, course: SessionReplay, judgement: Judgement, among: Sequence[int]) -> None:
-        self._course = course
+    def __init__(self, replay: SessionReplay, judgement: Judgement, among: Sequence[int]) -> None:
+        self._replay = replay
         self._judgement = judgement
         self.everything = among
         self.before = self.remaining({number: judgement.answers[number] for number in among})
@@ -48,79 +48,83 @@ class GoldenPairScorer(Scorer):
         """Whether there is anything to explain."""
         return any(share > self._judgement.allowed[part] for part, share in self.before.items())
 
-    def leaves_nothing(self, answered: MistakeAnswers) -> bool:
+    def leaves_nothing(self, result: MistakeAnswers) -> bool:
         """Whether no difference is left under a mistake."""
-        return max(self.remaining(answered.answers).values()) <= self._judgement.tolerance
+        return max(self.remaining(result.answers).values()) <= self._judgement.tolerance
 
-    def score(self, answered: MistakeAnswers) -> TriedChange:
+    def score(self, result: MistakeAnswers) -> TriedChange:
         """Return what is left under a mistake."""
-        return TriedChange(answered.words, answered.convention, self.remaining(answered.answers))
+        return TriedChange(result.words, result.convention, self.remaining(result.answers))
 
-    def score_pair(self, first: MistakeAnswers, second: MistakeAnswers, given: AnswersByQuestion | None) -> TriedChange:
+    def score_pair(
+        self, first: MistakeAnswers, second: MistakeAnswers, answers: AnswersByQuestion | None
+    ) -> TriedChange:
         """Return what is left under two mistakes, of the answers with both undone."""
-        return TriedChange(first.words, first.convention, self.remaining(given), (second.words, second.convention))
+        return TriedChange(first.words, first.convention, self.remaining(answers), (second.words, second.convention))
 
-    def explain_ranking(self, held: RankingResult) -> Explanation:
+    def explain_ranking(self, ranking: RankingResult) -> Explanation:
         """Return which mistake of a family explains the difference."""
-        return self.explain_tried([self.score(answered) for _, answered in held.final_round])
+        return self.explain_tried([self.score(result) for _, result in ranking.final_round])
 
     def explain_tried(self, tried: Sequence[TriedChange]) -> Explanation:
         """Return which of some mistakes, tried on all questions, explains the difference."""
         return explain(self.before, tried, self._judgement.tolerance)
 
-    def remaining(self, given: Mapping[int, Sequence[Step | None]] | None) -> dict[str, float]:
+    def remaining(self, answers: Mapping[int, Sequence[Step | None]] | None) -> dict[str, float]:
         """Return how far answers to some questions are from the golden ones; steps that are not known do not count."""
         judgement = self._judgement
-        if not given:
+        if not answers:
             return dict.fromkeys(judgement.spread, _INFINITE)
-        return differences([judgement.golden[number] for number in given], list(given.values()), judgement.spread)
+        return differences([judgement.golden[number] for number in answers], list(answers.values()), judgement.spread)
 
     @cached_property
     def rounds(self) -> Sequence[Sequence[int]]:
         """One question, then a few: one that tells much, one that is right, another one."""
         judgement = self._judgement
-        worst = {
+        largest_by_question = {
             number: max(self.remaining({number: judgement.answers[number]}).values()) for number in self.everything
         }
         wrong = [number for number in self.everything if judgement.differs[number]]
         right = [number for number in self.everything if not judgement.differs[number]]
-        largest = max(worst[number] for number in wrong)
-        telling = [number for number in wrong if worst[number] >= _PROMISING * largest]
-        chosen = list(dict.fromkeys([telling[0], *right[:1], *telling[1:], *wrong]))[:_FEW]
+        largest = max(largest_by_question[number] for number in wrong)
+        informative = [number for number in wrong if largest_by_question[number] >= _PROMISING * largest]
+        chosen = list(dict.fromkeys([informative[0], *right[:1], *informative[1:], *wrong]))[:_FEW]
         return chosen[:1], chosen
 
-    def select(self, answered: Sequence[MistakeAnswers], wanted: Sequence[int], turn: int) -> list[int]:
+    def select(self, results: Sequence[MistakeAnswers], questions: Sequence[int], round_number: int) -> list[int]:
         """Return the places of those that are worth more questions: that leave least, or mend most numbers."""
         judgement = self._judgement
-        before = self._before(wanted)
+        before = self._before(questions)
         largest = max(before.values())
-        rests = [self.remaining(one.answers) for one in answered]
-        left = [max(one.values()) / largest if largest < _INFINITE else _INFINITE for one in rests]
-        mended = [sum(value > judgement.allowed[part] >= one[part] for part, value in before.items()) for one in rests]
-        worth = [place for place in range(len(answered)) if left[place] <= _PROMISING or mended[place]]
-        best = sorted(worth, key=lambda place: left[place])[: _MOST[turn]]
-        widest = sorted(worth, key=lambda place: -mended[place])[: _MOST[turn]]
+        remainders = [self.remaining(one.answers) for one in results]
+        left = [max(one.values()) / largest if largest < _INFINITE else _INFINITE for one in remainders]
+        fixed = [
+            sum(value > judgement.allowed[part] >= one[part] for part, value in before.items()) for one in remainders
+        ]
+        promising = [slot for slot in range(len(results)) if left[slot] <= _PROMISING or fixed[slot]]
+        best = sorted(promising, key=lambda slot: left[slot])[: _MOST[round_number]]
+        widest = sorted(promising, key=lambda slot: -fixed[slot])[: _MOST[round_number]]
         return sorted({*best, *widest})
 
-    def improving(self, answered: Sequence[MistakeAnswers], most: int) -> list[int]:
+    def improving(self, results: Sequence[MistakeAnswers], most: int) -> list[int]:
         """Return the places of those that may be one of two mistakes, best first: the mean of what is left falls.
 
         Args:
-            answered: to the questions of the first round.
+            results: to the questions of the first round.
             most: how many to return at the most; of several on one convention with equal rests the first counts.
         """
         before = self._before(self.rounds[0])
-        found: dict[tuple[float, str], int] = {}
-        for place, one in enumerate(answered):
+        slots: dict[tuple[float, str], int] = {}
+        for slot, one in enumerate(results):
             share = self._mean(self.remaining(one.answers)) / self._mean(before)
             if share < 1.0:
-                found.setdefault((float(f"{share:.6g}"), one.convention), place)
-        return [place for _, place in sorted(found.items())][:most]
+                slots.setdefault((float(f"{share:.6g}"), one.convention), slot)
+        return [slot for _, slot in sorted(slots.items())][:most]
 
     def _mean(self, rest: Mapping[str, float]) -> float:
         """Return the mean of what is left of all numbers; what is allowed counts as nothing."""
         allowed = self._judgement.allowed
         return float(np.mean([max(0.0, value - allowed[part]) for part, value in rest.items()])) or 1e-12
 
-    def _before(self, wanted: Sequence[int]) -> dict[str, float]:
-        return self.remaining({one: self._judgement.answers[one] for one in self._course.with_earlier(wanted)})
+    def _before(self, questions: Sequence[int]) -> dict[str, float]:
+        return self.remaining({one: self._judgement.answers[one] for one in self._replay.with_earlier(questions)})

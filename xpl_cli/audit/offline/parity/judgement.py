@@ -83,11 +83,11 @@ class Judgement:
             for step in chunk:
                 for key, values in step.items():
                     largest[key] = max(largest.get(key, 0.0), float(np.abs(values).max()))
-        result = {}
+        allowed = {}
         for part, span in self.spread.items():
             key = part.partition("[")[0]
-            result[part] = self.share + (2 * self.noise.get(key, 0.0) + _ROUNDING * largest[key]) / span
-        return result
+            allowed[part] = self.share + (2 * self.noise.get(key, 0.0) + _ROUNDING * largest[key]) / span
+        return allowed
 
     @property
     def tolerance(self) -> float:
@@ -106,8 +106,8 @@ class Judgement:
 
     def differ(self, one: Chunk, other: Chunk) -> bool:
         """Whether a number of two answers to a question differs."""
-        found = differences([one], [other], self.spread)
-        return any(share > self.allowed[part] for part, share in found.items())
+        shares = differences([one], [other], self.spread)
+        return any(share > self.allowed[part] for part, share in shares.items())
 
     @property
     def deviation(self) -> Deviation | None:
@@ -123,13 +123,13 @@ class Judgement:
         key, _, rest = part.partition("[")
         index = int(rest[:-1])
         chunk, other = self.golden[number], self.answers[number]
-        there = step < min(len(chunk), len(other))
+        is_in_both = step < min(len(chunk), len(other))
         return Deviation(
             part=part,
             question=self.session.questions[number],
             step=step,
-            golden=float(chunk[step][key][index]) if there else float("nan"),
-            answer=float(other[step][key][index]) if there else float("nan"),
+            golden=float(chunk[step][key][index]) if is_in_both else float("nan"),
+            answer=float(other[step][key][index]) if is_in_both else float("nan"),
             share=self.shares[part],
             span=self.spread[part],
             allowed=self.allowed[part],

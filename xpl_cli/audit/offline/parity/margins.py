@@ -46,67 +46,69 @@ class MistakeMargin:
     pairs: int
 
 
-def measure_margins(probe: Probe, judged: Judgement, settings: Mapping[str, object]) -> list[MistakeMargin]:
+def measure_margins(probe: Probe, judgement: Judgement, settings: Mapping[str, object]) -> list[MistakeMargin]:
     """Return how clearly known mistakes would show in the pairs of one session, in the order of their likelihood.
 
     Args:
         probe: the adapter, whose answers are the golden ones.
-        judged: these answers.
+        judgement: these answers.
         settings: keys of deploy.yml that the pairs were recorded with.
     """
-    course = SessionReplay(judged.session)
-    ways = MistakeFamilies(probe, course, overrides(judged.session, settings), time.monotonic() + MARGIN_S)
-    with ways.loaded:
-        family = ways.block_family()
-        found = [] if family is None else list(_margins_of_family(family, judged, course))
-    if found:
-        return found
-    commands = ways.action_family(dict(enumerate(judged.answers)), lambda _answered: False)
+    replay = SessionReplay(judgement.session)
+    families = MistakeFamilies(probe, replay, overrides(judgement.session, settings), time.monotonic() + MARGIN_S)
+    with families.loaded:
+        family = families.block_family()
+        margins = [] if family is None else list(_margins_of_family(family, judgement, replay))
+    if margins:
+        return margins
+    commands = families.action_family(dict(enumerate(judgement.answers)), lambda _answered: False)
     return list(
         _margins_of_family(
-            replace(commands, mistakes=[one for one in commands.mistakes if one.rank <= 1]), judged, course
+            replace(commands, mistakes=[one for one in commands.mistakes if one.rank <= 1]), judgement, replay
         )
     )
 
 
-def _margins_of_family(family: MistakeFamily, judged: Judgement, course: SessionReplay) -> Iterator[MistakeMargin]:
+def _margins_of_family(family: MistakeFamily, judgement: Judgement, replay: SessionReplay) -> Iterator[MistakeMargin]:
     """Yield how clearly each mistake of a family would show."""
     chosen = range(min(_MOST, len(family.mistakes)))
-    for answered in family.answers(chosen, course.all_questions):
-        if answered.answers is not None:
-            yield _measure_margin(judged, answered.words, answered.convention, answered.answers)
+    for result in family.answers(chosen, replay.all_questions):
+        if result.answers is not None:
+            yield _measure_margin(judgement, result.words, result.convention, result.answers)
 
 
-def summarize_margins(shown: Sequence[MistakeMargin], pairs: int) -> dict[str, Any]:
+def summarize_margins(margins: Sequence[MistakeMargin], pairs: int) -> dict[str, Any]:
     """Return what a verdict says of that: undetermined conventions, and the smallest margin of the others.
 
     Args:
-        shown: of `margins`.
+        margins: of `margins`.
         pairs: how many questions there are.
     """
-    seen = {one.convention for one in shown if one.times > 1}
-    undetermined = [one.convention for one in shown if one.convention not in seen]
-    found: dict[str, Any] = {"undetermined": list(dict.fromkeys(undetermined))}
-    clear = [one for one in shown if one.times > 1]
-    if clear:
-        least = min(clear, key=lambda one: one.times)
-        found["margin"] = {
+    determined = {one.convention for one in margins if one.times > 1}
+    undetermined = [one.convention for one in margins if one.convention not in determined]
+    summary: dict[str, Any] = {"undetermined": list(dict.fromkeys(undetermined))}
+    visible = [one for one in margins if one.times > 1]
+    if visible:
+        least = min(visible, key=lambda one: one.times)
+        summary["margin"] = {
             "words": least.words,
             "times": float(f"{least.times:.2g}"),
             "pairs": least.pairs,
             "of": pairs,
         }
         # A change that the pairs do not tell from the right one, of a convention that they otherwise tell.
-        found["unseen"] = [one.words for one in shown if one.times <= 1 and one.convention in seen]
-    return found
+        summary["unseen"] = [one.words for one in margins if one.times <= 1 and one.convention in determined]
+    return summary
 
 
 def _measure_margin(
-    judged: Judgement, words: str, convention: str, given: Mapping[int, Sequence[Step | None]]
+    judgement: Judgement, words: str, convention: str, answers: Mapping[int, Sequence[Step | None]]
 ) -> MistakeMargin:
     def times(numbers: Sequence[int]) -> float:
-        shares = differences([judged.golden[one] for one in numbers], [given[one] for one in numbers], judged.spread)
-        return max(share / judged.allowed[part] for part, share in shares.items())
+        shares = differences(
+            [judgement.golden[one] for one in numbers], [answers[one] for one in numbers], judgement.spread
+        )
+        return max(share / judgement.allowed[part] for part, share in shares.items())
 
-    numbers = sorted(given)
+    numbers = sorted(answers)
     return MistakeMargin(words, convention, times(numbers), sum(times([number]) > 1 for number in numbers))

@@ -54,96 +54,104 @@ class ObservationSearch:
     """
 
     def __init__(
-        self, probe: Probe, course: SessionReplay, judgement: Judgement, config: Mapping[str, object], *, repeats: bool
+        self, probe: Probe, replay: SessionReplay, judgement: Judgement, config: Mapping[str, object], *, repeats: bool
     ) -> None:
-        self._probe, self._course, self._judgement = probe, course, judgement
+        self._probe, self._replay, self._judgement = probe, replay, judgement
         self._config, self._repeats = config, repeats
         self.patterns: list[Pattern] = []
         """What was seen besides."""
 
-    def explain(self, mistakes: Sequence[Mistake], ways: MistakeFamilies, until: float) -> Explanation | None:
+    def explain(self, mistakes: Sequence[Mistake], families: MistakeFamilies, deadline: float) -> Explanation | None:
         """Return what mistakes explain; None if nothing can be said so.
 
         Args:
             mistakes: as changes of what is shown.
-            ways: of the adapter.
-            until: when to end, by the monotonic clock.
+            families: of the adapter.
+            deadline: when to end, by the monotonic clock.
         """
         numbers = self._replayable
-        ruler = GoldenPairScorer(self._course, self._judgement, numbers)
+        scorer = GoldenPairScorer(self._replay, self._judgement, numbers)
         alone: Explanation | None = None
-        if ruler.differs:
-            with self._serve_perturbed(together=False) as around:
-                apart = around.answers(_SAME, numbers)
-                if self._is_as_before(apart, numbers):
-                    fit = [one for one in mistakes if not one.windowed or self._repeats]
-                    found = self._rank_mistakes(fit, around, ruler, ways)
-                    if found.cause is None and time.monotonic() < until:
-                        self.patterns += self._cameras_without_effect(around, ways.case.cameras)
-                    return found
-                alone = ruler.explain_tried([TriedChange(_SAME.description, _SAME.convention, ruler.remaining(apart))])
+        if scorer.differs:
+            with self._serve_perturbed(together=False) as adapter:
+                answers_apart = adapter.answers(_SAME, numbers)
+                if self._is_as_before(answers_apart, numbers):
+                    replayable = [one for one in mistakes if not one.windowed or self._repeats]
+                    explanation = self._rank_mistakes(replayable, adapter, scorer, families)
+                    if explanation.cause is None and time.monotonic() < deadline:
+                        self.patterns += self._cameras_without_effect(adapter, families.case.cameras)
+                    return explanation
+                alone = scorer.explain_tried(
+                    [TriedChange(_SAME.description, _SAME.convention, scorer.remaining(answers_apart))]
+                )
                 if alone.cause is not None:
-                    crossed = self._find_shared_input(around, numbers)
-                    return ruler.explain_tried([crossed(ruler.remaining(apart))]) if crossed else alone
-        return self._explain_together([one for one in mistakes if not one.windowed], ways) or alone
+                    crossed = self._find_shared_input(adapter, numbers)
+                    return scorer.explain_tried([crossed(scorer.remaining(answers_apart))]) if crossed else alone
+        return self._explain_together([one for one in mistakes if not one.windowed], families) or alone
 
-    def _explain_together(self, mistakes: Sequence[Mistake], ways: MistakeFamilies) -> Explanation | None:
-        everything = self._course.all_questions
-        with self._serve_perturbed(together=True) as around:
-            if not self._is_as_before(around.answers(_SAME, everything), everything):
+    def _explain_together(self, mistakes: Sequence[Mistake], families: MistakeFamilies) -> Explanation | None:
+        questions = self._replay.all_questions
+        with self._serve_perturbed(together=True) as adapter:
+            if not self._is_as_before(adapter.answers(_SAME, questions), questions):
                 self.patterns.append(
                     Pattern("the same questions, asked once more, have other answers: look at the seed", "sampling")
                 )
                 return None
             return self._rank_mistakes(
-                mistakes, around, GoldenPairScorer(self._course, self._judgement, everything), ways
+                mistakes, adapter, GoldenPairScorer(self._replay, self._judgement, questions), families
             )
 
     def _rank_mistakes(
-        self, mistakes: Sequence[Mistake], around: PerturbedAdapter, ruler: GoldenPairScorer, ways: MistakeFamilies
+        self,
+        mistakes: Sequence[Mistake],
+        adapter: PerturbedAdapter,
+        scorer: GoldenPairScorer,
+        families: MistakeFamilies,
     ) -> Explanation:
         """Return what mistakes explain, one by one; where none does, with a change of commands besides."""
-        tried = rank(MistakeFamily(mistakes, ways.answer_function(around, mistakes, ruler.leaves_nothing)), ruler)
-        found = ruler.explain_ranking(tried)
-        if found.cause is not None:
-            return found
-        is_large = max(ruler.before.values()) > OF_SPAN
-        return (self._explain_by_two(mistakes, tried, around, ruler, ways) if is_large else None) or found
+        ranking = rank(
+            MistakeFamily(mistakes, families.answer_function(adapter, mistakes, scorer.leaves_nothing)), scorer
+        )
+        explanation = scorer.explain_ranking(ranking)
+        if explanation.cause is not None:
+            return explanation
+        is_large = max(scorer.before.values()) > OF_SPAN
+        return (self._explain_by_two(mistakes, ranking, adapter, scorer, families) if is_large else None) or explanation
 
     def _explain_by_two(
         self,
         mistakes: Sequence[Mistake],
-        tried: RankingResult,
-        around: PerturbedAdapter,
-        ruler: GoldenPairScorer,
-        ways: MistakeFamilies,
+        ranking: RankingResult,
+        adapter: PerturbedAdapter,
+        scorer: GoldenPairScorer,
+        families: MistakeFamilies,
     ) -> Explanation | None:
         """Return what explains the difference by two mistakes: of what is shown, and another one."""
-        ways.halve_time()
-        for place in ruler.improving(tried.first_round, _FIRSTS):
-            given = around.answers(mistakes[place], ruler.everything) if ways.seconds_left > 0 else None
-            if given is None:
+        families.halve_time()
+        for slot in scorer.improving(ranking.first_round, _FIRSTS):
+            answers = adapter.answers(mistakes[slot], scorer.everything) if families.seconds_left > 0 else None
+            if answers is None:
                 continue
-            first = tried.first_round[place]
-            last = rank(ways.action_family(given, ruler.leaves_nothing), ruler).final_round
-            found = ruler.explain_tried([ruler.score_pair(first, one, one.answers) for _, one in last])
-            if found.cause is not None:
-                return found
+            first = ranking.first_round[slot]
+            last = rank(families.action_family(answers, scorer.leaves_nothing), scorer).final_round
+            explanation = scorer.explain_tried([scorer.score_pair(first, one, one.answers) for _, one in last])
+            if explanation.cause is not None:
+                return explanation
         return None
 
     def _find_shared_input(
-        self, apart: PerturbedAdapter, numbers: Sequence[int]
+        self, separate: PerturbedAdapter, numbers: Sequence[int]
     ) -> Callable[[Mapping[str, float]], TriedChange] | None:
         """Return what to say if environments see only one input of each other: alike in all, it makes no difference."""
-        first = self._course.observation(*self._judgement.session.questions[0].recipes[0])
+        first = self._replay.observation(*self._judgement.session.questions[0].recipes[0])
         for words, convention, keys in (
             ("each environment's own instruction", sdk.Obs.INSTRUCTION, (sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS)),
             ("each environment's own pictures", "camera", (sdk.Obs.VISION,)),
         ):
-            same = {key: first[key] for key in keys if key in first}
-            alike = Mistake(0, words, convention, change_observations=functools.partial(_with, same))
-            with self._serve_perturbed(together=True) as around:
-                one, other = around.answers(alike, numbers), apart.answers(alike, numbers)
+            shared = {key: first[key] for key in keys if key in first}
+            mistake = Mistake(0, words, convention, change_observations=functools.partial(_with, shared))
+            with self._serve_perturbed(together=True) as adapter:
+                one, other = adapter.answers(mistake, numbers), separate.answers(mistake, numbers)
             if one is not None and other is not None and self._are_same(one, other):
                 return functools.partial(TriedChange, words, convention)
         return None
@@ -154,19 +162,19 @@ class ObservationSearch:
         with self._probe.own_server(self._config, [] if once else ["--renew"]) as server:
             connect = functools.partial(self._probe.connected, server.url)
             with PerturbedAdapter(
-                self._course, dict(enumerate(self._judgement.answers)), connect, once=once, together=together
-            ) as around:
-                yield around
+                self._replay, dict(enumerate(self._judgement.answers)), connect, once=once, together=together
+            ) as adapter:
+                yield adapter
 
-    def _cameras_without_effect(self, around: PerturbedAdapter, cameras: Sequence[str]) -> Iterator[Pattern]:
+    def _cameras_without_effect(self, adapter: PerturbedAdapter, cameras: Sequence[str]) -> Iterator[Pattern]:
         """Tell which cameras may be exchanged for darkness."""
         judgement, number = self._judgement, self._replayable[-1]
         for camera in cameras:
-            answers = around.answers(Mistake(0, camera, "camera", change_observations=black_out(camera)), [number])
+            answers = adapter.answers(Mistake(0, camera, "camera", change_observations=black_out(camera)), [number])
             if answers is None:
                 continue
-            far = differences([judgement.answers[one] for one in answers], list(answers.values()), judgement.spread)
-            if max(far.values()) == 0.0:
+            shares = differences([judgement.answers[one] for one in answers], list(answers.values()), judgement.spread)
+            if max(shares.values()) == 0.0:
                 yield Pattern(f"a dark {camera} changes no answer: the model does not see it", "camera")
 
     @property
@@ -180,9 +188,9 @@ class ObservationSearch:
         return answers is not None and self._are_same({one: self._judgement.answers[one] for one in numbers}, answers)
 
     def _are_same(self, one: Answers, other: Answers) -> bool:
-        found = differences([one[number] for number in other], list(other.values()), self._judgement.spread)
-        return all(share <= self._judgement.allowed[part] for part, share in found.items())
+        shares = differences([one[number] for number in other], list(other.values()), self._judgement.spread)
+        return all(share <= self._judgement.allowed[part] for part, share in shares.items())
 
 
-def _with(same: Observation, seen: Sequence[Observation]) -> list[ObservationDict]:
-    return [{**obs, **same} for obs in seen]
+def _with(values: Observation, observations: Sequence[Observation]) -> list[ObservationDict]:
+    return [{**obs, **values} for obs in observations]

@@ -83,125 +83,127 @@ class ParitySearch:
         self, probe: Probe, judgement: Judgement, settings: Mapping[str, object], seconds: float = SEARCH_S
     ) -> None:
         self._probe, self._judgement = probe, judgement
-        self._course = SessionReplay(judgement.session)
+        self._replay = SessionReplay(judgement.session)
         self._config = overrides(judgement.session, settings)
-        until = time.monotonic() + min(seconds, probe.options.time_limit.remaining)
-        self._ways = MistakeFamilies(probe, self._course, self._config, until, self._read)
-        self._until = until
-        self._ruler = GoldenPairScorer(self._course, judgement, self._course.all_questions)
+        deadline = time.monotonic() + min(seconds, probe.options.time_limit.remaining)
+        self._families = MistakeFamilies(probe, self._replay, self._config, deadline, self._read)
+        self._deadline = deadline
+        self._scorer = GoldenPairScorer(self._replay, judgement, self._replay.all_questions)
         self._tried: list[tuple[MistakeFamily, RankingResult]] = []
-        self._unseen: list[Pattern] = []
-        self._known: dict[tuple[int, int], MistakeAnswers | None] = {}
+        self._patterns_seen: list[Pattern] = []
+        self._undone_answers: dict[tuple[int, int], MistakeAnswers | None] = {}
 
     def run(self) -> ParitySearchResult | None:
         """Return the mistake that explains the difference best, or the two, None if none lowers it.
 
         A word of the block is preferred to a change around the adapter that does the same.
         """
-        with self._ways.loaded:
+        with self._families.loaded:
             return self._run()
 
     def _run(self) -> ParitySearchResult | None:
-        found: list[ParitySearchResult] = []
-        for way in (self._by_block, self._by_commands, self._by_inputs, self._by_shown):
-            explanation = way()
+        results: list[ParitySearchResult] = []
+        for search in (self._by_block, self._by_commands, self._by_inputs, self._by_shown):
+            explanation = search()
             if explanation is None:
                 continue
-            found.append(ParitySearchResult(explanation, in_block=way == self._by_block))
+            results.append(ParitySearchResult(explanation, in_block=search == self._by_block))
             if explanation.cause is not None:
-                return found[-1]
-        self._ways.halve_time()
+                return results[-1]
+        self._families.halve_time()
         # What is as small as what kernels round is explained by two of many mistakes, and looks like any pattern.
-        is_large = max(self._ruler.before.values()) > OF_SPAN
-        two = next(self._two(), None) if is_large else None
-        if two is not None:
-            return two
-        near = [one for one in found if one.explanation.near is not None]
-        best = next((one for one in (*near, *found) if one.explanation.text), found[0])
+        is_large = max(self._scorer.before.values()) > OF_SPAN
+        pair_result = next(self._two(), None) if is_large else None
+        if pair_result is not None:
+            return pair_result
+        near_results = [one for one in results if one.explanation.near is not None]
+        best = next((one for one in (*near_results, *results) if one.explanation.text), results[0])
         judgement = self._judgement
-        told = (
-            *self._unseen,
+        patterns_found = (
+            *self._patterns_seen,
             *order_patterns(self._threads, judgement.shares, judgement.tolerance),
             *(patterns(self._threads, judgement.spread, judgement.tolerance, self._kind) if is_large else ()),
         )
-        explanation = replace(best.explanation, patterns=told)
+        explanation = replace(best.explanation, patterns=patterns_found)
         return ParitySearchResult(explanation, best.in_block) if explanation.text else None
 
     # -- one mistake ---------------------------------------------------------------------------------------------------
 
     def _by_block(self) -> Explanation | None:
         """Return what other words of the block explain; None where the adapter does not convert by it alone."""
-        found = self._by_words(self._ruler.leaves_nothing)
-        if found is None or found.cause is not None:
-            return found
-        ((family, tried),) = self._tried
-        if len(tried.first_round) == len(family.mistakes) or self._ways.seconds_left <= 0:
-            return found
+        explanation = self._by_words(self._scorer.leaves_nothing)
+        if explanation is None or explanation.cause is not None:
+            return explanation
+        ((family, ranking),) = self._tried
+        if len(ranking.first_round) == len(family.mistakes) or self._families.seconds_left <= 0:
+            return explanation
         # What leaves nothing of one question leaves something of others: then all are tried.
         return self._by_words(lambda _answered: False)
 
-    def _by_words(self, enough: ExplainsAll) -> Explanation | None:
-        family = self._ways.block_family(enough=enough)
-        tried = None if family is None else rank(family, self._ruler)
-        if family is None or tried is None or not self._ways.by_block:
+    def _by_words(self, explains_all: ExplainsAll) -> Explanation | None:
+        family = self._families.block_family(explains_all=explains_all)
+        ranking = None if family is None else rank(family, self._scorer)
+        if family is None or ranking is None or not self._families.by_block:
             return None
-        self._tried = [(family, tried)]
-        found = self._ruler.explain_ranking(tried)
-        if found.cause is None:
-            return found
+        self._tried = [(family, ranking)]
+        explanation = self._scorer.explain_ranking(ranking)
+        if explanation.cause is None:
+            return explanation
         # What is less likely was not tried; what of the same convention these pairs do not tell from it is to be said.
-        later = range(len(tried.first_round), len(family.mistakes))
-        alike = [number for number in later if family.mistakes[number].convention == found.cause.convention]
+        later = range(len(ranking.first_round), len(family.mistakes))
+        same_convention = [
+            number for number in later if family.mistakes[number].convention == explanation.cause.convention
+        ]
         others = MistakeFamily(
-            [family.mistakes[number] for number in alike],
-            lambda chosen, wanted: family.answers([alike[place] for place in chosen], wanted),
+            [family.mistakes[number] for number in same_convention],
+            lambda chosen, wanted: family.answers([same_convention[place] for place in chosen], wanted),
         )
-        last = [*tried.final_round, *rank(others, self._ruler).final_round]
-        return self._ruler.explain_tried([self._ruler.score(answered) for _, answered in last])
+        results = [*ranking.final_round, *rank(others, self._scorer).final_round]
+        return self._scorer.explain_tried([self._scorer.score(result) for _, result in results])
 
     def _by_commands(self) -> Explanation:
         """Return what changes of the answers that are known explain."""
-        family = self._ways.action_family(dict(enumerate(self._judgement.answers)), self._ruler.leaves_nothing)
-        tried = rank(family, self._ruler)
-        self._tried.append((family, tried))
-        found = self._ruler.explain_ranking(tried)
-        if found.cause is not None:
-            return found
+        family = self._families.action_family(dict(enumerate(self._judgement.answers)), self._scorer.leaves_nothing)
+        ranking = rank(family, self._scorer)
+        self._tried.append((family, ranking))
+        explanation = self._scorer.explain_ranking(ranking)
+        if explanation.cause is not None:
+            return explanation
         judgement = self._judgement
         line = fit_linear(self._threads, judgement.shares, judgement.spread, judgement.tolerance)
         fits = [] if line is None else [line]
         fits += fit_rigid(self._threads, judgement.shares, judgement.spread, judgement.tolerance, self._tool)
-        fit = self._ruler.explain_tried(fits)
-        return fit if fit.cause is not None or (fit.partial and not found.partial) else found
+        fit = self._scorer.explain_tried(fits)
+        return fit if fit.cause is not None or (fit.partial and not explanation.partial) else explanation
 
     def _by_inputs(self) -> Explanation | None:
         """Return what changes of encoded inputs explain; None if there is no time for them."""
-        if self._ways.seconds_left <= 0:
+        if self._families.seconds_left <= 0:
             return None
-        family = self._ways.input_family()
-        tried = rank(family, self._ruler)
-        self._tried.append((family, tried))
-        found = self._ruler.explain_tried([self._both_ways(answered) for _, answered in tried.final_round])
-        if found.cause is None and self._ways.loaded.draws == 0 and self._kind.draws:
-            self._unseen.append(Pattern("the adapter draws no number, and the model samples", "sampling"))
-        return found
+        family = self._families.input_family()
+        ranking = rank(family, self._scorer)
+        self._tried.append((family, ranking))
+        explanation = self._scorer.explain_tried([self._both_ways(result) for _, result in ranking.final_round])
+        if explanation.cause is None and self._families.loaded.draws == 0 and self._kind.draws:
+            self._patterns_seen.append(Pattern("the adapter draws no number, and the model samples", "sampling"))
+        return explanation
 
-    def _both_ways(self, answered: MistakeAnswers) -> TriedChange:
+    def _both_ways(self, result: MistakeAnswers) -> TriedChange:
         """Return a change of what goes in, with the line that what comes out is then of the golden answers, if any."""
-        tried = self._ruler.score(answered)
-        line = self._line(answered, tried)
-        return tried if line is None else TriedChange(f"{tried.words}, both ways", tried.convention, line.remaining)
+        scored = self._scorer.score(result)
+        line = self._line(result, scored)
+        return scored if line is None else TriedChange(f"{scored.words}, both ways", scored.convention, line.remaining)
 
     def _by_shown(self) -> Explanation | None:
         """Return what changes of what is shown explain; None if the adapter cannot be served for it."""
-        shown = ObservationSearch(self._probe, self._course, self._judgement, self._config, repeats=self._repeats)
-        found = [one for one in self._ways.outer_mistakes if one.change_observations is not None]
+        search = ObservationSearch(self._probe, self._replay, self._judgement, self._config, repeats=self._repeats)
+        mistakes = [one for one in self._families.outer_mistakes if one.change_observations is not None]
         try:
-            explanation = shown.explain(found, self._ways, self._until)
+            explanation = search.explain(mistakes, self._families, self._deadline)
         except (NotRun, ClientError):
             return None
         finally:
-            self._unseen += shown.patterns
+            self._patterns_seen += search.patterns
         return explanation
 
     # -- two mistakes --------------------------------------------------------------------------------------------------
@@ -212,73 +214,79 @@ class ParitySearch:
         Both are undone in one way, all pairs in one contest; or the second is one of commands, or a line, of the
         answers with the first one undone.
         """
-        eased = [(family, tried, self._ruler.improving(tried.first_round, _EASED)) for family, tried in self._tried]
-        for family, _, good in eased:
-            yield from self._found(family, [one for place in good[:_FIRSTS] for one in self._with_line(family, place)])
-        for family, tried, good in eased:
+        improving = [
+            (family, ranking, self._scorer.improving(ranking.first_round, _EASED)) for family, ranking in self._tried
+        ]
+        for family, _, slots in improving:
+            yield from self._found(family, [one for slot in slots[:_FIRSTS] for one in self._with_line(family, slot)])
+        for family, ranking, slots in improving:
             # Those first that ease it most: the time may not reach over all.
-            ordered = sorted(itertools.combinations(range(len(good)), 2), key=lambda pair: (sum(pair), pair))
-            some = [(good[one], good[other]) for one, other in ordered if one < _FIRSTS]
+            ordered = sorted(itertools.combinations(range(len(slots)), 2), key=lambda pair: (sum(pair), pair))
+            some = [(slots[one], slots[other]) for one, other in ordered if one < _FIRSTS]
             every = [
-                (one, other) for one in good[:_LIKELIEST] for other in range(len(tried.first_round)) if other != one
+                (one, other) for one in slots[:_LIKELIEST] for other in range(len(ranking.first_round)) if other != one
             ]
-            yield from self._found(family, self._pairs(family, tried, list(dict.fromkeys([*some, *every]))))
-        for family, _, good in eased:
-            for place in good[:_FIRSTS]:
-                if self._ways.seconds_left > 0:
-                    yield from self._found(family, self._with_commands(family, place))
+            yield from self._found(family, self._pairs(family, ranking, list(dict.fromkeys([*some, *every]))))
+        for family, _, slots in improving:
+            for slot in slots[:_FIRSTS]:
+                if self._families.seconds_left > 0:
+                    yield from self._found(family, self._with_commands(family, slot))
 
     def _pairs(
-        self, family: MistakeFamily, tried: RankingResult, pairs: Sequence[tuple[int, int]]
+        self, family: MistakeFamily, ranking: RankingResult, pairs: Sequence[tuple[int, int]]
     ) -> list[TriedChange]:
         """Return what is left where both of each pair are undone, of those that are worth all questions."""
-        both = family.combine(pairs) if pairs and self._ways.seconds_left > 0 else None
+        both = family.combine(pairs) if pairs and self._families.seconds_left > 0 else None
         if both is None:
             return []
-        named = [(tried.first_round[one], tried.first_round[other]) for one, other in both.pairs]
-        return [self._ruler.score_pair(*named[at], one.answers) for at, one in rank(both, self._ruler).final_round]
+        singles = [(ranking.first_round[one], ranking.first_round[other]) for one, other in both.pairs]
+        return [self._scorer.score_pair(*singles[at], one.answers) for at, one in rank(both, self._scorer).final_round]
 
-    def _found(self, family: MistakeFamily, tried: Sequence[TriedChange]) -> Iterator[ParitySearchResult]:
-        explanation = self._ruler.explain_tried(tried)
+    def _found(self, family: MistakeFamily, changes: Sequence[TriedChange]) -> Iterator[ParitySearchResult]:
+        explanation = self._scorer.explain_tried(changes)
         if explanation.cause is not None:
-            yield ParitySearchResult(explanation, in_block=self._ways.by_block and family is self._tried[0][0])
+            yield ParitySearchResult(explanation, in_block=self._families.by_block and family is self._tried[0][0])
 
-    def _with_line(self, family: MistakeFamily, place: int) -> list[TriedChange]:
+    def _with_line(self, family: MistakeFamily, slot: int) -> list[TriedChange]:
         """Return what is left where one mistake is undone, and commands are a line of the golden ones, if they are."""
-        first = self._undone(family, place)
-        line = None if first is None else self._line(first, self._ruler.score(first))
+        first = self._undone(family, slot)
+        line = None if first is None else self._line(first, self._scorer.score(first))
         if first is None or line is None:
             return []
         return [TriedChange(first.words, first.convention, line.remaining, (line.words, line.convention))]
 
-    def _with_commands(self, family: MistakeFamily, place: int) -> list[TriedChange]:
+    def _with_commands(self, family: MistakeFamily, slot: int) -> list[TriedChange]:
         """Return what is left where one mistake is undone, and one of commands besides."""
-        first = self._undone(family, place)
+        first = self._undone(family, slot)
         if first is None or first.answers is None:
             return []
-        commands = rank(self._ways.action_family(first.answers, self._ruler.leaves_nothing), self._ruler).final_round
-        return [self._ruler.score_pair(first, one, one.answers) for _, one in commands]
+        commands = rank(
+            self._families.action_family(first.answers, self._scorer.leaves_nothing), self._scorer
+        ).final_round
+        return [self._scorer.score_pair(first, one, one.answers) for _, one in commands]
 
-    def _undone(self, family: MistakeFamily, place: int) -> MistakeAnswers | None:
+    def _undone(self, family: MistakeFamily, slot: int) -> MistakeAnswers | None:
         """Return the answers to all questions where one mistake is undone, None where they are not all known."""
-        key = (id(family), place)
-        if key not in self._known:
-            first = next(family.answers([place], self._ruler.everything), None) if self._ways.seconds_left > 0 else None
+        key = (id(family), slot)
+        if key not in self._undone_answers:
+            first = (
+                next(family.answers([slot], self._scorer.everything), None) if self._families.seconds_left > 0 else None
+            )
             is_known = first is not None and first.answers is not None and _is_known(first.answers)
-            self._known[key] = first if is_known else None
-        return self._known[key]
+            self._undone_answers[key] = first if is_known else None
+        return self._undone_answers[key]
 
     # -- what is known -------------------------------------------------------------------------------------------------
 
-    def _line(self, answered: MistakeAnswers, tried: TriedChange) -> TriedChange | None:
+    def _line(self, result: MistakeAnswers, scored: TriedChange) -> TriedChange | None:
         """Return the line that answers under a mistake are of the golden ones, if any is."""
         judgement = self._judgement
-        if answered.answers is None or max(tried.remaining.values()) <= judgement.tolerance:
+        if result.answers is None or max(scored.remaining.values()) <= judgement.tolerance:
             return None
-        if not _is_known(answered.answers) or len(answered.answers) != len(self._course.all_questions):
+        if not _is_known(result.answers) or len(result.answers) != len(self._replay.all_questions):
             return None
-        threads = self._threads_of([answered.answers[number] for number in self._course.all_questions])
-        return fit_linear(threads, tried.remaining, judgement.spread, judgement.tolerance)
+        threads = self._threads_of([result.answers[number] for number in self._replay.all_questions])
+        return fit_linear(threads, scored.remaining, judgement.spread, judgement.tolerance)
 
     @property
     def _tool(self) -> np.ndarray | None:
@@ -291,8 +299,8 @@ class ParitySearch:
     @property
     def _kind(self) -> PolicyKind:
         return PolicyKind(
-            keeps_state=bool(self._ways.model_io.recurrent) or self._ways.manifest.temporal.kind == "memory",
-            history=self._ways.manifest.reach,
+            keeps_state=bool(self._families.model_io.recurrent) or self._families.manifest.temporal.kind == "memory",
+            history=self._families.manifest.reach,
             draws=self._draws or "sampling" in self._named,
         )
 
@@ -308,25 +316,25 @@ class ParitySearch:
     def _threads(self) -> list[EpisodeAnswers]:
         return self._threads_of(self._judgement.answers)
 
-    def _threads_of(self, given: Sequence[Any]) -> list[EpisodeAnswers]:
+    def _threads_of(self, answers: Sequence[Any]) -> list[EpisodeAnswers]:
         """Return the episodes of each environment, with some answers."""
         questions, judgement = self._judgement.session.questions, self._judgement
         return [
             EpisodeAnswers(
-                self._course.observations_of(questions[episode[-1]]),
+                self._replay.observations_of(questions[episode[-1]]),
                 [questions[number].asked_at[-1] for number in episode],
                 [judgement.golden[number] for number in episode],
-                [given[number] for number in episode],
+                [answers[number] for number in episode],
             )
-            for episode in self._course.group_by_episode(self._course.all_questions)
+            for episode in self._replay.group_by_episode(self._replay.all_questions)
         ]
 
     @cached_property
     def _read(self) -> ReadInputs:
         """What the adapter reads, everything if it does not say that."""
         read, session = list(self._probe.package.manifest.read), self._judgement.session
-        shown = [self._course.observation(*question.recipes[-1]) for question in session.questions]
-        texts = sorted({obs[sdk.Obs.INSTRUCTION] for obs in shown})
+        observations = [self._replay.observation(*question.recipes[-1]) for question in session.questions]
+        texts = sorted({obs[sdk.Obs.INSTRUCTION] for obs in observations})
         if not read:
             return ReadInputs(list(session.cameras), None, texts)
         cameras, fields = (
@@ -338,14 +346,14 @@ class ParitySearch:
     @property
     def _repeats(self) -> bool:
         """Whether a reset is enough between two plays: the model draws nothing, or nothing that could be had again."""
-        return is_free(self._ways.manifest) or not self._draws
+        return is_free(self._families.manifest) or not self._draws
 
     @property
     def _draws(self) -> bool:
         """Whether the adapter says that its model draws."""
-        return not self._ways.manifest.deterministic or self._ways.model_io.draws
+        return not self._families.manifest.deterministic or self._families.model_io.draws
 
 
-def _is_known(given: Mapping[int, Sequence[Any]]) -> bool:
+def _is_known(answers: Mapping[int, Sequence[Any]]) -> bool:
     """Tell whether every step of all answers is known."""
-    return all(step is not None for chunk in given.values() for step in chunk)
+    return all(step is not None for chunk in answers.values() for step in chunk)

@@ -58,10 +58,10 @@ class _WorkerAnswer:
     draws: int | None = None
 
     @classmethod
-    def read(cls, told: Entry | None) -> Self:
-        if told is None:
+    def read(cls, entry: Entry | None) -> Self:
+        if entry is None:
             return cls()
-        return cls(told["answers"], told.get("words"), told.get("apart", 0.0), told.get("draws"))
+        return cls(entry["answers"], entry.get("words"), entry.get("apart", 0.0), entry.get("draws"))
 
 
 class LoadedAdapter:
@@ -74,8 +74,8 @@ class LoadedAdapter:
         block: its model_io block, as it is used; empty without one.
     """
 
-    def __init__(self, probe: Probe, course: SessionReplay, config: Mapping[str, object], block: Entry) -> None:
-        self._probe, self._course, self._config, self._block = probe, course, config, block
+    def __init__(self, probe: Probe, replay: SessionReplay, config: Mapping[str, object], block: Entry) -> None:
+        self._probe, self._replay, self._config, self._block = probe, replay, config, block
         self._nearest: set[str] = set()
         self._standing: subprocess_task.PersistentTask | None = None
         self._sent: set[str] = set()
@@ -91,24 +91,24 @@ class LoadedAdapter:
             self._standing = None
 
     def answers_by_block(
-        self, blocks: Sequence[Entry], wanted: Sequence[int], seconds: float
+        self, blocks: Sequence[Entry], questions: Sequence[int], seconds: float
     ) -> list[AnswersByQuestion | None] | None:
         """Return the answers to some questions under each model_io block, as far as the time reaches.
 
         Args:
             blocks: what is tried.
-            wanted: numbers of questions.
+            questions: numbers of questions.
             seconds: how long it may take.
 
         Returns:
             None for a block that cannot be used; None in all if the block does not say how the adapter converts, or the
             model cannot be loaded there.
         """
-        found = self._request({"blocks": list(blocks)}, wanted, seconds)
-        return found and [None if told is None else self._by_number(told, wanted) for told in found]
+        results = self._request({"blocks": list(blocks)}, questions, seconds)
+        return results and [None if answers is None else self._by_number(answers, questions) for answers in results]
 
     def answers_by_input_change(
-        self, changes: Sequence[Mistake], wanted: Sequence[int], seconds: float
+        self, changes: Sequence[Mistake], questions: Sequence[int], seconds: float
     ) -> list[MistakeAnswers]:
         """Return the answers to some questions under each change of encoded inputs, as far as the time reaches.
 
@@ -116,26 +116,26 @@ class LoadedAdapter:
         size the process tells how far they are from those before: the geometry of the nearest is the adapter's, and
         where a change leaves that, the filter is the mistake.
         """
-        found = self._request({"changes": [dict(one.input_change or {}) for one in changes]}, wanted, seconds)
-        tried = list(zip(changes, map(_WorkerAnswer.read, found or []), strict=False))
-        sizes = [(told.apart, change.geometry) for change, told in tried if told.answers and change.geometry]
+        results = self._request({"changes": [dict(one.input_change or {}) for one in changes]}, questions, seconds)
+        tried = list(zip(changes, map(_WorkerAnswer.read, results or []), strict=False))
+        sizes = [(result.apart, change.geometry) for change, result in tried if result.answers and change.geometry]
         least = min(sizes, default=(0.0, ""))[0]
         # Of the first, which were all; with some pictures several geometries are one.
         self._nearest = self._nearest or {geometry for apart, geometry in sizes if apart <= least}
-        self.draws = next((told.draws for _, told in tried if told.draws is not None), self.draws)
+        self.draws = next((result.draws for _, result in tried if result.draws is not None), self.draws)
         return [
             MistakeAnswers(
-                change.description if told.words is None else told.words,
+                change.description if result.words is None else result.words,
                 _convention_of(change, self._nearest),
-                self._by_number(told.answers, wanted) if told.answers else None,
+                self._by_number(result.answers, questions) if result.answers else None,
             )
-            for change, told in tried
+            for change, result in tried
         ]
 
-    def _by_number(self, answers: Sequence[Chunk], wanted: Sequence[int]) -> AnswersByQuestion:
-        return dict(zip(self._course.with_earlier(wanted), answers, strict=True))
+    def _by_number(self, answers: Sequence[Chunk], questions: Sequence[int]) -> AnswersByQuestion:
+        return dict(zip(self._replay.with_earlier(questions), answers, strict=True))
 
-    def _request(self, what: Mapping[str, object], wanted: Sequence[int], seconds: float) -> list[Any] | None:
+    def _request(self, request: Mapping[str, object], questions: Sequence[int], seconds: float) -> list[Any] | None:
         """Return what the process says of each change, None for one that has no meaning here.
 
         None in all if the adapter cannot be asked so, or the model cannot be loaded there.
@@ -144,7 +144,11 @@ class LoadedAdapter:
         if standing is None:
             return None
         self._standing = standing
-        order = {**what, **self._course.worker_request(self._course.calls_for(wanted), self._sent), "seconds": seconds}
+        order = {
+            **request,
+            **self._replay.worker_request(self._replay.calls_for(questions), self._sent),
+            "seconds": seconds,
+        }
         done = standing.request(order, seconds + _MORE_S)
         if done.problem is not None or not done.answers:  # the next order begins with a new process
             self.__exit__()

@@ -74,58 +74,62 @@ class MistakeFamilies:
     def __init__(
         self,
         probe: Probe,
-        course: SessionReplay,
+        replay: SessionReplay,
         settings: Mapping[str, object],
-        until: float,
-        read: ReadInputs = _NOTHING,
+        deadline: float,
+        read_inputs: ReadInputs = _NOTHING,
     ) -> None:
-        self._course, self._until = course, until
-        self._began = time.monotonic()
+        self._replay, self._deadline = replay, deadline
+        self._started = time.monotonic()
         package = probe.package
         self.manifest = package.manifest
         self.model_io = self.manifest.model_io or ModelIO()
         self.config: Config = package.config({**probe.options.overrides, **settings})
         history = self.model_io.longest
         self.case = AdapterCase(
-            embodiment=course.session.robot,
-            action_type=course.session.action_type,
+            embodiment=replay.session.robot,
+            action_type=replay.session.action_type,
             block=self.model_io.data if self.model_io else {},
             folders=checkpoint.folders(self.config, package.path),
             templates=templates(package.path),
             history=self.manifest.reach if history is None else history.length,
             stride=1 if history is None else history.stride,
-            cameras=read.cameras,
-            reads=read.state,
-            instructions=read.texts,
+            cameras=read_inputs.cameras,
+            reads=read_inputs.state,
+            instructions=read_inputs.texts,
         )
-        self.loaded = LoadedAdapter(probe, course, self.config, self.case.block)
+        self.loaded = LoadedAdapter(probe, replay, self.config, self.case.block)
         self.by_block = bool(self.case.block)
         """Whether the block says how the adapter converts, as far as that is known."""
 
     @property
     def seconds_left(self) -> float:
         """Seconds that are left."""
-        return max(0.0, self._until - time.monotonic())
+        return max(0.0, self._deadline - time.monotonic())
 
     def halve_time(self) -> None:
         """Leave no more time than was used, and a little for what is quick."""
         now = time.monotonic()
-        self._until = min(self._until, now + max(_LITTLE_S, now - self._began))
+        self._deadline = min(self._deadline, now + max(_LITTLE_S, now - self._started))
 
     # -- the block -----------------------------------------------------------------------------------------------------
 
     def block_family(
-        self, wanted: Callable[[Mistake], bool] = lambda _one: True, enough: ExplainsAll = lambda _answered: False
+        self,
+        predicate: Callable[[Mistake], bool] = lambda _one: True,
+        explains_all: ExplainsAll = lambda _answered: False,
     ) -> MistakeFamily | None:
         """Return other words of the block; None where there is none that fits.
 
         Args:
-            wanted: tells which are tried.
-            enough: of all of them, what is less likely than one for which this holds is not asked.
+            predicate: tells which are tried.
+            explains_all: of all of them, what is less likely than one for which this holds is not asked.
         """
         if self._block_mistakes is None:
             return None
-        return self._family_of_blocks([pair for pair in self._block_mistakes if wanted(pair[0])], enough=enough)
+        return self._family_of_blocks(
+            [pair for pair in self._block_mistakes if predicate(pair[0])], explains_all=explains_all
+        )
 
     @functools.cached_property
     def _block_mistakes(self) -> list[tuple[Mistake, dict[str, Any]]] | None:
@@ -139,41 +143,41 @@ class MistakeFamilies:
 
     def _family_of_blocks(
         self,
-        found: Sequence[tuple[Mistake, Mapping[str, Any]]],
+        candidates: Sequence[tuple[Mistake, Mapping[str, Any]]],
         numbers: Sequence[tuple[int, int]] = (),
-        enough: ExplainsAll = lambda _answered: False,
+        explains_all: ExplainsAll = lambda _answered: False,
     ) -> MistakeFamily:
-        def asked(chosen: Sequence[int], wanted: Sequence[int]) -> list[MistakeAnswers]:
-            answers = self.loaded.answers_by_block([found[number][1] for number in chosen], wanted, self.seconds_left)
+        def answers_under(chosen: Sequence[int], questions: Sequence[int]) -> list[MistakeAnswers]:
+            answers = self.loaded.answers_by_block(
+                [candidates[number][1] for number in chosen], questions, self.seconds_left
+            )
             self.by_block = self.by_block and answers is not None
-            named = [(found[number][0].description, found[number][0].convention) for number in chosen]
-            return [MistakeAnswers(*one, given) for one, given in zip(named, answers or [], strict=False)]
+            labels = [(candidates[number][0].description, candidates[number][0].convention) for number in chosen]
+            return [MistakeAnswers(*one, by_question) for one, by_question in zip(labels, answers or [], strict=False)]
 
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
-            if len(chosen) < len(found):
-                yield from asked(chosen, wanted)
+        def ask(chosen: Sequence[int], questions: Sequence[int]) -> Iterator[MistakeAnswers]:
+            if len(chosen) < len(candidates):
+                yield from answers_under(chosen, questions)
                 return
-            for _, several in itertools.groupby(chosen, lambda number: found[number][0].rank):
-                numbers = list(several)
-                told = asked(numbers, wanted)
-                yield from told
-                if len(told) < len(numbers) or any(map(enough, told)):
+            for _, group in itertools.groupby(chosen, lambda number: candidates[number][0].rank):
+                numbers = list(group)
+                results = answers_under(numbers, questions)
+                yield from results
+                if len(results) < len(numbers) or any(map(explains_all, results)):
                     return
 
         def both(pairs: Sequence[tuple[int, int]]) -> MistakeFamily:
-            named, made = [], []
+            paired, made = [], []
             for one, other in pairs:
-                edits = {**(found[one][0].edits or {}), **(found[other][0].edits or {})}
-                if len(edits) == sum(len(found[place][0].edits or {}) for place in (one, other)):
-                    named.append((one, other))
-                    made.append(replace(found[one][0], edits=edits))
+                edits = {**(candidates[one][0].edits or {}), **(candidates[other][0].edits or {})}
+                if len(edits) == sum(len(candidates[slot][0].edits or {}) for slot in (one, other)):
+                    paired.append((one, other))
+                    made.append(replace(candidates[one][0], edits=edits))
             fit = dict(mistakes.fitting_blocks(self.case, made, self.manifest.temporal.chunk))
-            kept = sorted(fit)
-            return self._family_of_blocks(
-                [(made[place], fit[place]) for place in kept], [named[place] for place in kept]
-            )
+            slots = sorted(fit)
+            return self._family_of_blocks([(made[slot], fit[slot]) for slot in slots], [paired[slot] for slot in slots])
 
-        return MistakeFamily([mistake for mistake, _ in found], ask, both, numbers)
+        return MistakeFamily([mistake for mistake, _ in candidates], ask, both, numbers)
 
     # -- around the adapter --------------------------------------------------------------------------------------------
 
@@ -182,27 +186,27 @@ class MistakeFamilies:
         """The mistakes as changes around the adapter."""
         return list(catalogue.io_mistakes(self.case))
 
-    def action_family(self, given: Mapping[int, Sequence[Any]], enough: ExplainsAll) -> MistakeFamily:
+    def action_family(self, answers: Mapping[int, Sequence[Any]], explains_all: ExplainsAll) -> MistakeFamily:
         """Return changes of answers that are known."""
-        found = [one for one in self.outer_mistakes if one.change_observations is None]
-        around = PerturbedAdapter(self._course, given)
-        return MistakeFamily(found, self.answer_function(around, found, enough))
+        mistakes = [one for one in self.outer_mistakes if one.change_observations is None]
+        adapter = PerturbedAdapter(self._replay, answers)
+        return MistakeFamily(mistakes, self.answer_function(adapter, mistakes, explains_all))
 
     def answer_function(
-        self, around: PerturbedAdapter, found: Sequence[Mistake], enough: ExplainsAll
+        self, adapter: PerturbedAdapter, candidates: Sequence[Mistake], explains_all: ExplainsAll
     ) -> AnswerFunction:
         """Return what asks under changes around an adapter, until what is less likely need not be tried."""
 
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
-            explained: int | None = None
+        def ask(chosen: Sequence[int], questions: Sequence[int]) -> Iterator[MistakeAnswers]:
+            explained_rank: int | None = None
             for number in chosen:
-                one = found[number]
-                if self.seconds_left <= 0 or (explained is not None and one.rank > explained):
+                one = candidates[number]
+                if self.seconds_left <= 0 or (explained_rank is not None and one.rank > explained_rank):
                     return
-                answered = MistakeAnswers(one.description, one.convention, around.answers(one, wanted))
-                if explained is None and enough(answered):
-                    explained = one.rank
-                yield answered
+                result = MistakeAnswers(one.description, one.convention, adapter.answers(one, questions))
+                if explained_rank is None and explains_all(result):
+                    explained_rank = one.rank
+                yield result
 
         return ask
 
@@ -212,21 +216,25 @@ class MistakeFamilies:
         """Return changes of what the adapter's own `encode` makes."""
         return self._family_of_inputs(list(catalogue.input_mistakes(self.case)))
 
-    def _family_of_inputs(self, found: Sequence[Mistake], numbers: Sequence[tuple[int, int]] = ()) -> MistakeFamily:
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[MistakeAnswers]:
+    def _family_of_inputs(
+        self, candidates: Sequence[Mistake], numbers: Sequence[tuple[int, int]] = ()
+    ) -> MistakeFamily:
+        def ask(chosen: Sequence[int], questions: Sequence[int]) -> Iterator[MistakeAnswers]:
             # The last family needs time, too; but those that are left of many are near the mistake.
-            share = _MANY if len(chosen) == len(found) else _FEW
+            share = _MANY if len(chosen) == len(candidates) else _FEW
             yield from self.loaded.answers_by_input_change(
-                [found[number] for number in chosen], wanted, share * self.seconds_left
+                [candidates[number] for number in chosen], questions, share * self.seconds_left
             )
 
         def both(pairs: Sequence[tuple[int, int]]) -> MistakeFamily:
-            kept, made = [], []
+            paired, made = [], []
             for one, other in pairs:
-                hows = [found[place].input_change or {} for place in (one, other)]
-                if len({how["kind"] for how in hows}) == len(hows) and not _ALONE & {how["kind"] for how in hows}:
-                    kept.append((one, other))
-                    made.append(replace(found[one], input_change={"kind": "several", "of": hows}, geometry=""))
-            return self._family_of_inputs(made, kept)
+                changes = [candidates[slot].input_change or {} for slot in (one, other)]
+                if len({how["kind"] for how in changes}) == len(changes) and not _ALONE & {
+                    how["kind"] for how in changes
+                }:
+                    paired.append((one, other))
+                    made.append(replace(candidates[one], input_change={"kind": "several", "of": changes}, geometry=""))
+            return self._family_of_inputs(made, paired)
 
-        return MistakeFamily(found, ask, both, numbers)
+        return MistakeFamily(candidates, ask, both, numbers)

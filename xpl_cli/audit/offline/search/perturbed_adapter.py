@@ -34,118 +34,118 @@ class PerturbedAdapter:
 
     def __init__(
         self,
-        course: SessionReplay,
-        given: Mapping[int, Sequence[Any]],
+        replay: SessionReplay,
+        answers: Mapping[int, Sequence[Any]],
         connect: Callable[[], AbstractContextManager[Client]] | None = None,
         *,
         once: bool = True,
         together: bool = False,
     ) -> None:
-        self._course = course
-        self._given = given
+        self._replay = replay
+        self._answers = answers
         self._connect = connect
         self._once = once
         self._together = together
-        self._opened = ExitStack()
+        self._exit_stack = ExitStack()
         self._client: Client | None = None
-        self._plays: dict[tuple[int, tuple[int, ...]], Mapping[int, Sequence[Any]] | None] = {}
+        self._results: dict[tuple[int, tuple[int, ...]], Mapping[int, Sequence[Any]] | None] = {}
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._opened.close()
+        self._exit_stack.close()
 
-    def answers(self, mistake: Mistake, wanted: Sequence[int]) -> dict[int, list[Any]] | None:
+    def answers(self, mistake: Mistake, question_numbers: Sequence[int]) -> dict[int, list[Any]] | None:
         """Return the answers to some questions, and those before them, with a change; None if it is refused.
 
         A step that the change cannot tell is None.
         """
-        numbers = self._course.with_earlier(wanted)
-        given = self._answers_to_changed_observations(mistake, numbers)
-        if given is None or mistake.change_actions is None:
-            return None if given is None else {number: list(chunk) for number, chunk in given.items()}
-        found: dict[int, list[Any]] = {}
-        for episode in self._course.group_by_episode(numbers):
-            questions = [self._course.session.questions[number] for number in episode]
-            places = [question.asked_at[-1] for question in questions]
-            told = [given[number] for number in episode]
+        numbers = self._replay.with_earlier(question_numbers)
+        answers = self._answers_to_changed_observations(mistake, numbers)
+        if answers is None or mistake.change_actions is None:
+            return None if answers is None else {number: list(chunk) for number, chunk in answers.items()}
+        changed_answers: dict[int, list[Any]] = {}
+        for episode in self._replay.group_by_episode(numbers):
+            questions = [self._replay.session.questions[number] for number in episode]
+            steps = [question.asked_at[-1] for question in questions]
+            chunks = [answers[number] for number in episode]
             try:
-                changed = mistake.change_actions(told, self._course.observations_of(questions[-1]), places)
+                changed = mistake.change_actions(chunks, self._replay.observations_of(questions[-1]), steps)
             except ValueError:  # such as a rotation of length zero
                 return None
-            found.update(zip(episode, changed, strict=True))
-        return found
+            changed_answers.update(zip(episode, changed, strict=True))
+        return changed_answers
 
     def _answers_to_changed_observations(
         self, mistake: Mistake, numbers: Sequence[int]
     ) -> Mapping[int, Sequence[Any]] | None:
         if mistake.change_observations is None:
-            return {number: self._given[number] for number in numbers}
+            return {number: self._answers[number] for number in numbers}
         if self._connect is None:
             return None
         key = (id(mistake.change_observations), tuple(numbers))
-        if key not in self._plays:
+        if key not in self._results:
             try:
                 play = self._replay_together if self._together else self._replay_by_episode
-                self._plays[key] = play(self._connected(), mistake, numbers)
+                self._results[key] = play(self._connected(), mistake, numbers)
             except QuestionRefusedError:
-                self._plays[key] = None
-        return self._plays[key]
+                self._results[key] = None
+        return self._results[key]
 
     def _connected(self) -> Client:
         """Return the client for one play."""
         assert self._connect is not None  # noqa: S101 - see who asks
         if self._client is None or not self._once:
-            self._opened.close()
-            self._client = self._opened.enter_context(self._connect())
+            self._exit_stack.close()
+            self._client = self._exit_stack.enter_context(self._connect())
         return self._client
 
     def _replay_together(self, client: Client, mistake: Mistake, numbers: Sequence[int]) -> dict[int, Chunk]:
         """Play all episodes in their order, each with its environments together."""
         assert mistake.change_observations is not None  # noqa: S101 - see who asks
-        session = self._course.session
+        session = self._replay.session
         changed: dict[tuple[int, int], Observation] = {}
-        for episode in self._course.group_by_episode(numbers):
+        for episode in self._replay.group_by_episode(numbers):
             last = session.questions[episode[-1]]
             changed.update(
-                zip(last.recipes, mistake.change_observations(self._course.observations_of(last)), strict=True)
+                zip(last.recipes, mistake.change_observations(self._replay.observations_of(last)), strict=True)
             )
 
         def observation(env: int, place: int) -> Observation:
-            return changed.get((env, place)) or self._course.observation(env, place)
+            return changed.get((env, place)) or self._replay.observation(env, place)
 
-        asked = [session.questions[number] for number in numbers]
-        return replay_by_question(client, session, self._course.calls_for(numbers), asked, observation)
+        questions = [session.questions[number] for number in numbers]
+        return replay_by_question(client, session, self._replay.calls_for(numbers), questions, observation)
 
     def _replay_by_episode(self, client: Client, mistake: Mistake, numbers: Sequence[int]) -> dict[int, Chunk]:
         assert mistake.change_observations is not None  # noqa: S101 - see who asks
-        found: dict[int, Chunk] = {}
-        for episode in self._course.group_by_episode(numbers):
-            questions = [self._course.session.questions[number] for number in episode]
+        answers: dict[int, Chunk] = {}
+        for episode in self._replay.group_by_episode(numbers):
+            questions = [self._replay.session.questions[number] for number in episode]
             if mistake.windowed:
                 for question in questions:
-                    shown = mistake.change_observations(self._course.observations_of(question))
-                    found.update(self._run_episode(client, shown, {len(shown) - 1: question}))
+                    observations = mistake.change_observations(self._replay.observations_of(question))
+                    answers.update(self._run_episode(client, observations, {len(observations) - 1: question}))
             else:
-                shown = mistake.change_observations(self._course.observations_of(questions[-1]))
-                found.update(
-                    self._run_episode(client, shown, {question.asked_at[-1]: question for question in questions})
+                observations = mistake.change_observations(self._replay.observations_of(questions[-1]))
+                answers.update(
+                    self._run_episode(client, observations, {question.asked_at[-1]: question for question in questions})
                 )
-        return found
+        return answers
 
     def _run_episode(
-        self, client: Client, shown: Sequence[Observation], asked: Mapping[int, PairQuestion]
+        self, client: Client, observations: Sequence[Observation], questions: Mapping[int, PairQuestion]
     ) -> dict[int, Chunk]:
         """Play one episode, and return its answers by the numbers of the questions."""
         client.reset()
-        found = {}
-        for place, observation in enumerate(shown):
-            question = asked.get(place)
+        answers = {}
+        for step, observation in enumerate(observations):
+            question = questions.get(step)
             if question is not None:
-                found[question.number] = check_answer(client.infer(observation), question, self._course.session)
+                answers[question.number] = check_answer(client.infer(observation), question, self._replay.session)
                 continue
-            told = client.update_obs(observation)
-            if isinstance(told, PolicyServerError):
-                raise QuestionRefusedError(next(iter(asked.values())), told)
-        return found
+            answer = client.update_obs(observation)
+            if isinstance(answer, PolicyServerError):
+                raise QuestionRefusedError(next(iter(questions.values())), answer)
+        return answers

@@ -53,13 +53,13 @@ class Scorer(ABC):
         """Questions on which mistakes are tried, round by round, before those that are left are tried on all."""
 
     @abstractmethod
-    def select(self, answered: Sequence[MistakeAnswers], wanted: Sequence[int], turn: int) -> list[int]:
+    def select(self, results: Sequence[MistakeAnswers], questions: Sequence[int], round_number: int) -> list[int]:
         """Return the places of those that are worth the next round, sorted.
 
         Args:
-            answered: under each mistake.
-            wanted: the questions.
-            turn: number of the round.
+            results: under each mistake.
+            questions: the questions.
+            round_number: number of the round.
         """
 
 
@@ -76,13 +76,15 @@ class RankingResult:
     final_round: Sequence[tuple[int, MistakeAnswers]]
 
 
-def rank(family: MistakeFamily, ruler: Scorer) -> RankingResult:
+def rank(family: MistakeFamily, scorer: Scorer) -> RankingResult:
     """Try all mistakes of a family."""
-    good: Sequence[int] = range(len(family.mistakes))
-    first: list[MistakeAnswers] = []
-    for turn, wanted in enumerate(ruler.rounds):
-        answered = list(family.answers(good, wanted)) if good else []
-        first = answered if turn == 0 else first
-        good = [good[place] for place in ruler.select(answered, wanted, turn)]
-    last = list(zip(good, family.answers(good, ruler.all_questions) if good else (), strict=False))
-    return RankingResult(first, last)
+    remaining: Sequence[int] = range(len(family.mistakes))
+    first_round: list[MistakeAnswers] = []
+    for round_number, questions in enumerate(scorer.rounds):
+        results = list(family.answers(remaining, questions)) if remaining else []
+        first_round = results if round_number == 0 else first_round
+        remaining = [remaining[slot] for slot in scorer.select(results, questions, round_number)]
+    final_round = list(
+        zip(remaining, family.answers(remaining, scorer.all_questions) if remaining else (), strict=False)
+    )
+    return RankingResult(first_round, final_round)

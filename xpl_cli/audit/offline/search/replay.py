@@ -67,44 +67,46 @@ def replay_calls(
     Raises:
         RefusedError: if an answer is an error or no chunk.
     """
-    questions: Iterator[PairQuestion] = iter(asked)
-    found: list[list[Chunk]] = []
-    newest: tuple[int, ...] = ()
+    pending: Iterator[PairQuestion] = iter(asked)
+    answers: list[list[Chunk]] = []
+    last_observed: tuple[int, ...] = ()
     for call in calls:
         if call.reset:
             client.reset()
         elif call.show:
-            newest = tuple(env for env, _ in call.show)
+            last_observed = tuple(env for env, _ in call.show)
             observations = [observation(env, place) for env, place in call.show]
-            told = client.update_obs(observations[0]) if len(newest) == 1 else client.update_obs_batch(observations)
-            if isinstance(told, PolicyServerError):
-                raise QuestionRefusedError(next(questions), told)
+            answer = (
+                client.update_obs(observations[0]) if len(last_observed) == 1 else client.update_obs_batch(observations)
+            )
+            if isinstance(answer, PolicyServerError):
+                raise QuestionRefusedError(next(pending), answer)
         else:
-            now = [next(questions) for _ in call.ask]
-            takes = [_get_chunks(client, session, now, alone=call.ask == newest) for _ in range(session.takes)]
-            found += [list(chunks) for chunks in zip(*takes, strict=True)]
-    return found
+            batch = [next(pending) for _ in call.ask]
+            takes = [_get_chunks(client, session, batch, alone=call.ask == last_observed) for _ in range(session.takes)]
+            answers += [list(chunks) for chunks in zip(*takes, strict=True)]
+    return answers
 
 
 def replay_by_question(
     client: Client,
     session: PairSession,
     calls: Sequence[Call],
-    asked: Sequence[PairQuestion],
+    questions: Sequence[PairQuestion],
     observation: Callable[[int, int], Observation],
 ) -> dict[int, Chunk]:
     """Return what `replay` does of the first takes, by the numbers of the questions."""
-    answers = replay_calls(client, session, calls, asked, observation)
-    return {question.number: takes[0] for question, takes in zip(asked, answers, strict=True)}
+    answers = replay_calls(client, session, calls, questions, observation)
+    return {question.number: takes[0] for question, takes in zip(questions, answers, strict=True)}
 
 
-def _get_chunks(client: Client, session: PairSession, asked: Sequence[PairQuestion], *, alone: bool) -> list[Chunk]:
-    if len(asked) == 1 and alone:
-        return [check_answer(client.get_action(), asked[0], session)]
-    answer = client.get_action_batch([question.env for question in asked])
-    if isinstance(answer, PolicyServerError) or not isinstance(answer, (list, tuple)) or len(answer) != len(asked):
-        raise QuestionRefusedError(asked[0], answer)
-    return [check_answer(chunk, question, session) for chunk, question in zip(answer, asked, strict=True)]
+def _get_chunks(client: Client, session: PairSession, questions: Sequence[PairQuestion], *, alone: bool) -> list[Chunk]:
+    if len(questions) == 1 and alone:
+        return [check_answer(client.get_action(), questions[0], session)]
+    answer = client.get_action_batch([question.env for question in questions])
+    if isinstance(answer, PolicyServerError) or not isinstance(answer, (list, tuple)) or len(answer) != len(questions):
+        raise QuestionRefusedError(questions[0], answer)
+    return [check_answer(chunk, question, session) for chunk, question in zip(answer, questions, strict=True)]
 
 
 def check_answer(chunk: Answer, question: PairQuestion, session: PairSession) -> Chunk:
@@ -119,5 +121,5 @@ def check_answer(chunk: Answer, question: PairQuestion, session: PairSession) ->
         check_chunk(chunk, session.robot, session.action_type)
     except ActionError as error:
         raise QuestionRefusedError(question, error) from None
-    kept: Chunk = list(chunk)
-    return kept
+    steps: Chunk = list(chunk)
+    return steps

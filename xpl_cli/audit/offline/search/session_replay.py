@@ -48,51 +48,51 @@ class SessionReplay:
         """Return what was shown in a question's episode up to it."""
         return [self.observation(env, place) for env, place in question.recipes]
 
-    def group_by_episode(self, wanted: Iterable[int]) -> list[list[int]]:
+    def group_by_episode(self, numbers: Iterable[int]) -> list[list[int]]:
         """Return questions by their episodes, each in its order."""
-        found: dict[EpisodeKey, list[int]] = {}
-        for number in sorted(wanted):
-            found.setdefault(self._key(number), []).append(number)
-        return list(found.values())
+        episodes: dict[EpisodeKey, list[int]] = {}
+        for number in sorted(numbers):
+            episodes.setdefault(self._key(number), []).append(number)
+        return list(episodes.values())
 
-    def with_earlier(self, wanted: Iterable[int]) -> list[int]:
+    def with_earlier(self, numbers: Iterable[int]) -> list[int]:
         """Return questions with those that are asked before them in their episodes: an adapter may remember them."""
-        last = self._last(wanted)
+        last = self._last(numbers)
         return [number for number in self.all_questions if number <= last.get(self._key(number), -1)]
 
-    def calls_for(self, wanted: Sequence[int]) -> list[Call]:
+    def calls_for(self, numbers: Sequence[int]) -> list[Call]:
         """Return the calls that ask some questions, and those before them, as the whole session does.
 
         Of an episode that is only passed something is shown: what is drawn in the next one depends on its number.
         """
         questions = self.session.questions
-        until = {key: questions[number].call for key, number in self._last(wanted).items()}
-        passed = set(range(max((episode for episode, _ in until), default=0))) - {episode for episode, _ in until}
-        found = []
-        for place, (call, episode) in enumerate(with_episode_numbers(self.session.calls)):
-            show = tuple(recipe for recipe in call.show if place <= until.get((episode, recipe[0]), -1))
-            if call.show and episode in passed:
+        until = {key: questions[number].call for key, number in self._last(numbers).items()}
+        skipped = set(range(max((episode for episode, _ in until), default=0))) - {episode for episode, _ in until}
+        calls = []
+        for index, (call, episode) in enumerate(with_episode_numbers(self.session.calls)):
+            show = tuple(recipe for recipe in call.show if index <= until.get((episode, recipe[0]), -1))
+            if call.show and episode in skipped:
                 show = call.show
-                passed.remove(episode)
-            ask = tuple(env for env in call.ask if place <= until.get((episode, env), -1))
+                skipped.remove(episode)
+            ask = tuple(env for env in call.ask if index <= until.get((episode, env), -1))
             if call.reset or show or ask:
-                found.append(Call(call.reset, show, ask))
-        return found
+                calls.append(Call(call.reset, show, ask))
+        return calls
 
-    def worker_request(self, calls: Sequence[Call], known: set[str]) -> dict[str, Any]:
+    def worker_request(self, calls: Sequence[Call], sent: set[str]) -> dict[str, Any]:
         """Return calls as a process in the adapter's interpreter takes them (`xpl.worker.changes`).
 
         Args:
             calls: of this session.
-            known: names of the observations that the process has; those that are sent are added.
+            sent: names of the observations that the process has; those that are sent are added.
         """
         new = {
             _observation_name(*recipe): recipe
             for call in calls
             for recipe in call.show
-            if _observation_name(*recipe) not in known
+            if _observation_name(*recipe) not in sent
         }
-        known.update(new)
+        sent.update(new)
         return {
             "observations": {name: self.observation(*recipe) for name, recipe in new.items()},
             "calls": [
@@ -105,9 +105,9 @@ class SessionReplay:
             ],
         }
 
-    def _last(self, wanted: Iterable[int]) -> dict[EpisodeKey, int]:
+    def _last(self, numbers: Iterable[int]) -> dict[EpisodeKey, int]:
         """Return the last of some questions in each episode."""
-        return {self._key(number): number for number in sorted(wanted)}
+        return {self._key(number): number for number in sorted(numbers)}
 
     def _key(self, number: int) -> EpisodeKey:
         question = self.session.questions[number]
