@@ -47,22 +47,22 @@ class Row:
     apart: int
 
 
-def ways(name: str) -> dict[str, Convert]:
+def converters(name: str) -> dict[str, Convert]:
     """Return the ways to convert three views by one filter; ours first."""
     kind, _, antialias = name.partition(" ")
     step = {"resize": {"to": list(TO), "filter": kind, "antialias": bool(antialias)}}
     plain = {"channels": "rgb", "layout": "hwc", "dtype": "uint8"}
     ours = ImageInput({"input": "image", "cameras": ["cam_head"], "steps": [step], **plain})
-    found: dict[str, Convert] = {"xpl.convert": lambda views: np.stack([ours.view(view) for view in views])}
+    implementations: dict[str, Convert] = {"xpl.convert": lambda views: np.stack([ours.view(view) for view in views])}
     if name in _OPENCV:
-        found["OpenCV"] = lambda views: np.stack(
+        implementations["OpenCV"] = lambda views: np.stack(
             [cv2.resize(view, TO[::-1], interpolation=_OPENCV[name]) for view in views]
         )
     if name in _PILLOW:
-        found["Pillow"] = lambda views: np.stack(
+        implementations["Pillow"] = lambda views: np.stack(
             [np.asarray(Image.fromarray(view).resize(TO[::-1], _PILLOW[name])) for view in views]
         )
-    return found
+    return implementations
 
 
 def measure(runs: int) -> list[Row]:
@@ -71,11 +71,11 @@ def measure(runs: int) -> list[Row]:
     views = [rng.integers(0, 256, (*SIZE, 3), dtype=np.uint8) for _ in range(VIEWS)]
     rows = []
     for name in FILTERS:
-        known = ways(name)
-        made = {way: convert(views).astype(int) for way, convert in known.items()}
-        took: dict[str, list[float]] = {way: [] for way in known}
+        implementations = converters(name)
+        made = {way: convert(views).astype(int) for way, convert in implementations.items()}
+        took: dict[str, list[float]] = {way: [] for way in implementations}
         for _ in range(runs):
-            for way, convert in known.items():
+            for way, convert in implementations.items():
                 begin = time.perf_counter()
                 convert(views)
                 took[way].append((time.perf_counter() - begin) * 1000)

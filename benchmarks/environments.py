@@ -85,12 +85,12 @@ def _cameras(task: str, rounds: int) -> list[dict[str, Any]]:
             command = [sys.executable, "-m", ours.__name__, task, renderer, *map(str, (*size, rounds))]
             row: dict[str, Any] = {"size": size, "renderer": renderer, "ms": None, **_figures_of(command, {})}
             if row["ms"] is None:
-                shown = f" not_run: {row['not_run']}"
+                note = f" not_run: {row['not_run']}"
             elif renderer == ours.RAYCAST:
-                shown = f"{row['ms']:>8.1f} {'met' if row['ms'] < goal else 'missed':>9}"
+                note = f"{row['ms']:>8.1f} {'met' if row['ms'] < goal else 'missed':>9}"
             else:
-                shown = f"{row['ms']:>8.1f}"
-            print(f"{name:<34} {renderer:>9} {shown}")
+                note = f"{row['ms']:>8.1f}"
+            print(f"{name:<34} {renderer:>9} {note}")
             rows.append(row)
     return rows
 

@@ -73,34 +73,34 @@ class _Suite:
         self.episodes = episodes
         self._folder = folder
         self._runs = 0
-        orders = evaluate.make_configs(adapter, environment, self.plan, Runtime(), IsolationSettings())
-        self._backends = {lanes: make_backend(BackendConfig(workers=lanes), *orders, episodes) for lanes in (1, 2)}
+        configs = evaluate.make_configs(adapter, environment, self.plan, Runtime(), IsolationSettings())
+        self._backends = {count: make_backend(BackendConfig(workers=count), *configs, episodes) for count in (1, 2)}
 
     def __enter__(self) -> Self:
-        for lanes in self._backends:
-            self.play(lanes)
+        for count in self._backends:
+            self.play(count)
         return self
 
     def __exit__(self, *_: object) -> None:
         for backend in self._backends.values():
             backend.close()
 
-    def play(self, lanes: int = 1) -> _Took:
+    def play(self, workers: int = 1) -> _Took:
         """Play without a record."""
         slots = self.plan.slots()
         jobs = [RolloutJob(slot.index, 1, slot.task, slot.setting, slot.seed, trace=False) for slot in slots]
         began = _now()
-        lines = list(runner.rerun_episodes(self.plan, jobs, self._backends[lanes]))
+        lines = list(runner.rerun_episodes(self.plan, jobs, self._backends[workers]))
         took = _since(began)
         assert all(line.success for line in lines)
         return took
 
-    def record(self, lanes: int = 1) -> _Took:
+    def record(self, workers: int = 1) -> _Took:
         """Play a recorded run."""
         self._runs += 1
         began = _now()
         with records.RecordWriter(self._folder / str(self._runs), self.plan) as writer:
-            runner.run_schedule(writer, self._backends[lanes], Schedule(writer.run, 0, lambda _: False), _Silent())
+            runner.run_schedule(writer, self._backends[workers], Schedule(writer.run, 0, lambda _: False), _Silent())
         took = _since(began)
         assert all(line.success for line in writer.run.finals.values())
         return took
@@ -109,10 +109,10 @@ class _Suite:
 def workers(suite: _Suite, rounds: int) -> dict[str, Any]:
     """Measure and print episodes per hour with one worker and with two."""
     took = [(suite.record(1), suite.record(2)) for _ in range(rounds)]
-    rates = {lanes: [3600 * suite.episodes / pair[lanes - 1].wall for pair in took] for lanes in (1, 2)}
+    rates = {count: [3600 * suite.episodes / pair[count - 1].wall for pair in took] for count in (1, 2)}
     speedup = statistics.median(one.wall / two.wall for one, two in took)
-    for lanes, found in rates.items():
-        print(f"{lanes} worker{'s' if lanes > 1 else ' '}  {statistics.median(found):>7.0f} episodes/h")
+    for count, rates_per_hour in rates.items():
+        print(f"{count} worker{'s' if count > 1 else ' '}  {statistics.median(rates_per_hour):>7.0f} episodes/h")
     print(f"speed-up   {speedup:>7.2f}   target {LEAST_SPEEDUP}: {'met' if speedup >= LEAST_SPEEDUP else 'missed'}\n")
     return {"episodes_per_hour": rates, "speedup": speedup}
 
@@ -122,12 +122,12 @@ def recording(suite: _Suite, rounds: int) -> dict[str, Any]:
     took = [(suite.play(), suite.record()) for _ in range(rounds)]
     figures: dict[str, Any] = {"episodes": suite.episodes}
     for kind in ("wall", "processor"):
-        pairs = [(getattr(plain, kind), getattr(kept, kind)) for plain, kept in took]
-        overhead = statistics.median(kept / plain for plain, kept in pairs) - 1
+        pairs = [(getattr(plain, kind), getattr(recorded, kind)) for plain, recorded in took]
+        overhead = statistics.median(recorded / plain for plain, recorded in pairs) - 1
         figures[kind] = {"pairs": pairs, "overhead": overhead}
-        plain, kept = (1e3 * statistics.median(times) / suite.episodes for times in zip(*pairs, strict=True))
+        plain, recorded = (1e3 * statistics.median(times) / suite.episodes for times in zip(*pairs, strict=True))
         met = "met" if overhead < MOST_OVERHEAD else "missed"
-        print(f"{kind} time: {plain:.1f} ms an episode, recorded {kept:.1f} ms: {overhead:+.1%}", end="   ")
+        print(f"{kind} time: {plain:.1f} ms an episode, recorded {recorded:.1f} ms: {overhead:+.1%}", end="   ")
         print(f"target below {MOST_OVERHEAD:.0%}: {met}")
     return figures
 

@@ -71,36 +71,36 @@ def main() -> None:
     parser.add_argument("--defects", type=Path, help="JSON with verified defects: adapter, file, line, defect_class")
     parser.add_argument("--options", default="", help="options of xpl audit, as --python PATH")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write everything there")
-    asked = parser.parse_args()
-    names = asked.adapters or sorted(path.parent.name for path in asked.checkout.glob("policy/*/model.py"))
-    known = json.loads(asked.defects.read_text())["defects"] if asked.defects else []
+    arguments = parser.parse_args()
+    names = arguments.adapters or sorted(path.parent.name for path in arguments.checkout.glob("policy/*/model.py"))
+    defects = json.loads(arguments.defects.read_text())["defects"] if arguments.defects else []
     print(
         f"{'adapter':<20} {'loaded':<6} {'served':<6} {'judged':<6} {'s':>5} {'CPU':>4}  "
         "pass fail warn  n/r  n/a  must  found"
     )
     rows = []
     for name in names:
-        row = _audited(asked.checkout / "policy" / name, asked)
-        _compare(row, [defect for defect in known if defect["adapter"] == name])
+        row = _audited(arguments.checkout / "policy" / name, arguments)
+        _compare(row, [defect for defect in defects if defect["adapter"] == name])
         rows.append(row)
         _tell(row)
-        if asked.json:
-            asked.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
+        if arguments.json:
+            arguments.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
     _sum_up(rows)
 
 
-def _audited(folder: Path, asked: argparse.Namespace) -> Row:
+def _audited(folder: Path, arguments: argparse.Namespace) -> Row:
     with tempfile.TemporaryDirectory(prefix="xpl-field-") as name:
-        if asked.copied:
+        if arguments.copied:
             copy = Path(name) / "policy" / folder.name
             shutil.copytree(folder, copy, symlinks=True)
             folder = copy
         row = Row(folder.name)
         started, before = time.monotonic(), _cpu()
-        offline = _gate(folder, "offline", asked.options.split())
+        offline = _gate(folder, "offline", arguments.options.split())
         row.seconds, row.cpu = round(time.monotonic() - started, 1), round(_cpu() - before, 1)
         _read(row, offline)
-        if not asked.no_static:
+        if not arguments.no_static:
             row.static = _findings(_gate(folder, "static", []))
     return row
 
@@ -138,8 +138,8 @@ def _read(row: Row, target: dict[str, Any]) -> None:
         row.served = row.loaded and structure.get("outcome") in {"pass", "fail", "warn"}
         row.judged = row.served and ran >= JUDGED and row.cpu <= LIMIT_S
         row.why = serves.get("reason") or structure.get("reason") or ""
-        for found in _findings({"gates": [gate]}):
-            (row.must if found["outcome"] == "fail" else row.warned).append(found)
+        for finding in _findings({"gates": [gate]}):
+            (row.must if finding["outcome"] == "fail" else row.warned).append(finding)
 
 
 def _findings(target: dict[str, Any]) -> list[dict[str, Any]]:
@@ -158,11 +158,11 @@ def _place(finding: dict[str, Any]) -> dict[str, Any]:
 # -- verified defects --------------------------------------------------------------------------------------------------
 
 
-def _compare(row: Row, known: list[dict[str, Any]]) -> None:
+def _compare(row: Row, defects: list[dict[str, Any]]) -> None:
     """Note which verified defects a finding is about."""
-    row.defects = len(known)
-    for defect in known:
-        hits = (found for found in (*row.static, *row.must, *row.warned) if is_about(found, defect))
+    row.defects = len(defects)
+    for defect in defects:
+        hits = (finding for finding in (*row.static, *row.must, *row.warned) if is_about(finding, defect))
         hit = next(hits, None)
         entry = {key: defect.get(key) for key in ("file", "line", "defect_class")}
         if hit is None:
@@ -176,9 +176,9 @@ def _tell(row: Row) -> None:
         f"{row.outcomes.get(kind, 0):>4}" for kind in ("pass", "fail", "warn", "not_run", "not_applicable")
     )
     marks = " ".join(f"{'yes' if value else 'no':<6}" for value in (row.loaded, row.served, row.judged))
-    found = f"{len(row.found)}/{row.defects}" if row.defects else ""
+    matched = f"{len(row.found)}/{row.defects}" if row.defects else ""
     print(
-        f"{row.adapter:<20} {marks} {row.seconds:>5.0f} {row.cpu:>4.0f}  {counts}  {len(row.must):>4}  {found:<5}  "
+        f"{row.adapter:<20} {marks} {row.seconds:>5.0f} {row.cpu:>4.0f}  {counts}  {len(row.must):>4}  {matched:<5}  "
         f"{row.why[:150]}",
         flush=True,
     )

@@ -49,7 +49,7 @@ def measured(folder: Path, manifest: Mapping[str, Any], config: Mapping[str, Any
 
     model = load_model_class(folder)({**config, "manifest": manifest})
     robot = get_embodiment(config["env_cfg_type"])
-    seen = [observation(manifest, robot, config["action_type"], env) for env in range(max(BATCHES))]
+    observations = [observation(manifest, robot, config["action_type"], env) for env in range(max(BATCHES))]
     predict, inside = model.predict, []
 
     def timed(*arguments: Any) -> Any:
@@ -63,7 +63,7 @@ def measured(folder: Path, manifest: Mapping[str, Any], config: Mapping[str, Any
     for _ in range(rounds + WARM_UP):
         for size in BATCHES:
             begun = time.perf_counter()
-            model.update_obs_batch(seen[:size])
+            model.update_obs_batch(observations[:size])
             model.get_action_batch(list(range(size)))
             spent[size].append((time.perf_counter() - begun, inside[-1]))
     rows = []
@@ -82,18 +82,18 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--python", help="interpreter of the policy; that of policy.yml by default")
     parser.add_argument("--json", metavar="FILE", help="write the rows there, too")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     if INSIDE in os.environ:
         handed = json.loads(os.environ[INSIDE])
-        print(json.dumps(measured(Path(asked.policy), handed["manifest"], handed["config"], asked.rounds)))
+        print(json.dumps(measured(Path(arguments.policy), handed["manifest"], handed["config"], arguments.rounds)))
         return
     from xpl_cli.lifecycle import interpreter
     from xpl_cli.packages import package
 
-    found = package.load(asked.policy)
-    handed = {"manifest": dict(found.manifest.data), "config": found.config(package.parse_overrides(asked.set))}
-    python = asked.python or interpreter.resolve(found.path, found.manifest.environment)
-    command = [python, __file__, "--policy", str(found.path), "--rounds", str(asked.rounds)]
+    adapter = package.load(arguments.policy)
+    handed = {"manifest": dict(adapter.manifest.data), "config": adapter.config(package.parse_overrides(arguments.set))}
+    python = arguments.python or interpreter.resolve(adapter.path, adapter.manifest.environment)
+    command = [python, __file__, "--policy", str(adapter.path), "--rounds", str(arguments.rounds)]
     environment = {**os.environ, INSIDE: json.dumps(handed), "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode:
@@ -101,8 +101,8 @@ def main() -> None:
     rows = json.loads(done.stdout)
     for row in rows:
         print("  ".join(f"{name} {value}" for name, value in row.items()))
-    if asked.json:
-        Path(asked.json).write_text(json.dumps(rows))
+    if arguments.json:
+        Path(arguments.json).write_text(json.dumps(rows))
 
 
 if __name__ == "__main__":

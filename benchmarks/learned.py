@@ -59,8 +59,8 @@ class Recipe:
 def _ours(task: str, *, images: bool, horizon: int | None = None, **train: float) -> Recipe:
     record = {CLEAN: 130, RANDOMIZED: 130} if images else {CLEAN: 260}
     judged = (CLEAN, RANDOMIZED) if images else (CLEAN,)
-    seen = "96x96" if images else None
-    return Recipe("mujoco", task, "arx_x5_single", record, seen, train, horizon=horizon, judged=judged)
+    image_size = "96x96" if images else None
+    return Recipe("mujoco", task, "arx_x5_single", record, image_size, train, horizon=horizon, judged=judged)
 
 
 def _metaworld(task: str, **train: float) -> Recipe:
@@ -136,39 +136,49 @@ class Stage:
     begun: Path | None = None
 
 
-def stages(recipe: Recipe, package: Path, out: Path, asked: argparse.Namespace) -> Iterator[Stage]:
+def stages(recipe: Recipe, package: Path, out: Path, arguments: argparse.Namespace) -> Iterator[Stage]:
     """Yield the commands of a recipe, in their order.
 
     Args:
         recipe: what is made.
         package: folder of the policy.
         out: folder of demonstrations, runs and report.
-        asked: the command line.
+        arguments: the command line.
     """
     sees = ("--images", recipe.images, "--quality", "90", "--no-depth") if recipe.images else ("--images", "none")
     demos = {setting: out / "demos" / setting for setting in recipe.record}
-    where = () if asked.eval_env is None else ("--eval-env", asked.eval_env)
+    where = () if arguments.eval_env is None else ("--eval-env", arguments.eval_env)
     robot = ("--task", recipe.task, "--embodiment", recipe.robot, "--action-type", recipe.action_type)
     for setting, count in recipe.record.items():
         words = ("record", recipe.environment, *robot, "--setting", setting, "--episodes", str(count), *sees)
-        more = ("--privileged", "--workers", asked.workers, "--out", str(demos[setting]), *where)
+        more = ("--privileged", "--workers", arguments.workers, "--out", str(demos[setting]), *where)
         yield Stage(f"record {setting}", (*words, *more), begun=demos[setting] / "run" / "records.jsonl")
-    if not asked.installed:
+    if not arguments.installed:
         yield Stage("install", ("install", str(package)))
     sets = json.dumps([str(demo) for demo in demos.values()])
-    keys = {"ckpt_name": asked.name, "env_cfg_type": recipe.robot, "demonstrations": sets, **recipe.train}
-    chosen = ("--set", f"variant={asked.variant}") if asked.variant else ()
-    given = tuple(word for key, value in keys.items() for word in ("--set", f"{key}={value}")) + chosen
-    yield Stage("prepare", ("prepare", str(package), *given))
-    yield Stage("train", ("train", str(package), *given))
+    keys = {"ckpt_name": arguments.name, "env_cfg_type": recipe.robot, "demonstrations": sets, **recipe.train}
+    chosen = ("--set", f"variant={arguments.variant}") if arguments.variant else ()
+    settings = tuple(word for key, value in keys.items() for word in ("--set", f"{key}={value}")) + chosen
+    yield Stage("prepare", ("prepare", str(package), *settings))
+    yield Stage("train", ("train", str(package), *settings))
     whole = () if recipe.horizon is None else ("--horizon", str(recipe.horizon))
     for judged in recipe.judged:
         setting, _, instruction = judged.partition(":")
         run = _run(out, judged)
         words = ("eval", str(package), "--env", recipe.environment, "--task", recipe.task, "--setting", setting)
-        told = ("--instruction", instruction) if instruction else ()
-        how = ("--episodes", str(asked.judge), "--workers", asked.workers, "--film", "0", *told, *whole, *where)
-        which = ("--set", f"ckpt_name={asked.name}", "--set", f"env_cfg_type={recipe.robot}", *chosen)
+        instruction_option = ("--instruction", instruction) if instruction else ()
+        how = (
+            "--episodes",
+            str(arguments.judge),
+            "--workers",
+            arguments.workers,
+            "--film",
+            "0",
+            *instruction_option,
+            *whole,
+            *where,
+        )
+        which = ("--set", f"ckpt_name={arguments.name}", "--set", f"env_cfg_type={recipe.robot}", *chosen)
         yield Stage(f"judge {judged}", (*words, *how, *which, "--out", str(run)), (0, 1), begun=run / "records.jsonl")
         yield Stage(f"report {judged}", ("report", str(run)))
 
@@ -182,29 +192,29 @@ def write(file: Path, value: Any) -> None:
     atomic.write_file(file.resolve(), (json.dumps(value, indent=2) + "\n").encode())
 
 
-def run(recipe: Recipe, asked: argparse.Namespace) -> dict[str, Any]:
+def run(recipe: Recipe, arguments: argparse.Namespace) -> dict[str, Any]:
     """Do what is not done yet, and return the result.
 
     Raises:
         SystemExit: a command failed, or the folder holds what was made otherwise.
     """
-    package = Path(asked.package or ROOT / "policy" / asked.policy.partition(":")[0]).resolve()
-    name = f"{asked.policy.replace(':', '-')}-{asked.task}"
-    out = Path(asked.out or ROOT / "results" / "learned" / name).resolve()
+    package = Path(arguments.package or ROOT / "policy" / arguments.policy.partition(":")[0]).resolve()
+    name = f"{arguments.policy.replace(':', '-')}-{arguments.task}"
+    out = Path(arguments.out or ROOT / "results" / "learned" / name).resolve()
     out.mkdir(parents=True, exist_ok=True)
-    settings = {**asdict(recipe), "policy": asked.policy, "package": str(package), "checkpoint": asked.name}
-    settings = json.loads(json.dumps({**settings, "episodes_judged": asked.judge}))
+    settings = {**asdict(recipe), "policy": arguments.policy, "package": str(package), "checkpoint": arguments.name}
+    settings = json.loads(json.dumps({**settings, "episodes_judged": arguments.judge}))
     file = out / "state.json"
     state = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"settings": settings, "seconds": {}}
     if state["settings"] != settings:
         sys.exit(f"{out} was begun with other settings ({file}): go on with those, or name another folder with --out")
     write(file, state)
-    found = list(stages(recipe, package, out, asked))
-    for place, stage in enumerate(found, 1):
+    all_stages = list(stages(recipe, package, out, arguments))
+    for number, stage in enumerate(all_stages, 1):
         if stage.name in state["seconds"]:
             continue
         resumed = ("--resume",) if stage.begun is not None and stage.begun.exists() else ()
-        print(f"== {place} of {len(found)}: {stage.name}", file=sys.stderr, flush=True)
+        print(f"== {number} of {len(all_stages)}: {stage.name}", file=sys.stderr, flush=True)
         begun = time.monotonic()
         command = [*XPL, *stage.words, *resumed]
         code = subprocess.run(command, env=_variables(), stdout=sys.stderr, check=False).returncode
@@ -212,8 +222,8 @@ def run(recipe: Recipe, asked: argparse.Namespace) -> dict[str, Any]:
             sys.exit(f"{stage.name} ended with exit code {code}; the same command goes on there")
         state["seconds"][stage.name] = round(time.monotonic() - begun, 1)
         write(file, state)
-    told = {judged: _run(out, judged) / "report" / "report.json" for judged in recipe.judged}
-    reports = {judged: json.loads(path.read_text(encoding="utf-8")) for judged, path in told.items()}
+    report_files = {judged: _run(out, judged) / "report" / "report.json" for judged in recipe.judged}
+    reports = {judged: json.loads(path.read_text(encoding="utf-8")) for judged, path in report_files.items()}
     return {"schema": "xpl.learned/1", **state, "reports": reports, "out": str(out)}
 
 
@@ -236,35 +246,35 @@ def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, metavar="N", help="demonstrations of each setting, to try it out")
     parser.add_argument("--steps", type=int, metavar="N", help="of the training, to try it out")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result there, too")
-    asked = parser.parse_args(arguments)
-    if (asked.policy is None) != (asked.task is None):
+    options = parser.parse_args(arguments)
+    if (options.policy is None) != (options.task is None):
         parser.error("--policy and --task go together; without both what there is is listed")
-    if asked.policy is not None and (asked.policy, asked.task) not in RECIPES:
-        there = ", ".join(task for policy, task in RECIPES if policy == asked.policy)
-        parser.error(f"{asked.policy} was not trained on {asked.task}: {there}")
-    asked.variant = (asked.policy or "").partition(":")[2]
-    if asked.name is None:
-        asked.name = "-".join(filter(None, ("learned", asked.variant, asked.task)))
-    return asked
+    if options.policy is not None and (options.policy, options.task) not in RECIPES:
+        tasks = ", ".join(task for policy, task in RECIPES if policy == options.policy)
+        parser.error(f"{options.policy} was not trained on {options.task}: {tasks}")
+    options.variant = (options.policy or "").partition(":")[2]
+    if options.name is None:
+        options.name = "-".join(filter(None, ("learned", options.variant, options.task)))
+    return options
 
 
-def changed(recipe: Recipe, asked: argparse.Namespace) -> Recipe:
+def changed(recipe: Recipe, arguments: argparse.Namespace) -> Recipe:
     """Return a recipe with the numbers that the command line has for it."""
-    if asked.episodes is not None:
-        recipe = replace(recipe, record=dict.fromkeys(recipe.record, asked.episodes))
-    return recipe if asked.steps is None else replace(recipe, train={**recipe.train, "steps": asked.steps})
+    if arguments.episodes is not None:
+        recipe = replace(recipe, record=dict.fromkeys(recipe.record, arguments.episodes))
+    return recipe if arguments.steps is None else replace(recipe, train={**recipe.train, "steps": arguments.steps})
 
 
 def main() -> None:
     """List the recipes, or follow one."""
-    asked = parsed()
-    if asked.policy is None:
+    arguments = parsed()
+    if arguments.policy is None:
         for (policy, task), recipe in RECIPES.items():
-            told = "  ".join(f"{key} {value:g}" for key, value in recipe.train.items())
-            print(f"--policy {policy} --task {task}".ljust(58), f"{sum(recipe.record.values())} episodes  {told}")
+            settings = "  ".join(f"{key} {value:g}" for key, value in recipe.train.items())
+            print(f"--policy {policy} --task {task}".ljust(58), f"{sum(recipe.record.values())} episodes  {settings}")
         return
-    result = run(changed(RECIPES[asked.policy, asked.task], asked), asked)
-    files = [Path(result["out"]) / "result.json", *([] if asked.json is None else [asked.json])]
+    result = run(changed(RECIPES[arguments.policy, arguments.task], arguments), arguments)
+    files = [Path(result["out"]) / "result.json", *([] if arguments.json is None else [arguments.json])]
     for file in files:
         write(file, result)
     print(files[0])

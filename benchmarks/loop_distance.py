@@ -39,14 +39,14 @@ def main() -> None:
     parser.add_argument(
         "--reference", action="append", type=Path, metavar="FILE", help="may be repeated; the nearest counts"
     )
-    asked = parser.parse_args()
-    references = [functions(file) for file in asked.reference or REFERENCES]
-    found: list[float] = []
-    for file in asked.files or sorted(ROOT.glob("policy/*/deploy.py")):
+    arguments = parser.parse_args()
+    references = [functions(file) for file in arguments.reference or REFERENCES]
+    distances: list[float] = []
+    for file in arguments.files or sorted(ROOT.glob("policy/*/deploy.py")):
         written = functions(file)
-        found.append(distance(written, references))
-        print(f"{found[-1]:.2f}  {file}")
-    print(f"median {statistics.median(found):.2f}, largest {max(found):.2f}, of {len(found)} files")
+        distances.append(distance(written, references))
+        print(f"{distances[-1]:.2f}  {file}")
+    print(f"median {statistics.median(distances):.2f}, largest {max(distances):.2f}, of {len(distances)} files")
 
 
 def functions(file: Path) -> dict[str, ast.FunctionDef]:
@@ -72,23 +72,23 @@ def unmatched(one: Sequence[str], other: Sequence[str]) -> int:
     Twice the longest common subsequence is what stays; its length comes from one row of the table kept as the bits of
     an integer (Hyyrö, "Bit-parallel LCS-length computation revisited", 2004).
     """
-    places: dict[str, int] = {}
-    for place, element in enumerate(one):
-        places[element] = places.get(element, 0) | 1 << place
+    last: dict[str, int] = {}
+    for index, element in enumerate(one):
+        last[element] = last.get(element, 0) | 1 << index
     every = row = (1 << len(one)) - 1
     for element in other:
-        hits = row & places.get(element, 0)
+        hits = row & last.get(element, 0)
         row = ((row + hits) | (row - hits)) & every
     return len(other) - len(one) + 2 * row.bit_count()
 
 
-def nodes(name: str, known: Mapping[str, ast.FunctionDef]) -> list[str]:
-    """Return the nodes of a function, and of those among `known` that it calls, each once."""
+def nodes(name: str, functions: Mapping[str, ast.FunctionDef]) -> list[str]:
+    """Return the nodes of a function, and of those among `functions` that it calls, each once."""
     written: list[str] = []
     waiting = [(name, list(ARGUMENTS))]
-    for number, (called, given) in enumerate(waiting):  # grows while it is read
+    for number, (called, passed) in enumerate(waiting):  # grows while it is read
         if called not in [before for before, _ in waiting[:number]]:
-            writer = _Writer(known[called], given, known)
+            writer = _Writer(functions[called], passed, functions)
             written += writer.block(writer.function.body)
             waiting += writer.called
     return written
@@ -107,12 +107,14 @@ class _Writer:
         called: functions among `known` that it calls, with the labels of their arguments.
     """
 
-    def __init__(self, function: ast.FunctionDef, given: Sequence[str], known: Mapping[str, ast.FunctionDef]) -> None:
+    def __init__(
+        self, function: ast.FunctionDef, passed: Sequence[str], functions: Mapping[str, ast.FunctionDef]
+    ) -> None:
         self.function = inlined(function)
         self.called: list[tuple[str, list[str]]] = []
-        self._known = known
+        self._known = functions
         names = [argument.arg for argument in (*function.args.posonlyargs, *function.args.args)]
-        self._labels = dict.fromkeys(names, "<parameter>") | dict(zip(names, given, strict=False))
+        self._labels = dict.fromkeys(names, "<parameter>") | dict(zip(names, passed, strict=False))
         for node in ast.walk(self.function):
             if isinstance(node, (ast.For, ast.comprehension)):
                 self._name(node.target, f"item of {self._origin(node.iter)}")
@@ -124,16 +126,16 @@ class _Writer:
 
     def block(self, body: Sequence[ast.stmt]) -> list[str]:
         """Return the nodes of statements, without texts and `pass`."""
-        kept = [one for one in body if not isinstance(one, ast.Pass) and not _is_text(one)]
-        return ["{", *(part for one in kept for part in self._node(one)), "}"]
+        statements = [one for one in body if not isinstance(one, ast.Pass) and not _is_text(one)]
+        return ["{", *(part for one in statements for part in self._node(one)), "}"]
 
     def _name(self, target: ast.expr, origin: str) -> None:
         """Label a local name by what it was first given."""
         if isinstance(target, ast.Name):
             self._labels.setdefault(target.id, f"<{origin}>")
         elif isinstance(target, (ast.Tuple, ast.List)):
-            for place, entry in enumerate(target.elts):
-                self._name(entry, f"{place} in {origin}")
+            for index, entry in enumerate(target.elts):
+                self._name(entry, f"{index} in {origin}")
 
     def _origin(self, value: ast.expr) -> str:
         """Return in a word where a value comes from."""
@@ -147,19 +149,19 @@ class _Writer:
 
     def _operation(self, call: ast.Call) -> tuple[str, list[tuple[str, ast.expr]]] | None:
         """Return what a call asks of the policy, and the arguments by name; None if it is another call."""
-        asked = call.func
-        if not isinstance(asked, ast.Attribute) or not isinstance(asked.value, ast.Name):
+        function = call.func
+        if not isinstance(function, ast.Attribute) or not isinstance(function.value, ast.Name):
             return None
-        if self._labels.get(asked.value.id) != ARGUMENTS[1]:
+        if self._labels.get(function.value.id) != ARGUMENTS[1]:
             return None
-        names = ["func_name", "obs"] if asked.attr == "call" else ["obs"]
-        given = [*zip(names, call.args, strict=False), *((str(one.arg), one.value) for one in call.keywords)]
-        if asked.attr != "call":
-            return asked.attr, given
-        name = dict(given).get("func_name")
+        names = ["func_name", "obs"] if function.attr == "call" else ["obs"]
+        parameters = [*zip(names, call.args, strict=False), *((str(one.arg), one.value) for one in call.keywords)]
+        if function.attr != "call":
+            return function.attr, parameters
+        name = dict(parameters).get("func_name")
         if not isinstance(name, ast.Constant):
             return None
-        return str(name.value), [(key, value) for key, value in given if key != "func_name"]
+        return str(name.value), [(key, value) for key, value in parameters if key != "func_name"]
 
     def _node(self, node: ast.AST) -> list[str]:
         match node:
@@ -194,8 +196,8 @@ class _Writer:
     def _call(self, call: ast.Call) -> list[str]:
         operation = self._operation(call)
         if operation is not None:
-            given = [part for name, value in operation[1] for part in (f"{name}=", *self._node(value))]
-            return [f"ask {operation[0]}(", *given, ")"]
+            parts = [part for name, value in operation[1] for part in (f"{name}=", *self._node(value))]
+            return [f"ask {operation[0]}(", *parts, ")"]
         if isinstance(call.func, ast.Name) and call.func.id in self._known:
             self.called.append((call.func.id, [self._node(value)[0] for value in call.args]))
         return [*self._node(call.func), "(", *self._field(call.args), *self._field(call.keywords), ")"]

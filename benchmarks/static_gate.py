@@ -73,31 +73,33 @@ def main() -> None:
     parser.add_argument("--adapters", type=int, default=ADAPTERS, help=f"in the generated tree (default {ADAPTERS})")
     parser.add_argument("--runs", type=int, default=7, help="runs of each command, besides the first (default 7)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:CORES])
     rows: list[_Row] = []
     with tempfile.TemporaryDirectory(prefix="xpl-bench-") as name:
         folder = Path(name)
         surroundings = _surroundings(folder)
-        subjects = _given(asked.paths) if asked.paths else _generated(folder, asked.adapters)
+        subjects = _given(arguments.paths) if arguments.paths else _generated(folder, arguments.adapters)
         print(f"{'subject':<22} {'command':<24} {'median ms':>9} {'min':>7} {'max':>7} {'CPU ms':>7} {'x ruff':>7}")
         for title, adapters in subjects:
-            rows += _measured(title, _commands(adapters), asked.runs, surroundings)
+            rows += _measured(title, _commands(adapters), arguments.runs, surroundings)
     print(
-        f"{asked.runs} runs each on {CORES} cores; ruff without its cache, and without the configuration of the folders"
+        f"{arguments.runs} runs each on {CORES} cores; ruff without its cache, and without the folders' configuration"
     )
     targets = []
-    if not asked.paths:
+    if not arguments.paths:
         targets = [
             _target(rows, "1 adapter", {XPL}, ONE_MS),
-            _target(rows, _title(asked.adapters), {XPL, UNCACHED}, ALL_MS),
+            _target(rows, _title(arguments.adapters), {XPL, UNCACHED}, ALL_MS),
         ]
     for target in targets:
-        told = "{met:<8} {subject}, {command}: {median_ms:.0f} ms ({cpu_ms:.0f} of CPU), at most {wanted_ms:.0f} wanted"
-        print(told.format(**target))
-    if asked.json:
-        asked.json.write_text(json.dumps({"rows": [asdict(row) for row in rows], "targets": targets}, indent=2))
+        row_format = (
+            "{met:<8} {subject}, {command}: {median_ms:.0f} ms ({cpu_ms:.0f} of CPU), at most {wanted_ms:.0f} wanted"
+        )
+        print(row_format.format(**target))
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"rows": [asdict(row) for row in rows], "targets": targets}, indent=2))
 
 
 def _measured(title: str, commands: dict[str, list[str]], runs: int, surroundings: dict[str, str]) -> list[_Row]:
@@ -201,12 +203,12 @@ def _cpu() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _target(rows: list[_Row], title: str, commands: set[str], wanted: float) -> dict[str, object]:
+def _target(rows: list[_Row], title: str, commands: set[str], limit_ms: float) -> dict[str, object]:
     """Judge one promise, by the slowest of the ways to audit."""
     row = max((row for row in rows if row.subject == title and row.command in commands), key=lambda row: row.median_ms)
-    met = "met" if row.median_ms <= wanted else "missed"
+    met = "met" if row.median_ms <= limit_ms else "missed"
     return {"subject": title, "command": row.command, "median_ms": row.median_ms, "cpu_ms": row.cpu_ms} | {
-        "wanted_ms": wanted,
+        "wanted_ms": limit_ms,
         "met": met,
     }
 

@@ -25,25 +25,25 @@ def main() -> int:
     parser.add_argument("defects", type=Path)
     parser.add_argument("adapters", nargs="*", help="names; all that have verified defects if none is given")
     parser.add_argument("--json", type=Path, help="write every finding here")
-    asked = parser.parse_args()
-    known = json.loads(asked.defects.read_text())["defects"]
-    names = asked.adapters or sorted({defect["adapter"] for defect in known})
-    findings = audited([asked.checkout / "policy" / name for name in names])
+    arguments = parser.parse_args()
+    defects = json.loads(arguments.defects.read_text())["defects"]
+    names = arguments.adapters or sorted({defect["adapter"] for defect in defects})
+    findings = audited([arguments.checkout / "policy" / name for name in names])
     print(f"{'adapter':<20} {'defects':>7} {'found':>5} {'fails':>5} {'warns':>5}")
     total = 0
     missed: list[dict[str, Any]] = []
     for name in names:
-        own = [found for found in findings if found["adapter"] == name]
-        verified = [defect for defect in known if defect["adapter"] == name]
-        missed += (lost := [defect for defect in verified if not any(is_about(found, defect) for found in own)])
-        fails = sum(found["outcome"] == "fail" for found in own)
+        own = [finding for finding in findings if finding["adapter"] == name]
+        verified = [defect for defect in defects if defect["adapter"] == name]
+        missed += (lost := [defect for defect in verified if not any(is_about(finding, defect) for finding in own)])
+        fails = sum(finding["outcome"] == "fail" for finding in own)
         print(f"{name:<20} {len(verified):>7} {len(verified) - len(lost):>5} {fails:>5} {len(own) - fails:>5}")
         total += len(verified)
     print(f"{total - len(missed)} of {total} verified defects found; {len(findings)} findings in all")
     for defect in missed:
         print(f"missed: {defect['file']}:{defect['line']}: {defect['defect_class']}")
-    if asked.json:
-        asked.json.write_text(json.dumps(findings, indent=1))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(findings, indent=1))
     return 0
 
 

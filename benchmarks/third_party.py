@@ -76,7 +76,7 @@ def _row(name: str, rounds: int, *, is_drawn: bool) -> dict[str, Any]:
     try:
         python = interpreter.resolve(folder, facts.environment)
         words = (facts.embodiments[0], "cameras" if is_drawn else "none", STEPS[name][is_drawn], rounds)
-        row.update(_told([python, str(PROGRAM), name, *map(str, words)]))
+        row.update(_run_json([python, str(PROGRAM), name, *map(str, words)]))
     except UserError as error:
         row["not_run"] = str(error)
     if "not_run" in row:
@@ -90,19 +90,19 @@ def _row(name: str, rounds: int, *, is_drawn: bool) -> dict[str, Any]:
 def _experts(task: str, episodes: int) -> dict[str, Any]:
     name, *options = PLAYED[task]
     command = [sys.executable, "-m", "xpl_cli", "eval", "policy/benchmark_expert", "--env", name, "--task", task]
-    told = _told([*command, *options, "--episodes", str(episodes), "--json"])
-    played = told.get("episodes", [])
+    answer = _run_json([*command, *options, "--episodes", str(episodes), "--json"])
+    played = answer.get("episodes", [])
     row = {"task": task, "episodes": len(played), "solved": sum(bool(each["success"]) for each in played)}
     print(f"{task:<24} {row['solved']} of {row['episodes']}", flush=True)
     return row
 
 
-def _told(command: list[str]) -> dict[str, Any]:
+def _run_json(command: list[str]) -> dict[str, Any]:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=LIMIT_S)
     if done.returncode:
         return {"not_run": (done.stderr.strip().splitlines() or ["no word"])[-1]}
-    found: dict[str, Any] = json.loads(done.stdout if "--json" in command else done.stdout.splitlines()[-1])
-    return found
+    answer: dict[str, Any] = json.loads(done.stdout if "--json" in command else done.stdout.splitlines()[-1])
+    return answer
 
 
 if __name__ == "__main__":

@@ -84,16 +84,16 @@ ABOUT: dict[str, tuple[int, ...]] = {
 """Beginnings of a defect's class, the longest that fits counts, and the numbers of the rules that are about it."""
 
 
-def is_about(found: dict[str, Any], defect: dict[str, Any]) -> bool:
+def is_about(finding: dict[str, Any], defect: dict[str, Any]) -> bool:
     """Tell whether a finding, with its code, path, line and message, is about a verified defect."""
     starts = [start for start in ABOUT if defect["defect_class"].startswith(start)]
-    number = int(found["code"][3:])
+    number = int(finding["code"][3:])
     if not starts or number not in ABOUT[max(starts, key=len)]:
         return False
     if number >= _OFFLINE:
         return True
-    if found["path"] is None:
-        return Path(str(defect["file"])).name in found["message"]
-    if not str(found["path"]).endswith(str(defect["file"]).split("/", 1)[1]):
+    if finding["path"] is None:
+        return Path(str(defect["file"])).name in finding["message"]
+    if not str(finding["path"]).endswith(str(defect["file"]).split("/", 1)[1]):
         return False
-    return found["code"] in ANYWHERE or abs((found["line"] or 0) - (defect["line"] or 0)) <= NEAR
+    return finding["code"] in ANYWHERE or abs((finding["line"] or 0) - (defect["line"] or 0)) <= NEAR

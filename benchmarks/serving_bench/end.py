@@ -49,10 +49,10 @@ async def measure(module: Any, setting: str, address: str) -> None:
     connection = await module.connect(address, setting)
     asks: dict[str, Any] = {}
     _say({"connected": True})
-    orders = _orders()
+    commands = _read_commands()
     while True:
         # In a thread: a client that lives in this loop has to answer pings meanwhile.
-        order = await asyncio.to_thread(orders.get)
+        order = await asyncio.to_thread(commands.get)
         name = order["payload"]
         if name not in asks:
             asks[name] = connection.asking(payloads.make(name))
@@ -73,8 +73,8 @@ async def _times(ask: Any, requests: int, limit_s: float, warm_up: int) -> list[
 
 def crowd(module: Any, setting: str, address: str) -> None:
     """Connect several clients, a thread each, and let them all ask for a while; two orders on standard input."""
-    orders = _orders()
-    order = orders.get()
+    commands = _read_commands()
+    order = commands.get()
     payload = payloads.make(order["payload"])
     connected: queue.SimpleQueue[str | None] = queue.SimpleQueue()
     start = threading.Event()
@@ -104,7 +104,7 @@ def crowd(module: Any, setting: str, address: str) -> None:
             _say({"failed": failure})
             return
     _say({"connected": len(threads)})
-    seconds = orders.get()["seconds"]
+    seconds = commands.get()["seconds"]
     started = time.perf_counter()
     start.set()
     for thread in threads:
@@ -113,17 +113,17 @@ def crowd(module: Any, setting: str, address: str) -> None:
     _say({"failed": connected.get()} if not connected.empty() else {"times_ms": times, "elapsed_s": elapsed_s})
 
 
-def _orders() -> queue.SimpleQueue[dict[str, Any]]:
+def _read_commands() -> queue.SimpleQueue[dict[str, Any]]:
     """Return the queue of orders from standard input; once that ends, so does this process, whatever it waits for."""
-    orders: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+    commands: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
 
     def read() -> None:
         for line in sys.stdin:
-            orders.put(json.loads(line))
+            commands.put(json.loads(line))
         os._exit(0)
 
     threading.Thread(target=read, daemon=True).start()
-    return orders
+    return commands
 
 
 def _say(value: dict[str, Any]) -> None:

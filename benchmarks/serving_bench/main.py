@@ -40,7 +40,7 @@ PHASES = ("latency", "throughput", "responsiveness")
 def main(description: str | None) -> None:
     """Measure, print, and write the figures where asked."""
     options = _options(description)
-    wanted = [one for one in CONTENDERS if not options.only or {one.name, one.family} & set(options.only)]
+    chosen = [one for one in CONTENDERS if not options.only or {one.name, one.family} & set(options.only)]
     size = QUICK if options.quick else FULL
     problems: dict[str, str] = {}
 
@@ -48,7 +48,7 @@ def main(description: str | None) -> None:
         problems[contender.name] = reason
 
     running = []
-    for contender in wanted:
+    for contender in chosen:
         try:
             running.append((contender, environments.python_of(contender.lock)))
         except environments.BuildError as error:
@@ -69,7 +69,7 @@ def main(description: str | None) -> None:
             "status": "not run" if contender.name in problems else "ran",
             "reason": problems.get(contender.name),
         }
-        for contender in wanted
+        for contender in chosen
     ]
     result["targets"] = targets.judge(*(result[phase] for phase in PHASES))
     report.show(result)
@@ -99,11 +99,11 @@ def _options(description: str | None) -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _list_of(known: Any) -> Any:
+def _list_of(allowed: Any) -> Any:
     def read(text: str) -> list[str]:
         names = text.split(",")
-        if unknown := [name for name in names if name not in known]:
-            raise argparse.ArgumentTypeError(f"unknown: {', '.join(unknown)}; known are {', '.join(sorted(known))}")
+        if unknown := [name for name in names if name not in allowed]:
+            raise argparse.ArgumentTypeError(f"unknown: {', '.join(unknown)}; known are {', '.join(sorted(allowed))}")
         return names
 
     return read

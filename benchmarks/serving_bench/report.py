@@ -68,12 +68,12 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print a table; a row that ends early is a note, whose last cell may be of any width."""
     lines = list(rows)
     full = [line for line in lines if len(line) == len(columns)]
-    cells = [[name, *(line[place] for line in full)] for place, name in enumerate(columns)]
+    cells = [[name, *(line[index] for line in full)] for index, name in enumerate(columns)]
     widths = [max(map(len, column)) for column in cells]
     numbers = [bool(column[1:]) and all(map(_is_number, column[1:])) for column in cells]
     for line in [columns, *lines]:
-        places = zip(line, widths, numbers, strict=False)
-        texts = [cell.rjust(width) if number else cell.ljust(width) for cell, width, number in places]
+        columns_of_line = zip(line, widths, numbers, strict=False)
+        texts = [cell.rjust(width) if number else cell.ljust(width) for cell, width, number in columns_of_line]
         print("  " + "  ".join(texts).rstrip())
 
 

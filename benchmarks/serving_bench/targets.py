@@ -61,11 +61,11 @@ def _times(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
-def _at_most(target: str, wanted: float | None, got: float | None) -> dict[str, Any]:
-    met = None if wanted is None or got is None else got <= wanted
-    return {"target": target, "wanted": wanted, "got": got, "met": met}
+def _at_most(target: str, limit: float | None, got: float | None) -> dict[str, Any]:
+    met = None if limit is None or got is None else got <= limit
+    return {"target": target, "wanted": limit, "got": got, "met": met}
 
 
-def _at_least(target: str, wanted: float | None, got: float | None) -> dict[str, Any]:
-    met = None if wanted is None or got is None else got >= wanted
-    return {"target": target, "wanted": wanted, "got": got, "met": met}
+def _at_least(target: str, limit: float | None, got: float | None) -> dict[str, Any]:
+    met = None if limit is None or got is None else got >= limit
+    return {"target": target, "wanted": limit, "got": got, "met": met}

@@ -102,8 +102,8 @@ class Told:
     @property
     def tokens(self) -> dict[str, int] | None:
         """Tokens as the agent counts them: the last `usage` of the JSON that it prints, or None."""
-        found = [usage for document in _documents(self.output) for usage in _usages(document)]
-        return found[-1] if found else None
+        usages = [usage for document in _documents(self.output) for usage in _usages(document)]
+        return usages[-1] if usages else None
 
 
 def _end(process: subprocess.Popen[str]) -> None:

@@ -81,7 +81,7 @@ def tasks(skill: Path) -> list[Task]:
         CaseError: if the file has another form, or a task is not judged by an audit.
     """
     path = skill / EVALS / "tasks.yml"
-    found = []
+    loaded = []
     for name, data in _mapping(path, None).items():
         if not isinstance(data, dict) or set(data) != {"prompt", "setup", "checks"}:
             raise CaseError(f"{path}: task {name} must have prompt, setup and checks")
@@ -90,8 +90,8 @@ def tasks(skill: Path) -> list[Task]:
             raise CaseError(f"{path}: task {name}: each check is one of {', '.join(CHECKS)}")
         if not any(kind in check for check in checks for kind in ("audit", "rule", "names_findings")):
             raise CaseError(f"{path}: task {name} is not judged by an audit")
-        found.append(Task(skill.name, name, data["prompt"].strip(), path.parent, tuple(data["setup"]), checks))
-    return found
+        loaded.append(Task(skill.name, name, data["prompt"].strip(), path.parent, tuple(data["setup"]), checks))
+    return loaded
 
 
 def _mapping(path: Path, keys: set[str] | None) -> dict[str, Any]:

@@ -25,8 +25,8 @@ def written_lines(task: Task, folder: Path) -> int:
     A line counts as often as it stands there more often than in the scaffold of its package and in the files of the
     task together; blank lines do not count. So a file of the task that is copied beside model.py costs nothing.
     """
-    given = Counter(_lines(task.files))
-    return sum(_written(package, given) for package in sorted(folder.glob("*/*/")) if _is_package(package))
+    given_lines = Counter(_lines(task.files))
+    return sum(_written(package, given_lines) for package in sorted(folder.glob("*/*/")) if _is_package(package))
 
 
 def model_lines(folder: Path) -> int | None:
@@ -76,10 +76,10 @@ def _is_package(folder: Path) -> bool:
     return folder.parent.name in {"policy", "envs"}
 
 
-def _written(package: Path, given: Counter[str]) -> int:
+def _written(package: Path, given_lines: Counter[str]) -> int:
     scaffolded = Counter(line for text in _scaffold(package) for line in _of(text))
     present = Counter(_lines(package))
-    return sum((present - scaffolded - given).values())
+    return sum((present - scaffolded - given_lines).values())
 
 
 def _scaffold(package: Path) -> Iterable[str]:

@@ -49,8 +49,8 @@ def grades(task: Task, project: Project) -> Iterator[Grade]:
     """Yield what each check of a task finds in its project, one after the other, as an audit takes its time."""
     for check in task.checks:
         ((kind, about),) = check.items()
-        told = _KINDS[kind](project, about)
-        yield Grade(check, not told, told)
+        reason = _KINDS[kind](project, about)
+        yield Grade(check, not reason, reason)
 
 
 def _audit(project: Project, target: str) -> str:

@@ -37,10 +37,10 @@ def main(description: str | None, arguments: Sequence[str] | None = None) -> int
 
 def _options(description: str | None, names: list[str], arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    told = "an agent, and how it is called without a terminal; may be repeated"
-    parser.add_argument("--agent", action="append", default=[], type=_agent, metavar="NAME=COMMAND", help=told)
-    told = "what agents have in tasks (default: all): " + ", ".join(CONDITIONS)
-    parser.add_argument("--condition", action="append", choices=CONDITIONS, metavar="CONDITION", help=told)
+    help_text = "an agent, and how it is called without a terminal; may be repeated"
+    parser.add_argument("--agent", action="append", default=[], type=_agent, metavar="NAME=COMMAND", help=help_text)
+    help_text = "what agents have in tasks (default: all): " + ", ".join(CONDITIONS)
+    parser.add_argument("--condition", action="append", choices=CONDITIONS, metavar="CONDITION", help=help_text)
     parser.add_argument("--part", action="append", choices=PARTS, help="only queries, or only tasks")
     parser.add_argument("--skill", action="append", choices=names, metavar="NAME", help="only these skills")
     parser.add_argument("--task", action="append", metavar="NAME", help="only these tasks")
@@ -60,21 +60,21 @@ def _agent(text: str) -> Agent:
 def _plans(options: argparse.Namespace, skills: Sequence[SkillBundle]) -> list[Plan]:
     """Return all runs there could be; those that the options leave out say so."""
     agents: list[Agent | None] = options.agent or [None]
-    found = []
+    plans = []
     for agent in agents:
         for skill in skills:
             left_out = _left_out("--skill", options.skill, skill.name)
             for repeat in range(1, options.repeat + 1):
                 triggers = left_out or _left_out("--part", options.part, "triggers")
-                found += [Plan(query, agent, "skills", repeat, triggers) for query in cases.queries(skill.folder)]
+                plans += [Plan(query, agent, "skills", repeat, triggers) for query in cases.queries(skill.folder)]
                 for task in cases.tasks(skill.folder):
                     tasks = left_out or _left_out("--part", options.part, "tasks")
                     tasks = tasks or _left_out("--task", options.task, task.name)
                     for condition in CONDITIONS:
                         unwanted = tasks or _left_out("--condition", options.condition, condition)
-                        found.append(Plan(task, agent, condition, repeat, unwanted))
-    return found
+                        plans.append(Plan(task, agent, condition, repeat, unwanted))
+    return plans
 
 
-def _left_out(option: str, wanted: list[Any] | None, name: str) -> str | None:
-    return None if wanted is None or name in wanted else f"left out by {option}"
+def _left_out(option: str, selected: list[Any] | None, name: str) -> str | None:
+    return None if selected is None or name in selected else f"left out by {option}"

@@ -26,27 +26,27 @@ def document(results: Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def table(found: dict[str, Any]) -> str:
+def table(summary: dict[str, Any]) -> str:
     """Return the summary, a line for each group."""
     head = (
         f"{'skill':<27}{'kind':<9}{'agent':<14}{'with':<8}{'passed':<10}{'95 %':<14}{'s':>7}{'rollout':>9}{'lines':>7}"
     )
     lines = [head]
-    for row in found["summary"]:
+    for row in summary["summary"]:
         passed = f"{row['passed']} of {row['ran']}" if row["ran"] else "not run"
         medians = [row["seconds"], row["first_rollout_s"], row["written_lines"]]
-        shown = ["-" if value is None else f"{value:.0f}" for value in medians]
+        texts = ["-" if value is None else f"{value:.0f}" for value in medians]
         interval = f"{row['interval'][0]:.0%} to {row['interval'][1]:.0%}" if row["interval"] else "-"
         lines.append(
             f"{row['skill']:<27}{row['kind']:<9}{row['agent'] or '-':<14}{row['condition']:<8}{passed:<10}"
-            f"{interval:<14}{shown[0]:>7}{shown[1]:>9}{shown[2]:>7}"
+            f"{interval:<14}{texts[0]:>7}{texts[1]:>9}{texts[2]:>7}"
         )
     reasons: dict[str, int] = {}
-    for run in found["runs"]:
+    for run in summary["runs"]:
         if run["status"] != RAN:
             reasons[run["reason"]] = reasons.get(run["reason"], 0) + 1
     return "\n".join(
-        [*lines, *(f"not run: {count} of {len(found['runs'])}: {reason}" for reason, count in reasons.items())]
+        [*lines, *(f"not run: {count} of {len(summary['runs'])}: {reason}" for reason, count in reasons.items())]
     )
 
 
@@ -81,8 +81,8 @@ def _summary(group: Sequence[Result]) -> dict[str, Any]:
 
 def _median(values: Sequence[float | None]) -> float | None:
     """Return the median of what there is; None if there is nothing."""
-    known = [value for value in values if value is not None]
-    return statistics.median(known) if known else None
+    numbers = [value for value in values if value is not None]
+    return statistics.median(numbers) if numbers else None
 
 
 def _tokens(ran: Sequence[Result]) -> dict[str, int] | None:

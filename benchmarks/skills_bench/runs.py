@@ -124,49 +124,49 @@ def make(plan: Plan, skills: Sequence[SkillBundle], limit_s: float) -> Result:
 def _query(query: Query, agent: Agent, skills: Sequence[SkillBundle], limit_s: float, result: Result) -> None:
     empty = Task(query.skill, "query", "", skills[0].folder / "evals", (), ())
     listed = "\n".join(f"- {skill.name}: {skill.description}" for skill in skills)
-    with project(empty, "none") as place:
-        told = agent.ask(_ASK.format(skills=listed, query=query.text), place.folder, place.environment, limit_s)
-    result.observed = _named(told.output, [skill.name for skill in skills])
-    if result.observed is None and told.code:
-        raise NotRunError(_failure(told))
+    with project(empty, "none") as sandbox:
+        output = agent.ask(_ASK.format(skills=listed, query=query.text), sandbox.folder, sandbox.environment, limit_s)
+    result.observed = _named(output.output, [skill.name for skill in skills])
+    if result.observed is None and output.code:
+        raise NotRunError(_failure(output))
     result.status, result.passed = RAN, result.observed == (query.wanted or "none")
-    _measured(told, result)
+    _measured(output, result)
 
 
 def _named(output: str, names: Sequence[str]) -> str | None:
     """Return the skill, or "none", that is named last; the prompt may be printed before."""
-    found = re.findall(rf"\b({'|'.join([*map(re.escape, names), 'none'])})\b", output)
-    return found[-1] if found else None
+    names_found = re.findall(rf"\b({'|'.join([*map(re.escape, names), 'none'])})\b", output)
+    return names_found[-1] if names_found else None
 
 
 def _task(task: Task, agent: Agent, condition: str, limit_s: float, result: Result) -> None:
-    with project(task, condition) as place:
-        told = agent.ask(task.prompt, place.folder, place.environment, limit_s)
-        calls = place.calls()
-        if told.code and told.in_time and not calls and not place.changed():
-            raise NotRunError(_failure(told))
-        grades = list(graders.grades(task, place))
-        result.status, result.passed = RAN, told.in_time and all(grade.passed for grade in grades)
+    with project(task, condition) as sandbox:
+        output = agent.ask(task.prompt, sandbox.folder, sandbox.environment, limit_s)
+        calls = sandbox.calls()
+        if output.code and output.in_time and not calls and not sandbox.changed():
+            raise NotRunError(_failure(output))
+        grades = list(graders.grades(task, sandbox))
+        result.status, result.passed = RAN, output.in_time and all(grade.passed for grade in grades)
         result.checks = [asdict(grade) for grade in grades]
         result.commands = len(calls)
-        result.first_rollout_s = _first_rollout(calls, told)
-        result.written_lines = effort.written_lines(task, place.folder)
-        result.model_lines = effort.model_lines(place.folder)
-    _measured(told, result)
+        result.first_rollout_s = _first_rollout(calls, output)
+        result.written_lines = effort.written_lines(task, sandbox.folder)
+        result.model_lines = effort.model_lines(sandbox.folder)
+    _measured(output, result)
 
 
-def _failure(told: Told) -> str:
-    last = (told.output.strip().splitlines() or ["it printed nothing"])[-1]
-    return f"the agent did nothing and ended with {told.code}: {last[-200:]}"
+def _failure(output: Told) -> str:
+    last = (output.output.strip().splitlines() or ["it printed nothing"])[-1]
+    return f"the agent did nothing and ended with {output.code}: {last[-200:]}"
 
 
-def _measured(told: Told, result: Result) -> None:
-    result.seconds, result.in_time, result.tokens = round(told.seconds, 1), told.in_time, told.tokens
+def _measured(output: Told, result: Result) -> None:
+    result.seconds, result.in_time, result.tokens = round(output.seconds, 1), output.in_time, output.tokens
 
 
-def _first_rollout(calls: Sequence[dict[str, Any]], told: Told) -> float | None:
+def _first_rollout(calls: Sequence[dict[str, Any]], output: Told) -> float | None:
     ends = [call["ended"] for call in calls if call["rollout"]]
-    return round(min(ends) - told.started, 1) if ends else None
+    return round(min(ends) - output.started, 1) if ends else None
 
 
 def all_of(

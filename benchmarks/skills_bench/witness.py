@@ -23,10 +23,14 @@ _PLAYED = re.compile(r"XPL-FINISH gate=mujoco pass(?![^\n\"]*profile=shadow)")
 """A rollout of an audit, with the model itself."""
 
 
-def environment(given: Mapping[str, str]) -> dict[str, str]:
+def environment(variables: Mapping[str, str]) -> dict[str, str]:
     """Return variables with which `python -m xpl_cli` is the tool of this checkout, and remembers no other project."""
-    paths = filter(None, [str(ROOT), given.get("PYTHONPATH")])
-    return {**given, "PYTHONPATH": os.pathsep.join(paths), "XDG_CACHE_HOME": str(Path(given[LOG]).parent / "cache")}
+    paths = filter(None, [str(ROOT), variables.get("PYTHONPATH")])
+    return {
+        **variables,
+        "PYTHONPATH": os.pathsep.join(paths),
+        "XDG_CACHE_HOME": str(Path(variables[LOG]).parent / "cache"),
+    }
 
 
 def main() -> int:

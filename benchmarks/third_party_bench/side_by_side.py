@@ -45,12 +45,12 @@ def ours(name: str, embodiment: str, cameras: Any) -> Any:
     return load_module(ROOT / "envs" / name / "client.py").make(config)
 
 
-def course(env: Any, steps: int) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
+def trajectory(env: Any, steps: int) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
     """Return actions that wander about the first state, and what the simulator was told for them."""
     rng = np.random.default_rng(SEED)
     env.reset([SEED])
     first = env.get_obs()["state"]
-    now, actions, told = {key: first[key].copy() for key in WANDERING if key in first}, [], []
+    now, actions, values = {key: first[key].copy() for key in WANDERING if key in first}, [], []
     for _ in range(steps):
         for key, value in now.items():
             begun, free = first[key], slice(WANDERING[key])
@@ -62,8 +62,8 @@ def course(env: Any, steps: int) -> tuple[list[dict[str, Any]], list[np.ndarray]
             {**{key: value.astype(np.float32) for key, value in now.items()}, **openings}
         )  # as a server sends
         env.take_action(actions[-1])
-        told.append(np.array(env.simulated().command))
-    return actions, told
+        values.append(np.array(env.simulated().command))
+    return actions, values
 
 
 def bare_metaworld(_env: Any, size: tuple[int, int] | None) -> Loop:
@@ -119,12 +119,12 @@ def bare_aloha(_env: Any, size: tuple[int, int] | None) -> Loop:
     def observed(physics: Any) -> dict[str, Any]:
         names = ("top", "left_wrist", "right_wrist") if size else ()
         images = {name: physics.render(height=size[0], width=size[1], camera_id=name) for name in names}
-        seen = {
+        observed = {
             "qpos": task.get_qpos(physics),
             "qvel": task.get_qvel(physics),
             "env_state": task.get_env_state(physics),
         }
-        return {**seen, "images": images or {"top": nothing}}
+        return {**observed, "images": images or {"top": nothing}}
 
     task.get_observation = observed
     return lambda: env.reset(seed=SEED), env.step
@@ -189,16 +189,16 @@ def main() -> None:
     size = SIZE if with_cameras == "cameras" else None
     with contextlib.redirect_stdout(io.StringIO()):
         env = ours(name, embodiment, size or False)
-        actions, told = course(env, int(steps))
+        actions, values = trajectory(env, int(steps))
         bare = BARE[name](env, size)
 
         def play(action: Any) -> None:
             env.take_action(action)
             env.get_obs()
 
-        mine, theirs = ((lambda: env.reset([SEED]), play), actions), (bare, told)
-        found = [(timed(*mine), timed(*theirs)) for _ in range(int(rounds))]
-    ours_ms, bare_ms = (mean_step(times) for times in zip(*found, strict=True))
+        mine, theirs = ((lambda: env.reset([SEED]), play), actions), (bare, values)
+        timings = [(timed(*mine), timed(*theirs)) for _ in range(int(rounds))]
+    ours_ms, bare_ms = (mean_step(times) for times in zip(*timings, strict=True))
     print(json.dumps({"ours_ms": ours_ms, "bare_ms": bare_ms, "ratio": bare_ms / ours_ms}))
 
 

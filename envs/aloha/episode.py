@@ -64,7 +64,7 @@ class AlohaEpisode(Episode):
         ahead = chain.tcp_from_flange(pose(np.zeros(_PLACE), rotation.identity()))
         self._ahead = ahead[:_PLACE].tolist()  # and turned alike
         self._arms = tuple(prefix.rstrip("_") for prefix in setup.embodiment.prefixes)
-        self._hands = [self._hand(place, arm) for place, arm in enumerate(self._arms)]
+        self._hands = [self._hand(index, arm) for index, arm in enumerate(self._arms)]
         names, rows = setup.facts["objects"], self._physics.data.qpos[_ROBOT:].reshape(-1, spec.POSE_DIM)
         self._rows = dict(zip(names, rows, strict=True))
         self._expert = Expert(chain, {arm: self._body(self._named(f"vx300s_{arm}")) for arm in self._arms}, setup.task)
@@ -104,8 +104,8 @@ class AlohaEpisode(Episode):
 
         A privileged policy is told, too, what an expert does that plans by them.
         """
-        known = {"reward": self._reward, **self._objects()}
-        return {**known, "expert": self._expert.action()} if self.setup.privileged else known
+        values = {"reward": self._reward, **self._objects()}
+        return {**values, "expert": self._expert.action()} if self.setup.privileged else values
 
     def simulated(self) -> Simulated:
         """Return gym-aloha's own observation, with its picture where pictures are wanted, and its last action (14,)."""
@@ -132,11 +132,11 @@ class AlohaEpisode(Episode):
         self._state = {}
         for hand in self._hands:  # few numbers: one by one they cost a fraction of what numpy takes for them
             numbers = obs["agent_pos"][hand.numbers]
-            place, turn, matrix = hand.place.tolist(), hand.turn.tolist(), hand.matrix.tolist()
-            between = [at + sum(map(mul, row, self._ahead)) for at, row in zip(place, matrix, strict=True)]
+            position, turn, matrix = hand.place.tolist(), hand.turn.tolist(), hand.matrix.tolist()
+            between = [at + sum(map(mul, row, self._ahead)) for at, row in zip(position, matrix, strict=True)]
             self._state[f"{hand.arm}_{spec.State.ARM_JOINT_STATE}"] = numbers[:_JOINTS]
             self._state[f"{hand.arm}_{spec.State.EE_JOINT_STATE}"] = np.array([min(max(float(numbers[-1]), 0.0), 1.0)])
-            self._state[f"{hand.arm}_{spec.State.EE_POSE}"] = np.array([*place, *turn])
+            self._state[f"{hand.arm}_{spec.State.EE_POSE}"] = np.array([*position, *turn])
             self._state[f"{hand.arm}_{spec.State.TCP_POSE}"] = np.array([*between, *turn])
 
     def _hand(self, number: int, arm: str) -> _Hand:

@@ -77,15 +77,15 @@ class Expert:
     def _row(self, arm: str, point: Point) -> NDArray[np.float64]:
         """Return joints and opening (dof + 1,) of a way point; the hand looks away from its base: no joint twists."""
         base = self._bases[arm]
-        place = transform(invert(base), point.place)
-        ahead = float(np.arctan2(place[1], place[0]))
+        position = transform(invert(base), point.place)
+        ahead = float(np.arctan2(position[1], position[0]))
         turn = rotation.from_axis_angle([0.0, 0.0, ahead])
         for part in ([0.0, point.down, 0.0], [point.roll, 0.0, 0.0]):
             turn = rotation.multiply(turn, rotation.from_axis_angle(part))
         assert self._chain.home is not None  # noqa: S101 - the standard gives it
         start = self._chain.home.copy()
         start[0], start[-1] = ahead, point.roll
-        joints = self._chain.search(self._chain.flange_from_tcp(pose(place, turn)), start).joints
+        joints = self._chain.search(self._chain.flange_from_tcp(pose(position, turn)), start).joints
         return np.append(joints, point.opening)
 
 

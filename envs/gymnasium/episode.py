@@ -59,16 +59,18 @@ class GymnasiumEpisode(Episode):
     def step(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Execute one action step; what is outside the Gymnasium action space is cut off and reported."""
         sources = {**self._sources, "action": action, spec.Obs.STATE: self.state()}
-        wanted = join(self.mapping.action[self.setup.action_type], sources)
-        if wanted.shape != self._low.shape:
-            raise MappingError(f"{self.mapping.id} takes {self._low.shape[0]} numbers, the mapping gives {wanted.size}")
-        allowed = np.clip(wanted, self._low, self._high)
+        command = join(self.mapping.action[self.setup.action_type], sources)
+        if command.shape != self._low.shape:
+            raise MappingError(
+                f"{self.mapping.id} takes {self._low.shape[0]} numbers, the mapping gives {command.size}"
+            )
+        allowed = np.clip(command, self._low, self._high)
         self._told = allowed.astype(self._dtype)
         obs, reward, terminated, truncated, info = self._env.step(self._told)
         self._sources = {spec.Payload.OBS: obs, "info": info, "reward": float(reward)}
         if terminated or truncated:
             self._ended = "terminated" if terminated else "truncated"
-        past = float(np.abs(wanted - allowed).max())
+        past = float(np.abs(command - allowed).max())
         return {self.setup.embodiment.prefixes[0]: {ACTION_RANGE: past}} if past > _SLACK else {}
 
     def score(self) -> float:
@@ -89,7 +91,7 @@ class GymnasiumEpisode(Episode):
 
     def truth(self) -> dict[str, Any]:
         """Return what the mapping lists as truth."""
-        return {name: place.numbers(self._sources) for name, place in self.mapping.truth.items()}
+        return {name: source.numbers(self._sources) for name, source in self.mapping.truth.items()}
 
     def simulated(self) -> Simulated:
         """Return Gymnasium's own observation, and the action that it was given last."""
@@ -100,16 +102,16 @@ class GymnasiumEpisode(Episode):
         self._env.close()
 
     def _picture(self, name: str) -> NDArray[np.uint8]:
-        place = self.mapping.cameras[name]
-        image = self._rendered() if place.names == (RENDER,) else place.value(self._sources)
+        source = self.mapping.cameras[name]
+        image = self._rendered() if source.names == (RENDER,) else source.value(self._sources)
         if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != len(("H", "W", "C")):
             got = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
-            raise MappingError(f"{place.text} must be a picture, (H, W, 3) uint8 RGB; got {got}")
-        asked = self.setup.cameras
-        if isinstance(asked, tuple):
+            raise MappingError(f"{source.text} must be a picture, (H, W, 3) uint8 RGB; got {got}")
+        size = self.setup.cameras
+        if isinstance(size, tuple):
             rows, columns = (
-                np.arange(asked[0]) * image.shape[0] // asked[0],
-                np.arange(asked[1]) * image.shape[1] // asked[1],
+                np.arange(size[0]) * image.shape[0] // size[0],
+                np.arange(size[1]) * image.shape[1] // size[1],
             )
             image = image[rows[:, None], columns]
         return np.ascontiguousarray(image[..., : spec.COLOR_CHANNELS])

@@ -41,10 +41,10 @@ class Place:
         Raises:
             MappingError: it is none.
         """
-        found = _PATH.fullmatch(text.strip())
-        if found is None:
+        match = _PATH.fullmatch(text.strip())
+        if match is None:
             raise MappingError(f"{text!r} is no path: write a source and its keys, obs.agent_pos[0] or obs.state[0:3]")
-        root, keys, first, colon, end = found.groups()
+        root, keys, first, colon, end = match.groups()
         part = slice(None)
         if first is not None:
             part = slice(int(first), int(end) if colon else (int(first) + 1 or None))

@@ -77,8 +77,8 @@ class LiberoEpisode(Episode):
 
     def step(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Execute one action step: send the tool to a pose, or as far as the command went on from the one before."""
-        wanted = self._reached(action[spec.State.EE_POSE])
-        change = self._changes.delta(wanted, self._reached(self._flange())) / _SCALE
+        target = self._reached(action[spec.State.EE_POSE])
+        change = self._changes.delta(target, self._reached(self._flange())) / _SCALE
         move, past = clip(change.tolist(), together=self._changes.counted_from == MEASURED)
         self._told = np.append(move, 1.0 - 2.0 * float(action[spec.State.EE_JOINT_STATE][0]))
         obs, _, self._success, _ = self._env.step(self._told)

@@ -81,8 +81,8 @@ class Jaw:
 
     def change(self, opening: float, largest: NDArray[np.float64]) -> list[float]:
         """Return how far the jaw goes towards an opening in one step."""
-        (wanted,) = self.command(opening)
-        return [float(np.clip((wanted - self._now) / largest[-1], -1.0, 1.0))]
+        (command,) = self.command(opening)
+        return [float(np.clip((command - self._now) / largest[-1], -1.0, 1.0))]
 
     def opening_for(self, command: NDArray[np.float64]) -> float:
         """Return the opening that an angle of the jaw is."""

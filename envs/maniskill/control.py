@@ -68,9 +68,9 @@ class JointChanges:
 
     def told(self, action: Mapping[str, Any], arm: Arm) -> Told:
         """Return how far the command went on from the one before."""
-        wanted = action[spec.State.ARM_JOINT_STATE].astype(np.float64)
-        change, past = clip(((wanted - self._before) / self._range[: len(wanted)]).tolist(), together=False)
-        self._before = wanted
+        target = action[spec.State.ARM_JOINT_STATE].astype(np.float64)
+        change, past = clip(((target - self._before) / self._range[: len(target)]).tolist(), together=False)
+        self._before = target
         opening = float(action[spec.State.EE_JOINT_STATE][0])
         return np.append(change, arm.gripper.change(opening, self._range)), _beyond(past)
 
@@ -134,10 +134,10 @@ class SolvedPoses:
     def told(self, action: Mapping[str, Any], arm: Arm) -> Told:
         """Return angles."""
         flange = compose(invert(arm.base), action[spec.State.EE_POSE].astype(np.float64))
-        found = self._chain.solve(flange, self._angles)
-        self._angles = found.joints
-        command = np.append(found.joints, arm.gripper.command(float(action[spec.State.EE_JOINT_STATE][0])))
-        missed = float(found.position_error)
+        solution = self._chain.solve(flange, self._angles)
+        self._angles = solution.joints
+        command = np.append(solution.joints, arm.gripper.command(float(action[spec.State.EE_JOINT_STATE][0])))
+        missed = float(solution.position_error)
         return command, ({UNREACHED: missed} if missed > _NEAR else {})
 
 

@@ -84,7 +84,7 @@ class ManiSkillEpisode(Episode):
             arm.look()
         if self._planner is not None:
             self._planner.stepped(outcome)
-        return {arm.prefix: found for arm, (_, found) in zip(self._arms, told, strict=True) if found}
+        return {arm.prefix: corrections for arm, (_, corrections) in zip(self._arms, told, strict=True) if corrections}
 
     def score(self) -> float:
         """Return 1 on success, else 0: rewards of ManiSkill are no share of a task."""
@@ -99,10 +99,10 @@ class ManiSkillEpisode(Episode):
 
         A privileged policy is told, too, what the task's planner does, where there is one.
         """
-        known = {"observation": _plain(self._obs)}
+        values = {"observation": _plain(self._obs)}
         if self._planner is None or self._planner.command is None:
-            return known
-        return {**known, "expert": self._expert(self._planner.command)}
+            return values
+        return {**values, "expert": self._expert(self._planner.command)}
 
     def simulated(self) -> Simulated:
         """Return ManiSkill's own observation, and what its controllers were told last, one arm after the other."""
@@ -139,10 +139,10 @@ class ManiSkillEpisode(Episode):
         """Return what the planner does now, as an action step of the standard; planners move one arm."""
         arm, dof = self._arms[0], self.setup.embodiment.arms[0].dof
         angles, rest = command[:dof], command[dof:]
-        found = {spec.State.EE_JOINT_STATE: np.array([arm.gripper.opening_for(rest)])}
+        action = {spec.State.EE_JOINT_STATE: np.array([arm.gripper.opening_for(rest)])}
         if self.setup.action_type == spec.ACTION_TYPES[0]:
-            return {**found, spec.State.ARM_JOINT_STATE: angles}
-        return {**found, spec.State.EE_POSE: compose(arm.base, self._chain().flange(angles))}
+            return {**action, spec.State.ARM_JOINT_STATE: angles}
+        return {**action, spec.State.EE_POSE: compose(arm.base, self._chain().flange(angles))}
 
     def _chain(self) -> Chain:
         return Chain.from_embodiment(self.setup.embodiment.data)
@@ -171,8 +171,8 @@ def _require_assets(setup: Setup) -> None:
         return
     from mani_skill.utils.assets import data
 
-    wanted = [each for name in names for each in data.DATA_GROUPS.get(name, [name])]
-    missing = [name for name in wanted if not data.is_data_source_downloaded(name)]
+    assets = [each for name in names for each in data.DATA_GROUPS.get(name, [name])]
+    missing = [name for name in assets if not data.is_data_source_downloaded(name)]
     if missing:
         raise NotInstalledError(
             f"{setup.task} needs assets that are not in ManiSkill's package: `python -m "

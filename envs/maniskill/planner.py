@@ -34,8 +34,8 @@ def solver(task: str) -> Callable[..., Any] | None:
     for robot, tasks in _SOLVERS.items():
         if task in tasks:
             module = importlib.import_module(f"mani_skill.examples.motionplanning.{robot}.solutions")
-            found: Callable[..., Any] = getattr(module, tasks[task])
-            return found
+            solve: Callable[..., Any] = getattr(module, tasks[task])
+            return solve
     return None
 
 

@@ -98,19 +98,19 @@ class MetaWorldEpisode(Episode):
     def step(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Execute one action step: pull the hand to a pose, or as far as the command went on from the one before."""
         # Few numbers: one by one they cost a fraction of what numpy takes for them.
-        wanted = action[spec.State.EE_POSE].tolist()
+        target = action[spec.State.EE_POSE].tolist()
         # What is pulled is where an absolute command counts from, and not the hand, which lags behind.
-        change = [moved / self._env.action_scale for moved in self._changes.translation(wanted, self._pulled)]
+        change = [moved / self._env.action_scale for moved in self._changes.translation(target, self._pulled)]
         move, past = clip(change, together=self._changes.counted_from == MEASURED)
         self._told = np.array([*move, 1.0 - 2.0 * float(action[spec.State.EE_JOINT_STATE][0])])
         obs, _, _, _, info = self._env.step(self._told)
         self._look(obs)
         self._success = bool(info["success"])
-        found = {ACTION_RANGE: past} if past > _SLACK else {}
-        turn = wanted[spec.POSITION_DIM :]
+        corrections = {ACTION_RANGE: past} if past > _SLACK else {}
+        turn = target[spec.POSITION_DIM :]
         if abs(sum(map(mul, turn, _DOWN))) < _COSINE:
-            found[FIXED_TURN] = float(angle_between(_DOWN, turn))
-        return {self.setup.embodiment.prefixes[0]: found} if found else {}
+            corrections[FIXED_TURN] = float(angle_between(_DOWN, turn))
+        return {self.setup.embodiment.prefixes[0]: corrections} if corrections else {}
 
     def score(self) -> float:
         """Return 1 on success, else 0: Meta-World's reward is no share of the task."""
@@ -129,8 +129,8 @@ class MetaWorldEpisode(Episode):
 
         A privileged policy is told, too, what the task's scripted policy does.
         """
-        known = {"observation": self._obs, "pulled": np.array(self._pulled)}
-        return {**known, "expert": self._expert()} if self.setup.privileged else known
+        values = {"observation": self._obs, "pulled": np.array(self._pulled)}
+        return {**values, "expert": self._expert()} if self.setup.privileged else values
 
     def simulated(self) -> Simulated:
         """Return Meta-World's own observation (39,), and the action (4,) that it was given last."""
@@ -146,16 +146,16 @@ class MetaWorldEpisode(Episode):
 
         `_pulled` is where the flange would be if the hand were where it is pulled to.
         """
-        self._obs, seen = obs, self._seen
-        x, y, z = seen.pulled.tolist()
+        self._obs, previous = obs, self._seen
+        x, y, z = previous.pulled.tolist()
         self._pulled = [x, y, z + _AHEAD, *_DOWN]
         opening = (float(obs[3]) - _CLOSED) / (1.0 - _CLOSED)
-        (a, b, c), (d, e, f) = seen.left.tolist(), seen.right.tolist()
+        (a, b, c), (d, e, f) = previous.left.tolist(), previous.right.tolist()
         self._state = {
-            spec.State.ARM_JOINT_STATE: seen.joints.copy(),
+            spec.State.ARM_JOINT_STATE: previous.joints.copy(),
             spec.State.EE_JOINT_STATE: np.array([min(max(opening, 0.0), 1.0)]),
-            spec.State.EE_POSE: np.array([*seen.flange.tolist(), *seen.flange_turn.tolist()]),
-            spec.State.TCP_POSE: np.array([(a + d) / 2.0, (b + e) / 2.0, (c + f) / 2.0, *seen.hand_turn.tolist()]),
+            spec.State.EE_POSE: np.array([*previous.flange.tolist(), *previous.flange_turn.tolist()]),
+            spec.State.TCP_POSE: np.array([(a + d) / 2.0, (b + e) / 2.0, (c + f) / 2.0, *previous.hand_turn.tolist()]),
         }
 
     def _expert(self) -> dict[str, NDArray[np.float64]]:
@@ -163,6 +163,6 @@ class MetaWorldEpisode(Episode):
         # Some of these policies shift what they are given: who looks twice at one observation would see it elsewhere.
         action = np.clip(self._policy.get_action(self._obs.copy()), -1.0, 1.0).astype(np.float64)
         begun = np.array(self._changes.base(self._pulled)[: spec.POSITION_DIM])
-        place = begun + self._env.action_scale * action[:3]
-        pose = np.concatenate([place, _DOWN])
+        position = begun + self._env.action_scale * action[:3]
+        pose = np.concatenate([position, _DOWN])
         return {spec.State.EE_POSE: pose, spec.State.EE_JOINT_STATE: (1.0 - action[3:4]) / 2.0}

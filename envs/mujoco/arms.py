@@ -148,8 +148,8 @@ def _add_joint(scene: Any, body: Any, name: str, joint: Mapping[str, Any]) -> No
         armature=_ARMATURE,
         damping=_DAMPING,
     )
-    known = joint["effort"] is not None and joint["effort"] < _PLACEHOLDER_TORQUE
-    torque = joint["effort"] if known else _USUAL_TORQUE
+    is_limited = joint["effort"] is not None and joint["effort"] < _PLACEHOLDER_TORQUE
+    torque = joint["effort"] if is_limited else _USUAL_TORQUE
     actuator = scene.add_actuator(
         name=name,
         target=name,

@@ -46,7 +46,7 @@ class MujocoEnv(EnvironmentBase["_Place"]):
     @property
     def episodes(self) -> tuple[Episode, ...]:
         """The episodes of all environments, for tools that look behind the observations; empty before `reset`."""
-        return tuple(place.episode for place in self._places)
+        return tuple(slot.episode for slot in self._places)
 
     def render(self, env_idx: int = 0, camera: str | None = None) -> NDArray[np.uint8]:
         """Return what a camera of env.yml sees now, (H, W, 3) uint8 RGB, for people; observations do not change.

@@ -136,15 +136,15 @@ class Control:
             ActionError: a quaternion has no direction. No target has changed then.
         """
         corrections: Corrections = {}
-        wanted = self._joints_for(action, corrections) if self._posed else action
-        allowed = np.minimum(np.maximum(wanted, self._lower), self._upper)
+        target = self._joints_for(action, corrections) if self._posed else action
+        allowed = np.minimum(np.maximum(target, self._lower), self._upper)
         change = allowed - self.targets
         bounded = np.minimum(np.maximum(change, self._least_change), self._largest_change)
         self.targets = self.targets + bounded
-        off = wanted - self.targets
+        off = target - self.targets
         if off.dot(off) > _SLACK * _SLACK:
             past_speed = np.abs(change - bounded) * self._speed_counts
-            self._report(np.abs(wanted - allowed), past_speed, corrections)
+            self._report(np.abs(target - allowed), past_speed, corrections)
         return corrections
 
     def _joints_for(self, action: NDArray[np.float64], corrections: Corrections) -> NDArray[np.float64]:

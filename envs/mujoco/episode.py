@@ -126,8 +126,8 @@ class Episode:
         physics.digest_into(self._digest)
         self._steps += 1
         self._judge()
-        for found in corrections.values():
-            self._corrections.update(kind for kind in found if kind != ROTATION_ERROR)
+        for correction in corrections.values():
+            self._corrections.update(kind for kind in correction if kind != ROTATION_ERROR)
         return self._report(corrections)
 
     def result(self) -> dict[str, Any]:

@@ -22,9 +22,9 @@ def height(physics: Physics, name: str) -> float:
     return physics.position(name)[2] - physics.table_top
 
 
-def off(physics: Physics, name: str, place: Iterable[float]) -> float:
+def off(physics: Physics, name: str, target: Iterable[float]) -> float:
     """Return the larger error in x and y, m, of a body at a place (2,) of the table."""
-    (x, y, _), (there_x, there_y) = physics.position(name), place
+    (x, y, _), (there_x, there_y) = physics.position(name), target
     return float(max(abs(x - there_x), abs(y - there_y)))
 
 

@@ -150,8 +150,8 @@ class Physics:
 
     def position(self, name: str) -> list[float]:
         """Return the place [x, y, z] of a body in the world, m."""
-        place: list[float] = self._xpos[self._bodies[name]].tolist()
-        return place
+        position: list[float] = self._xpos[self._bodies[name]].tolist()
+        return position
 
     def axes(self, name: str) -> list[float]:
         """Return the rotation matrix of a body in the world, row by row: nine numbers."""

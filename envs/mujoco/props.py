@@ -44,23 +44,23 @@ class Part:
     color: Color
 
 
-def add_body(scene: Scene, name: str, parts: Iterable[Part], place: ArrayLike, yaw: float = 0.0) -> None:
+def add_body(scene: Scene, name: str, parts: Iterable[Part], position: ArrayLike, yaw: float = 0.0) -> None:
     """Add a free body of boxes whose frame is at a place (3,) relative to the table's top, turned about z by `yaw`."""
-    body = _frame(scene, name, place, yaw)
+    body = _frame(scene, name, position, yaw)
     body.add_freejoint(name=name)
     _add_parts(body, parts)
 
 
-def add_fixture(scene: Scene, name: str, parts: Iterable[Part], place: ArrayLike, yaw: float = 0.0) -> Any:
+def add_fixture(scene: Scene, name: str, parts: Iterable[Part], position: ArrayLike, yaw: float = 0.0) -> Any:
     """Add a body that does not move; return it."""
-    body = _frame(scene, name, place, yaw)
+    body = _frame(scene, name, position, yaw)
     _add_parts(body, parts)
     return body
 
 
-def add_drawer(parent: Any, name: str, parts: Iterable[Part], place: Vector, travel: float) -> None:
+def add_drawer(parent: Any, name: str, parts: Iterable[Part], position: Vector, travel: float) -> None:
     """Add a drawer to a fixture; it slides towards the arms (-y) by up to `travel`, m."""
-    drawer = parent.add_body(name=name, pos=place)
+    drawer = parent.add_body(name=name, pos=position)
     drawer.add_joint(
         name=name,
         type=mujoco.mjtJoint.mjJNT_SLIDE,
@@ -119,15 +119,15 @@ def draw_apart(
     """
     areas = list(areas)
     for _ in range(_TRIES):
-        places = [draw(scene, rng, *area) for area in areas]
-        pairs = ((a, b) for index, a in enumerate(places) for b in places[:index])
+        positions = [draw(scene, rng, *area) for area in areas]
+        pairs = ((a, b) for index, a in enumerate(positions) for b in positions[:index])
         if all(math.dist(a, b) >= gap for a, b in pairs):
-            return places
+            return positions
     raise ValueError(f"{len(areas)} places at least {gap} m apart do not fit into {areas}")
 
 
-def _frame(scene: Scene, name: str, place: ArrayLike, yaw: float) -> Any:
-    x, y, z = np.asarray(place, dtype=np.float64).tolist()
+def _frame(scene: Scene, name: str, position: ArrayLike, yaw: float) -> Any:
+    x, y, z = np.asarray(position, dtype=np.float64).tolist()
     half = 0.5 * yaw
     return scene.spec.worldbody.add_body(
         name=name, pos=[x, y, z + scene.table_top], quat=[math.cos(half), 0, 0, math.sin(half)]

@@ -78,10 +78,10 @@ def decorate(
     for kind in ("clutter", "distractors"):
         area = ranges[kind]
         for index in range(rng.integers(area["count"][0], area["count"][1] + 1)):
-            place = _free_place(rng, area, scene.line, taken)
-            if place is not None:
-                taken.append(place)
-                _add_thing(scene, f"{kind}_{index}", place, rng)
+            position = _free_position(rng, area, scene.line, taken)
+            if position is not None:
+                taken.append(position)
+                _add_distractor(scene, f"{kind}_{index}", position, rng)
     table = scene.spec.geom("table")
     for _ in range(_TRIES):
         if all(math.dist(table.rgba[:3], color) >= ranges["table_contrast"] for color in own):
@@ -98,15 +98,15 @@ def _relight(model: Any, ranges: Mapping[str, Any], rng: np.random.Generator) ->
 
 def _taken(scene: Scene) -> list[NDArray[np.float64]]:
     """Return where (2,) the task has put markers and the parts of bodies."""
-    return [place for place, _ in _things(scene)]
+    return [position for position, _ in _distractors(scene)]
 
 
 def _task_colors(scene: Scene) -> list[NDArray[np.float64]]:
     """Return the colors (3,) of all that belongs to the task."""
-    return [color for _, color in _things(scene)]
+    return [color for _, color in _distractors(scene)]
 
 
-def _things(scene: Scene) -> Iterator[_Thing]:
+def _distractors(scene: Scene) -> Iterator[_Thing]:
     """Yield place and color of the task's markers and of the parts of its bodies."""
     arms = {f"{names.prefix}base" for names in scene.arms}
     for geom in scene.spec.worldbody.geoms:
@@ -125,23 +125,23 @@ def _parts(body: Any, frame: NDArray[np.float64]) -> Iterator[_Thing]:
         yield from _parts(child, compose(frame, pose(child.pos, child.quat)))
 
 
-def _free_place(
+def _free_position(
     rng: np.random.Generator, area: Mapping[str, Any], start: float, taken: list[NDArray[np.float64]]
 ) -> NDArray[np.float64] | None:
     """Return a place (2,) of an area that keeps its distance from all that stands there; None if there is no room."""
     for _ in range(_TRIES):
-        place = np.array([rng.uniform(*area["x"]), start + rng.uniform(*area["ahead"])])
-        if all(math.dist(place, other) >= area["apart"] for other in taken):
-            return place
+        position = np.array([rng.uniform(*area["x"]), start + rng.uniform(*area["ahead"])])
+        if all(math.dist(position, other) >= area["apart"] for other in taken):
+            return position
     return None
 
 
-def _add_thing(scene: Scene, name: str, place: NDArray[np.float64], rng: np.random.Generator) -> None:
+def _add_distractor(scene: Scene, name: str, position: NDArray[np.float64], rng: np.random.Generator) -> None:
     """Add a box of a color that no instruction names."""
     length, width, height = rng.uniform(*_SMALL), rng.uniform(*_SMALL), rng.uniform(*_HIGH)
     color = (*_NEUTRAL[rng.integers(len(_NEUTRAL))], 1.0)
     body = Part((length, width, height), (0.0, 0.0, height), _MASS, color)
-    add_body(scene, name, [body], [*place, 0.0], rng.uniform(-math.pi, math.pi))
+    add_body(scene, name, [body], [*position, 0.0], rng.uniform(-math.pi, math.pi))
 
 
 def _draws(rng: np.random.Generator, between: tuple[float, float]) -> NDArray[np.float64]:

@@ -92,5 +92,5 @@ class Task(ABC):
 def load_task(name: str) -> type[Task]:
     """Return the class of a task: what `tasks/<name>.py` calls TASK."""
     module = importlib.import_module(f".tasks.{name}", __package__)
-    found: type[Task] = module.TASK
-    return found
+    task_class: type[Task] = module.TASK
+    return task_class

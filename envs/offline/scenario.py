@@ -51,7 +51,7 @@ def observation(
         spec.Obs.INSTRUCTION: INSTRUCTIONS[env % len(INSTRUCTIONS)],
         spec.Obs.ENV_IDX: env,
         spec.Obs.ADDITIONAL_INFO: {spec.Obs.FREQUENCY: FREQUENCY},
-        spec.Obs.VISION: {name: _camera(place, env, step, size) for place, name in enumerate(names)},
+        spec.Obs.VISION: {name: _camera(index, env, step, size) for index, name in enumerate(names)},
         spec.Obs.STATE: state,
     }
 
@@ -61,8 +61,8 @@ def advance(obs: Mapping[str, Any], action: Mapping[str, Any], step: int) -> dic
     state = {**obs[spec.Obs.STATE], **{key: np.asarray(value, np.float32) for key, value in action.items()}}
     env = obs[spec.Obs.ENV_IDX]
     vision = {
-        name: _camera(place, env, step, camera[spec.Camera.COLOR].shape[:2])
-        for place, (name, camera) in enumerate(obs[spec.Obs.VISION].items())
+        name: _camera(index, env, step, camera[spec.Camera.COLOR].shape[:2])
+        for index, (name, camera) in enumerate(obs[spec.Obs.VISION].items())
     }
     return {**obs, spec.Obs.STATE: state, spec.Obs.VISION: vision}
 
@@ -103,18 +103,18 @@ def _quaternion(angle: float) -> np.ndarray:
     return np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])
 
 
-def _camera(place: int, env: int, step: int, size: tuple[int, int]) -> dict[str, Any]:
+def _camera(index: int, env: int, step: int, size: tuple[int, int]) -> dict[str, Any]:
     height, width = size
     rows, columns = np.mgrid[0:height, 0:width]
-    red = 60 + 150 * columns / width + 10 * place
+    red = 60 + 150 * columns / width + 10 * index
     green = 30 + 90 * rows / height + 5 * env
-    blue = 20 + 25 * place + 2 * step + 15 * (columns > rows * width / height)
+    blue = 20 + 25 * index + 2 * step + 15 * (columns > rows * width / height)
     focal = 0.9 * width
     extrinsics = np.eye(4, dtype=np.float32)
-    extrinsics[:3, 3] = [0.1 * (place + 1), -0.2, 0.8]
+    extrinsics[:3, 3] = [0.1 * (index + 1), -0.2, 0.8]
     return {
         spec.Camera.COLOR: np.clip(np.stack([red, green, blue], axis=-1), 0, 255).astype(np.uint8),
-        spec.Camera.DEPTH: np.asarray(0.4 + 0.01 * place + 0.5 * rows / height, np.float32),
+        spec.Camera.DEPTH: np.asarray(0.4 + 0.01 * index + 0.5 * rows / height, np.float32),
         spec.Camera.INTRINSIC_MATRIX: np.array(
             [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]], np.float32
         ),

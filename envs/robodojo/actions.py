@@ -61,11 +61,11 @@ def kind(action: Mapping[str, Any], robot: Embodiment) -> str:
         ActionError: it is neither, or both.
     """
     names = {JOINT: spec.State.ARM_JOINT_STATE, EE: spec.State.EE_POSE}
-    found = [one for one, name in names.items() if any(arm.prefix + name in action for arm in robot.arms)]
-    if len(found) != 1:
-        told = "cannot tell joint from ee control" if not found else "has both joint and ee control"
-        raise ActionError(f"RoboDojo {told} by the keys {', '.join(action) or '(none)'}: give exactly one of them")
-    return found[0]
+    control_types = [one for one, name in names.items() if any(arm.prefix + name in action for arm in robot.arms)]
+    if len(control_types) != 1:
+        problem = "cannot tell joint from ee control" if not control_types else "has both joint and ee control"
+        raise ActionError(f"RoboDojo {problem} by the keys {', '.join(action) or '(none)'}: give exactly one of them")
+    return control_types[0]
 
 
 def controls(action: Mapping[str, Any], robot: Embodiment) -> dict[str, np.ndarray]:

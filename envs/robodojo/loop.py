@@ -32,7 +32,7 @@ def evaluate(env: RoboDojoEnv, deploy: Any, model_client: Any, layouts: Sequence
     """
     play = getattr(deploy, BATCH if env.eval_batch else SINGLE)
     env.model_client = model_client
-    told: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
     for first in range(0, len(layouts), env.num_envs):
         batch = list(layouts[first : first + env.num_envs])
         env.reset(seed=batch)
@@ -40,5 +40,5 @@ def evaluate(env: RoboDojoEnv, deploy: Any, model_client: Any, layouts: Sequence
         running = env.get_running_env_idx_list()
         if running:
             raise RuntimeError(f"{play.__name__} returned while environments {running} still run; play to the end")
-        told += env.results()[: len(batch)]
-    return told
+        results += env.results()[: len(batch)]
+    return results

@@ -27,27 +27,27 @@ def main(words: list[str]) -> int:
     from xpl.environment import read_manifest
     from xpl.process.modules import load_module
 
-    given = _arguments(words)
-    folder = Path(given.policy_dir)
+    arguments = _arguments(words)
+    folder = Path(arguments.policy_dir)
     # RoboDojo reads this from the deploy.yml beside the simulator, whatever the server was told.
     deploy_yml: dict[str, Any] = yaml.safe_load((folder / spec.File.DEPLOY_YML).read_text(encoding="utf-8")) or {}
     count = NUM_ENVS if deploy_yml.get(spec.Deploy.EVAL_BATCH) else 1
     package = load_module(HERE / "client.py").__package__
     task_env, loop = (importlib.import_module(f"{package}.{name}") for name in ("task_env", "loop"))
     config = {
-        "task": given.task_name,
-        "embodiment": given.env_cfg_type,
+        "task": arguments.task_name,
+        "embodiment": arguments.env_cfg_type,
         "num_envs": count,
-        "max_steps": given.step_lim,
-        "cameras": [given.height, given.height * 4 // 3],
+        "max_steps": arguments.step_lim,
+        "cameras": [arguments.height, arguments.height * 4 // 3],
     }
     env = task_env.RoboDojoEnv(read_manifest(HERE), config)
-    url = given.policy_server_url or f"ws://{given.host}:{given.port}"
-    trial = f"{given.task_name}-{given.run_id}"
-    case = f"{given.task_name}_case"
-    with Client(url, evaluation_id=given.run_id, trial_id=trial, action_case_id=case) as client:
+    url = arguments.policy_server_url or f"ws://{arguments.host}:{arguments.port}"
+    trial = f"{arguments.task_name}-{arguments.run_id}"
+    case = f"{arguments.task_name}_case"
+    with Client(url, evaluation_id=arguments.run_id, trial_id=trial, action_case_id=case) as client:
         deploy = load_module(folder / spec.File.DEPLOY_PY)
-        episodes = loop.evaluate(env, deploy, client, range(given.episodes))
+        episodes = loop.evaluate(env, deploy, client, range(arguments.episodes))
     print(json.dumps({"stand_in": True, spec.Deploy.EVAL_BATCH: count > 1, "episodes": episodes}))  # noqa: T201 - its answer
     return 0
 

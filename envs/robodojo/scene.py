@@ -57,7 +57,7 @@ class Scene:
         }
         commanded = {key: value for key, value in state.items() if not key.endswith(spec.State.EE_POSE)}
         return {
-            spec.Obs.VISION: {name: self._camera(place) for place, name in enumerate(self._cameras())},
+            spec.Obs.VISION: {name: self._camera(index) for index, name in enumerate(self._cameras())},
             spec.Obs.STATE: state,
             "action": {key: list(value) for key, value in commanded.items()},
             spec.Obs.DATA_FORMAT_VERSION: spec.DATA_FORMAT_VERSION,
@@ -68,21 +68,21 @@ class Scene:
     def _cameras(self) -> tuple[str, ...]:
         return () if self._size is None else tuple(self._robot.cameras)
 
-    def _camera(self, place: int) -> dict[str, Any]:
+    def _camera(self, index: int) -> dict[str, Any]:
         """Return a camera: above all red to the right, green downwards, and blue for where and when."""
         assert self._size is not None  # noqa: S101 - for the type checker: there are cameras
         height, width = self._size
         color = np.empty((height, width, spec.COLOR_CHANNELS), np.uint8)
         color[..., 0] = np.linspace(40, 220, width)
         color[..., 1] = np.linspace(20, 140, height)[:, None]
-        color[..., 2] = (30 * place + 7 * self._layout + 3 * self._step) % 200
-        told: dict[str, Any] = {spec.Camera.COLOR: color, spec.Camera.SHAPE: color.shape}
+        color[..., 2] = (30 * index + 7 * self._layout + 3 * self._step) % 200
+        camera: dict[str, Any] = {spec.Camera.COLOR: color, spec.Camera.SHAPE: color.shape}
         if self._matrices:
             focal = 0.9 * width
-            told[spec.Camera.INTRINSIC_MATRIX] = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-            told[EXTRINSIC_MATRIX] = np.eye(4)
-            told[EXTRINSIC_MATRIX][:3, 3] = [0.1 * place, -0.41, 1.308]
-        return told
+            camera[spec.Camera.INTRINSIC_MATRIX] = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+            camera[EXTRINSIC_MATRIX] = np.eye(4)
+            camera[EXTRINSIC_MATRIX][:3, 3] = [0.1 * index, -0.41, 1.308]
+        return camera
 
 
 def _pose(side: int, layout: int) -> np.ndarray:

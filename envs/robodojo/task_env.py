@@ -108,14 +108,14 @@ class RoboDojoEnv:
             env_idx_list: which; each observation has its `env_idx`, and is nobody else's.
             last_frame: whether the picture of an environment that has ended still belongs to its film.
         """
-        told = []
+        observations = []
         for index in self._indices(env_idx_list):
             if not self.end_flag[index] or last_frame:
                 self.frames[index] += 1
             obs = deepcopy(self._scenes[index].observe(self._instruction, self._frequency))
             obs[spec.Obs.ENV_IDX] = index
-            told.append(obs)
-        return told
+            observations.append(obs)
+        return observations
 
     def take_action(self, action: Mapping[str, Any]) -> None:
         """Execute one action step in environment 0.
@@ -219,9 +219,9 @@ class RoboDojoEnv:
         self._size = _size(config.get("cameras", True), self._manifest.cameras)
         self._config = config
 
-    def _indices(self, asked: Sequence[int] | None) -> list[int]:
+    def _indices(self, requested: Sequence[int] | None) -> list[int]:
         self._started()
-        chosen = list(range(self.num_envs)) if asked is None else list(asked)
+        chosen = list(range(self.num_envs)) if requested is None else list(requested)
         unknown = [index for index in chosen if not 0 <= index < self.num_envs]
         if unknown:
             raise ValueError(f"there is no environment {unknown[0]}; indices go from 0 to {self.num_envs - 1}")

@@ -77,8 +77,8 @@ class Arm:
         """Return robosuite's six numbers for a commanded pose of the flange, and how far the largest was past 1."""
         change = self._changes.delta(self.reached(flange), self._present)
         parts = [rotation.rotate(self._to_base, part) for part in np.split(change, 2)]
-        wanted = (np.concatenate(parts) / _SCALE).tolist()
-        move, past = clip(wanted, together=self._changes.counted_from == MEASURED)
+        command = (np.concatenate(parts) / _SCALE).tolist()
+        move, past = clip(command, together=self._changes.counted_from == MEASURED)
         return np.array(move), past
 
     def _flange(self) -> NDArray[np.float64]:

@@ -81,18 +81,18 @@ class RobosuiteEpisode(Episode):
 
     def step(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Execute one action step: send each tool to a pose, or as far as the command went on from the one before."""
-        parts, found = [], {}
+        parts, corrections = [], {}
         for arm in self._arms:
             move, past = self._step(arm, action[arm.prefix + spec.State.EE_POSE])
             opening = float(action[arm.prefix + spec.State.EE_JOINT_STATE][0])
             parts.append(np.append(move, 1.0 - 2.0 * opening) if arm.has_fingers else move)
             if past > _SLACK:
-                found[arm.prefix] = {ACTION_RANGE: past}
+                corrections[arm.prefix] = {ACTION_RANGE: past}
         self._told = np.concatenate(parts)
         obs, _, self._is_over, _ = self._env.step(self._told)
         self._success = bool(self._env._check_success())  # noqa: SLF001 - it is not told otherwise
         self._look(obs)
-        return found
+        return corrections
 
     def score(self) -> float:
         """Return 1 on success, else 0: robosuite's reward is no share of the task."""
@@ -118,11 +118,11 @@ class RobosuiteEpisode(Episode):
         """Release the simulator."""
         self._env.close()
 
-    def _changed(self, arm: Arm, wanted: Any) -> tuple[NDArray[np.float64], float]:
-        return arm.change(wanted)
+    def _changed(self, arm: Arm, target: Any) -> tuple[NDArray[np.float64], float]:
+        return arm.change(target)
 
-    def _sent(self, arm: Arm, wanted: Any) -> tuple[NDArray[np.float64], float]:
-        reached = arm.reached(wanted)
+    def _sent(self, arm: Arm, target: Any) -> tuple[NDArray[np.float64], float]:
+        reached = arm.reached(target)
         turn = rotation.to_axis_angle(reached[spec.POSITION_DIM :])
         return np.concatenate([reached[: spec.POSITION_DIM], turn]), 0.0
 

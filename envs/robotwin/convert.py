@@ -70,16 +70,16 @@ def of_robot(robot: Any) -> dict[str, Any]:
 def state(theirs: Mapping[str, Any], robot: Any = None) -> dict[str, NDArray[np.float32]]:
     """Return the robot's state: joints (6,) rad, grippers (1,) 0 closed to 1 open, poses (7,)."""
     joints, poses = theirs.get("joint_action", {}), theirs.get("endpose", {})
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for side in SIDES:
         prefix = f"{side}_"
-        found[prefix + spec.State.ARM_JOINT_STATE] = joints.get(f"{side}_arm")
+        values[prefix + spec.State.ARM_JOINT_STATE] = joints.get(f"{side}_arm")
         gripper = joints.get(f"{side}_gripper", poses.get(f"{side}_gripper"))
-        found[prefix + spec.State.EE_JOINT_STATE] = None if gripper is None else [gripper]
-        found[prefix + spec.State.EE_POSE] = poses.get(f"{side}_endpose")
+        values[prefix + spec.State.EE_JOINT_STATE] = None if gripper is None else [gripper]
+        values[prefix + spec.State.EE_POSE] = poses.get(f"{side}_endpose")
         tell = getattr(robot, f"get_{side}_tcp_pose", None)
-        found[prefix + spec.State.TCP_POSE] = None if tell is None else tell()
-    return {key: np.asarray(value, np.float32) for key, value in found.items() if value is not None}
+        values[prefix + spec.State.TCP_POSE] = None if tell is None else tell()
+    return {key: np.asarray(value, np.float32) for key, value in values.items() if value is not None}
 
 
 def command(action: Any, robot: Embodiment, action_type: str) -> tuple[NDArray[np.float32], str]:
@@ -106,16 +106,16 @@ def command(action: Any, robot: Embodiment, action_type: str) -> tuple[NDArray[n
 
 
 def _camera(theirs: Mapping[str, Any]) -> dict[str, Any]:
-    told: dict[str, Any] = {}
+    camera: dict[str, Any] = {}
     if "rgb" in theirs:
-        told[spec.Camera.COLOR] = np.asarray(theirs["rgb"])
-        told[spec.Camera.SHAPE] = np.array(told[spec.Camera.COLOR].shape[:2])
+        camera[spec.Camera.COLOR] = np.asarray(theirs["rgb"])
+        camera[spec.Camera.SHAPE] = np.array(camera[spec.Camera.COLOR].shape[:2])
     if spec.Camera.DEPTH in theirs:
-        told[spec.Camera.DEPTH] = np.asarray(theirs[spec.Camera.DEPTH])
+        camera[spec.Camera.DEPTH] = np.asarray(theirs[spec.Camera.DEPTH])
     if "intrinsic_cv" in theirs:
-        told[spec.Camera.INTRINSIC_MATRIX] = np.asarray(theirs["intrinsic_cv"], np.float32)
+        camera[spec.Camera.INTRINSIC_MATRIX] = np.asarray(theirs["intrinsic_cv"], np.float32)
     if "extrinsic_cv" in theirs:
         matrix = np.asarray(theirs["extrinsic_cv"], np.float32)
         whole = matrix if matrix.shape == (4, 4) else np.concatenate([matrix, np.array(_LAST_ROW, np.float32)])
-        told[spec.Camera.EXTRINSICS_MATRIX] = whole
-    return told
+        camera[spec.Camera.EXTRINSICS_MATRIX] = whole
+    return camera

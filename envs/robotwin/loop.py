@@ -218,10 +218,10 @@ def _episode(  # noqa: PLR0913, PLR0917 - private
             chunk = client.call(func_name=spec.Method.GET_ACTION)
             if len(chunk) == 0:
                 raise ActionError("the policy returned an empty chunk")  # noqa: TRY301 - told like all that it raises
-            for place, action in enumerate(chunk):
+            for index, action in enumerate(chunk):
                 vector, kind = convert.command(action, robot, wishes.action_type)
                 task.take_action(vector, action_type=kind)
-                if _has_ended(task) or place + 1 == len(chunk):
+                if _has_ended(task) or index + 1 == len(chunk):
                     break
                 show()
     except Exception as raised:  # as RoboTwin: what the policy's side raises is a failure of the episode

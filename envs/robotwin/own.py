@@ -48,8 +48,8 @@ class Own:
         self._root, self._assets = root, assets
         self._prefix = "envs" if self._root is not None else "robotwin.envs"
         if self._root is not None:
-            for place in (self._root, self._root / "scripts", self._root / "description" / "utils"):
-                sys.path.insert(0, str(place))
+            for folder in (self._root, self._root / "scripts", self._root / "description" / "utils"):
+                sys.path.insert(0, str(folder))
         os.environ.setdefault("ASSETS_PATH", str(self._assets))
         os.chdir(self._assets)
         self.unstable: type[Exception] = self._module("utils.create_actor").UnStableError
@@ -60,23 +60,23 @@ class Own:
 
     def arguments(self, task: str, setting: str) -> dict[str, Any]:
         """Return what `setup_demo` takes: a setting's file, the robot's, the size of pictures."""
-        told = self._config(setting)
-        robots, kinds = self._config("_embodiment_config"), told["embodiment"]
+        config = self._config(setting)
+        robots, kinds = self._config("_embodiment_config"), config["embodiment"]
         if len(kinds) not in (1, 3):
             raise ValueError(f"RoboTwin's setting {setting} names {len(kinds)} robots, not 1 or 3 words")
         files = [
             str(self._assets / robots[name]["file_path"]) for name in (kinds[0], kinds[1 if len(kinds) == 3 else 0])
         ]
-        camera = self._config("_camera_config")[told["camera"]["head_camera_type"]]
+        camera = self._config("_camera_config")[config["camera"]["head_camera_type"]]
         configs = [_yaml(Path(file) / "config.yml") for file in files]
         apart = {"embodiment_dis": kinds[2]} if len(kinds) == 3 else {}
         return {
-            **told,
+            **config,
             **apart,
             sdk.Deploy.TASK_NAME: task,
             "task_config": setting,
             # The three that the ecosystem's client asks for (ensure_xpolicylab_observation_flags).
-            "data_type": {**told.get("data_type", {}), "rgb": True, "qpos": True, "endpose": True},
+            "data_type": {**config.get("data_type", {}), "rgb": True, "qpos": True, "endpose": True},
             "head_camera_h": camera["h"],
             "head_camera_w": camera["w"],
             "left_robot_file": files[0],
@@ -93,16 +93,16 @@ class Own:
         before = random.getstate()
         random.seed(seed)  # it shuffles them by the generator that all share
         try:
-            found: list[Mapping[str, list[str]]] = generate(task, [info], count)
+            descriptions: list[Mapping[str, list[str]]] = generate(task, [info], count)
         finally:
             random.setstate(before)
-        return found[0] if found else {}
+        return descriptions[0] if descriptions else {}
 
     def _config(self, name: str) -> dict[str, Any]:
         if self._root is not None:
             return _yaml(self._root / _CONFIGS / f"{name}.yml")
-        told: dict[str, Any] = importlib.import_module("robotwin.config").load_task_config(name)
-        return told
+        config: dict[str, Any] = importlib.import_module("robotwin.config").load_task_config(name)
+        return config
 
     def _module(self, name: str) -> Any:
         try:
@@ -161,5 +161,5 @@ def _assets(folder: Path) -> Path:
 def _yaml(file: Path) -> dict[str, Any]:
     import yaml
 
-    told: dict[str, Any] = yaml.safe_load(file.read_text(encoding="utf-8"))
-    return told
+    content: dict[str, Any] = yaml.safe_load(file.read_text(encoding="utf-8"))
+    return content

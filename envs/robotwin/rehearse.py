@@ -27,18 +27,20 @@ def main(words: list[str]) -> int:
     parser.add_argument("--port", required=True)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--test_num", type=int, default=1)
-    given = parser.parse_args(words)
+    arguments = parser.parse_args(words)
     package = load_module(HERE / "loop.py").__package__
     loop, stand_in = (importlib.import_module(f"{package}.{name}") for name in ("loop", "stand_in"))
     facts = read_manifest(HERE)
-    wishes = loop.Wishes(given.task_name, action_type=given.action_type, seed=given.seed, test_num=given.test_num)
-    trial, case = f"{given.task_name}-{given.seed}", f"{given.task_name}-case"
-    with Client(f"ws://{given.host}:{given.port}", trial_id=trial, action_case_id=case) as client:
+    wishes = loop.Wishes(
+        arguments.task_name, action_type=arguments.action_type, seed=arguments.seed, test_num=arguments.test_num
+    )
+    trial, case = f"{arguments.task_name}-{arguments.seed}", f"{arguments.task_name}-case"
+    with Client(f"ws://{arguments.host}:{arguments.port}", trial_id=trial, action_case_id=case) as client:
         robot = get_embodiment(facts.embodiments[0])
         played = loop.evaluate(stand_in.StandInSource(), client, wishes, robot, facts.cameras)
-    told = [{**one, "success": None} for one in played.episodes]
-    print(json.dumps({"stand_in": True, "episodes": told, "skipped": played.skipped}))  # noqa: T201 - its answer
-    return 1 if any(one["error"] for one in told) else 0
+    results = [{**one, "success": None} for one in played.episodes]
+    print(json.dumps({"stand_in": True, "episodes": results, "skipped": played.skipped}))  # noqa: T201 - its answer
+    return 1 if any(one["error"] for one in results) else 0
 
 
 if __name__ == "__main__":

@@ -106,7 +106,7 @@ class StandInTask:
         left, right = self.joints[:_JOINTS], self.joints[_JOINTS:]
         return {
             "observation": {
-                name: self._camera(place) for place, name in enumerate(("head_camera", "left_camera", "right_camera"))
+                name: self._camera(index) for index, name in enumerate(("head_camera", "left_camera", "right_camera"))
             },
             "pointcloud": [],
             "joint_action": {
@@ -140,16 +140,16 @@ class StandInTask:
             self.poses = [part.copy() for part in arms]
         self.eval_success = self.take_action_cnt == self._succeeds_at
 
-    def _camera(self, place: int) -> dict[str, Any]:
+    def _camera(self, index: int) -> dict[str, Any]:
         height, width = self._size
         rgb = np.zeros((height, width, 3), np.uint8)
         rgb[..., 0] = np.linspace(40, 220, width)
         rgb[..., 1] = np.linspace(20, 140, height)[:, None]
-        rgb[..., 2] = 40 * place + self.take_action_cnt % 50
+        rgb[..., 2] = 40 * index + self.take_action_cnt % 50
         return {
             "rgb": rgb,
             "intrinsic_cv": np.array([[300.0, 0, width / 2], [0, 300.0, height / 2], [0, 0, 1]], np.float32),
-            "extrinsic_cv": np.eye(4, dtype=np.float32)[:3] + 0.1 * place,
+            "extrinsic_cv": np.eye(4, dtype=np.float32)[:3] + 0.1 * index,
             "cam2world_gl": np.eye(4, dtype=np.float32),
         }
 

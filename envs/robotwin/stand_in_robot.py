@@ -80,9 +80,9 @@ def urdf() -> str:
     robot = ET.Element("robot", name="stand_in")
     ET.SubElement(robot, "link", name="footprint")
     for side, name in SIDES.items():
-        place = _mount(side)[:3]
+        position = _mount(side)[:3]
         _link(robot, f"{name}_base_link", _bar(data["arm"]["joints"][0]["origin"]["xyz"]))
-        _joint(robot, f"{name}_base_joint", "fixed", "footprint", f"{name}_base_link", _text(place))
+        _joint(robot, f"{name}_base_joint", "fixed", "footprint", f"{name}_base_link", _text(position))
         _arm(robot, name, data)
         _hand(robot, name, data["end_effector"])
         _link(robot, f"{side}_camera")

@@ -70,8 +70,8 @@ class WithStandIn(Own):
 
     def arguments(self, task: str, setting: str) -> dict[str, Any]:
         """Return what `setup_demo` takes besides, with the planner that needs no GPU."""
-        told: Mapping[str, Any] = super().arguments(task, setting)
-        return {**told, "planner_backend": "mplib"}
+        config: Mapping[str, Any] = super().arguments(task, setting)
+        return {**config, "planner_backend": "mplib"}
 
 
 def _steady(plan: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]]:
@@ -86,10 +86,10 @@ def _steady(plan: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]
     def planned(*arguments: Any, **options: Any) -> dict[str, Any]:
         mplib.set_global_seed(_SEARCH)
         try:
-            found = plan(*arguments, **options)
+            trajectory = plan(*arguments, **options)
         except RuntimeError:
             return _NO_WAY
-        return found if found["status"] != "Success" or len(found["position"]) else _NO_WAY
+        return trajectory if trajectory["status"] != "Success" or len(trajectory["position"]) else _NO_WAY
 
     return planned
 

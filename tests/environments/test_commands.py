@@ -54,7 +54,7 @@ def test_check_prints_a_table() -> None:
     assert answer.exit_code == ExitCode.CLEAN, answer.output
     assert "1/1" in answer.stdout
     assert "not offered: for 2 arms" in answer.stdout
-    assert "1 of 1 hold" in answer.stdout
+    assert "1 of 1 pass" in answer.stdout
 
 
 @pytest.mark.slow

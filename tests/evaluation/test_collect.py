@@ -94,11 +94,11 @@ def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path
         collect._summary(records.Run(tmp_path / "run", line, finals=lines), request, "P", 1.0)
 
 
-def test_who_could_play_is_asked_for_in_one_sentence(tmp_path: Path) -> None:
+def test_a_missing_policy_is_reported_in_one_sentence(tmp_path: Path) -> None:
     ended = xpl("record", "offline", "--out", tmp_path / "demos")
     assert ended.code == 3
-    assert "offline has no expert" in ended.stderr
-    assert "a person's leader arm" in ended.stderr
+    assert "offline has no scripted expert" in ended.stderr
+    assert "the leader arm of teleoperation" in ended.stderr
     assert xpl("record", "offline", "--out", tmp_path / "demos", "--images", "big").code == 2
     assert not (tmp_path / "demos").exists()
 

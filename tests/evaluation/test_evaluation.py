@@ -187,7 +187,7 @@ def test_what_runs_in_real_time_is_driven_by_servers_that_ask_for_a_token_only(
     assert own.returncode == ExitCode.CLEAN, own.stderr
     other = xpl(*play, "--connect", serve(adapter, overrides={"far": 0.0}).url, cwd=tmp_path)
     assert other.returncode == ExitCode.USAGE
-    assert "asks for no token: start it with --token-file" in other.stderr
+    assert "requires no token: start it with --token-file" in other.stderr
 
 
 SLOW = WILD.replace("def get_action(self):", "def get_action(self):\n            import time; time.sleep(0.5)")

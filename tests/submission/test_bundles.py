@@ -100,7 +100,7 @@ class TestConsistency:
             (lambda lines: lines[-1]["inference"].update(histogram=[1]), "histogram"),
             (
                 lambda lines: lines[-1].update(containment="trusted"),
-                "in 1 of its 40 episodes the system could not keep",
+                "in 1 of its 40 episodes the system could not isolate",
             ),
             (lambda lines: lines[-1].pop("containment"), "in 1 of its 40 episodes the record does not say"),
             (lambda lines: lines[-1].update(_copied(lines[-2])), "has the states of episode 38: it was copied"),
@@ -113,10 +113,10 @@ class TestConsistency:
         found = list(consistency.problems(_rewritten(run, change)))
         assert any(said in problem for problem in found), found
 
-    def test_a_torn_line_is_said(self, run: Run) -> None:
+    def test_an_incomplete_line_is_reported(self, run: Run) -> None:
         with (run.folder / records.FILE).open("a", encoding="utf-8") as stream:
             stream.write('{"kind": "epi')
-        assert any("torn" in problem for problem in consistency.problems(records.read(run.folder)))
+        assert any("incomplete" in problem for problem in consistency.problems(records.read(run.folder)))
 
 
 class TestClaims:

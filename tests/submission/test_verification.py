@@ -61,7 +61,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Run:
 @pytest.fixture(scope="module")
 def report() -> TargetReport:
     """Return what the cheapest gate says of the expert."""
-    return audit(EXPERT, package.POLICY, AuditOptions(gates=(Gate.STATIC,)), shown="policy/scripted_expert")
+    return audit(EXPERT, package.POLICY, AuditOptions(gates=(Gate.STATIC,)), display_path="policy/scripted_expert")
 
 
 @pytest.fixture(scope="module")
@@ -285,7 +285,7 @@ def test_a_run_is_not_packed_twice(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "twice.zip"
     answer = prepare.submit(prepare.SubmitRequest(package.load(EXPERT), (run.folder, run.folder), out))
     assert answer.code == ExitCode.FINDINGS
-    assert any("given twice" in problem for problem in answer.problems)
+    assert any("named twice" in problem for problem in answer.problems)
     assert not out.exists()
 
 

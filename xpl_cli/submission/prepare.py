@@ -187,7 +187,7 @@ def _run_audit(request: SubmitRequest, runs: Sequence[Run]) -> tuple[TargetRepor
         progress=request.progress,
     )
     display_name = bundle.adapter_folder(request.package.name)
-    report = audit(request.package.path, POLICY, options, shown=display_name)
+    report = audit(request.package.path, POLICY, options, display_path=display_name)
     return report, exit_code([report])
 
 

@@ -42,10 +42,10 @@ class AlignT(Task):
             Part((*half, _HALF_HEIGHT), (*center, 0.0), 0.03, BLUE)
             for half, center in ((_BAR, _BAR_AT), (_STEM, _STEM_AT))
         ]
-        place = draw(scene, rng, _SIDE, _AHEAD) * [side, 1.0]
-        self._way = math.dist(place, self._outline)
-        self.clear = [place + part * (self._outline - place) for part in (0.25, 0.5, 0.75)]
-        add_body(scene, _T, parts, [*place, _HALF_HEIGHT], rng.uniform(*_YAW))
+        position = draw(scene, rng, _SIDE, _AHEAD) * [side, 1.0]
+        self._way = math.dist(position, self._outline)
+        self.clear = [position + part * (self._outline - position) for part in (0.25, 0.5, 0.75)]
+        add_body(scene, _T, parts, [*position, _HALF_HEIGHT], rng.uniform(*_YAW))
 
     def reached(self, physics: Physics) -> dict[str, bool]:
         """Slid half of the way; then near its outline; without ever being lifted."""

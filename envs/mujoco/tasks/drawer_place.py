@@ -54,11 +54,11 @@ class DrawerPlace(Task):
 
     def lay_out(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put cabinet and cube on the table."""
-        place = draw(scene, rng, _CABINET_X, _CABINET_AHEAD)
-        cabinet = add_fixture(scene, _CABINET, _WALLS, [*place, 0.0])
+        position = draw(scene, rng, _CABINET_X, _CABINET_AHEAD)
+        cabinet = add_fixture(scene, _CABINET, _WALLS, [*position, 0.0])
         add_drawer(cabinet, _DRAWER, _PARTS, _DRAWER_AT, _TRAVEL)
         scene.add_box(_CUBE, draw(scene, rng, _CUBE_X, _CUBE_AHEAD), rng.uniform(*_YAW))
-        handle = place + np.array([_HANDLE.center[0], _HANDLE.center[1] + _DRAWER_AT[1]])
+        handle = position + np.array([_HANDLE.center[0], _HANDLE.center[1] + _DRAWER_AT[1]])
         self.clear = [handle - [0.0, part * _TRAVEL] for part in (0.5, 1.0)]
 
     def reached(self, physics: Physics) -> dict[str, bool]:

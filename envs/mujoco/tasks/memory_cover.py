@@ -52,9 +52,9 @@ class MemoryCover(Task):
         self._target, self._wrong, self._steps = _COVERS[red], False, 0
         self._places = [draw(scene, rng, _around(column), _AHEAD) for column in _COLUMNS]
         behind = scene.line + _PARKED_AHEAD
-        for index, place in enumerate(self._places):
+        for index, position in enumerate(self._places):
             cube = Box(_CUBES[index], (_CUBE_HALF,) * 3, 0.03, RED if index == red else BLUE)
-            scene.add_box(cube, place, 0.0)
+            scene.add_box(cube, position, 0.0)
             add_body(scene, _COVERS[index], _COVER, [_COLUMNS[index], behind, 0.0])
 
     def act(self, physics: Physics) -> None:

@@ -34,8 +34,8 @@ class PickByLanguage(Task):
         named = int(rng.integers(len(_BLOCKS)))
         self._named, self._wrong = _BLOCKS[named], False
         self.words = {"hue": colors[named]}
-        for name, color, place in zip(_BLOCKS, colors, draw_apart(scene, rng, _AREAS, _APART), strict=True):
-            scene.add_box(Box(name, _HALF, _MASS, _COLORS[color]), place, rng.uniform(*_YAW))
+        for name, color, position in zip(_BLOCKS, colors, draw_apart(scene, rng, _AREAS, _APART), strict=True):
+            scene.add_box(Box(name, _HALF, _MASS, _COLORS[color]), position, rng.uniform(*_YAW))
 
     def reached(self, physics: Physics) -> dict[str, bool]:
         """The named block grasped, then lifted, and no other one before."""

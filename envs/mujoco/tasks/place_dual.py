@@ -59,17 +59,17 @@ class PlaceDual(Task):
             block.name: {"pose": physics.body_pose(block.name), "half_size": np.array(block.half)} for block in _BLOCKS
         }
         pads = {
-            pad: {"position": np.array([*place, physics.table_top]), "half_size": np.array(_PAD_HALF)}
-            for pad, place in zip(_PADS, self._places, strict=True)
+            pad: {"position": np.array([*target, physics.table_top]), "half_size": np.array(_PAD_HALF)}
+            for pad, target in zip(_PADS, self._places, strict=True)
         }
         return {"objects": blocks, "goals": pads}
 
     def _placed(self, physics: Physics) -> list[bool]:
         return [
-            off(physics, block.name, place) < _ON_PAD
+            off(physics, block.name, target) < _ON_PAD
             and abs(height(physics, block.name) - block.half[2]) < _ON_TABLE
             and not physics.touched(block.name, arm)
-            for arm, (block, place) in enumerate(zip(_BLOCKS, self._places, strict=True))
+            for arm, (block, target) in enumerate(zip(_BLOCKS, self._places, strict=True))
         ]
 
 

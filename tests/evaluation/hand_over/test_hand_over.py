@@ -262,7 +262,7 @@ def test_robotwins_rate_is_read_where_only_robotwin_knows_the_folder(tmp_path: P
     assert "--test_num 100" in (place / "told").read_text()
     refused = xpl("env", "hand-over", "robotwin", POLICY, *words, *NOWHERE, "--out", tmp_path / "run")
     assert refused.code == 2
-    assert "nothing can be recorded" in refused.stderr
+    assert "cannot be recorded" in refused.stderr
     assert not (tmp_path / "run").exists()
 
 

@@ -77,11 +77,11 @@ def recorded(folder: Path) -> records.Run:
 def _audit() -> bytes:
     """Return what the cheapest gate says of the adapter."""
     from xpl_cli.audit.engine.engine import audit
-    from xpl_cli.audit.formats import Context, as_json
+    from xpl_cli.audit.formats import ReportContext, as_json
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.options import AuditOptions
 
     report = audit(
-        ADAPTER, package.POLICY, AuditOptions(gates=(Gate.STATIC,)), shown=bundle.adapter_folder(ADAPTER.name)
+        ADAPTER, package.POLICY, AuditOptions(gates=(Gate.STATIC,)), display_path=bundle.adapter_folder(ADAPTER.name)
     )
-    return bundle.document(as_json([report], Context(here=ROOT)))
+    return bundle.document(as_json([report], ReportContext(here=ROOT)))

@@ -211,7 +211,7 @@ class RolloutWorker:
         try:
             trial.begin(client, case)
             if self._adapter_loop is not None:
-                self._adapter_loop.run_trial(watch, rollout.listened(watch, client), batch=batch)
+                self._adapter_loop.run_trial(watch, rollout.observed_client(watch, client), batch=batch)
             elif batch:
                 rollout.run_batch(watch, client, horizon=config.horizon)
             else:
