@@ -18,9 +18,9 @@ from xpl.kinematics import Chain
 from xpl.poses import pose
 from xpl.rendering import choose_opengl
 
+from .cameras import CameraRenderer
+from .contacts import ContactTable
 from .expert import Expert
-from .pictures import Pictures
-from .touching import Touching
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -58,8 +58,8 @@ class AlohaEpisode(Episode):
         self._env = AlohaEnv(task=setup.task, obs_type="pixels_agent_pos")
         self._task, self._physics = self._env._env.task, self._env._env.physics  # noqa: SLF001 - it offers neither
         self._task.get_observation = self._undrawn
-        self._task.get_reward = _rewarded(self._task.get_reward, Touching(self._physics))
-        self._pictures = Pictures(self._physics, setup, setup.setting.split("_"))
+        self._task.get_reward = _rewarded(self._task.get_reward, ContactTable(self._physics))
+        self._renderer = CameraRenderer(self._physics, setup, setup.setting.split("_"))
         chain = Chain.from_embodiment(setup.embodiment.data)
         ahead = chain.tcp_from_flange(pose(np.zeros(_PLACE), rotation.identity()))
         self._ahead = ahead[:_PLACE].tolist()  # and turned alike
@@ -97,7 +97,7 @@ class AlohaEpisode(Episode):
 
     def vision(self) -> dict[str, dict[str, Any]]:
         """Return the pictures of the setting's cameras."""
-        return self._pictures.seen()
+        return self._renderer.seen()
 
     def truth(self) -> dict[str, Any]:
         """Return gym-aloha's reward and the poses of its objects, quaternions [w, x, y, z].
@@ -111,7 +111,7 @@ class AlohaEpisode(Episode):
         """Return gym-aloha's own observation, with its picture where pictures are wanted, and its last action (14,)."""
         env = self._env
         size = (env.observation_height, env.observation_width)
-        top = self._pictures.drawn("top", *size) if self.setup.cameras else _NO_PICTURE
+        top = self._renderer.drawn("top", *size) if self.setup.cameras else _NO_PICTURE
         return Simulated({"agent_pos": self._obs["agent_pos"], "pixels": {"top": top}}, self._told)
 
     def close(self) -> None:
@@ -154,7 +154,7 @@ class AlohaEpisode(Episode):
         return pose(data.xpos[body], data.xquat[body])
 
 
-def _rewarded(own: Callable[[Any], int], touching: Touching) -> Callable[[Any], int]:
+def _rewarded(own: Callable[[Any], int], touching: ContactTable) -> Callable[[Any], int]:
     """Return gym-aloha's own reward, told of contacts by what tells of them faster."""
 
     def reward(_physics: Any) -> int:

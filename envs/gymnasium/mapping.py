@@ -27,7 +27,7 @@ class MappingError(ValueError):
 
 
 @dataclass(frozen=True)
-class Place:
+class ValuePath:
     """Where a value lies: ``obs.agent_pos[0]`` is the first number of the entry `agent_pos` of the observation."""
 
     text: str
@@ -35,7 +35,7 @@ class Place:
     part: slice
 
     @classmethod
-    def read(cls, text: str) -> Place:
+    def read(cls, text: str) -> ValuePath:
         """Parse a path.
 
         Raises:
@@ -87,8 +87,8 @@ class Place:
 class Value:
     """One or more numbers: constants, or what lies at a path, scaled."""
 
-    source: Place | float
-    minus: Place | None = None
+    source: ValuePath | float
+    minus: ValuePath | None = None
     scale: float = 1.0
     offset: float = 0.0
     clip: tuple[float, float] | None = None
@@ -103,15 +103,15 @@ class Value:
         if isinstance(entry, (int, float)) and not isinstance(entry, bool):
             return cls(float(entry))
         if isinstance(entry, str):
-            return cls(Place.read(entry))
+            return cls(ValuePath.read(entry))
         if not isinstance(entry, Mapping) or "from" not in entry or not _KEYS.issuperset(entry):
             raise MappingError(
                 f"{where}: expected a number, a path or a map of {', '.join(sorted(_KEYS))}; got {entry!r}"
             )
         limits = entry.get("clip")
         return cls(
-            source=Place.read(entry["from"]),
-            minus=Place.read(entry["minus"]) if "minus" in entry else None,
+            source=ValuePath.read(entry["from"]),
+            minus=ValuePath.read(entry["minus"]) if "minus" in entry else None,
             scale=float(entry.get("scale", 1.0)),
             offset=float(entry.get("offset", 0.0)),
             clip=None if limits is None else (float(limits[0]), float(limits[1])),
@@ -154,11 +154,11 @@ class EnvMapping:
     kwargs: Mapping[str, Any]
     variables: Mapping[str, str]
     state: Mapping[str, Vector]
-    cameras: Mapping[str, Place]
+    cameras: Mapping[str, ValuePath]
     action: Mapping[str, Vector]
     success: Value
     score: Value | None
-    truth: Mapping[str, Place]
+    truth: Mapping[str, ValuePath]
 
     @classmethod
     def load(cls, file: Path) -> EnvMapping:
@@ -191,11 +191,11 @@ class EnvMapping:
             kwargs=entries.get("kwargs", {}),
             variables={key: str(value) for key, value in entries.get("variables", {}).items()},
             state=_vectors(entries["state"], "state"),
-            cameras={name: Place.read(path) for name, path in entries.get("cameras", {}).items()},
+            cameras={name: ValuePath.read(path) for name, path in entries.get("cameras", {}).items()},
             action=_vectors(entries["action"], "action"),
             success=Value.read(entries["success"], "success"),
             score=None if score is None else Value.read(score, "score"),
-            truth={name: Place.read(path) for name, path in entries.get("truth", {}).items()},
+            truth={name: ValuePath.read(path) for name, path in entries.get("truth", {}).items()},
         )
 
 

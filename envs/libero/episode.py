@@ -16,7 +16,7 @@ from xpl.rendering import choose_opengl
 from xpl.rotation import from_matrix
 from xpl.simulator.pose_deltas import COMMANDED, MEASURED, PoseDeltas, clip
 
-from .drawing import Pictures
+from .cameras import CameraRenderer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,10 +49,10 @@ class LiberoEpisode(Episode):
         suite, name = setup.facts["suite"], setup.facts["file"]
         self._states = load_initial_states(Path(get_libero_path("init_states")) / suite / f"{name}.pruned_init")
         words = setup.setting.split("_")
-        self._pictures = Pictures(setup, words)
+        self._renderer = CameraRenderer(setup, words)
         bddl = Path(get_libero_path("bddl_files")) / suite / f"{name}.bddl"
-        self._env = ControlEnv(str(bddl), **self._pictures.options())
-        self._pictures.prepare(self._env.env)
+        self._env = ControlEnv(str(bddl), **self._renderer.options())
+        self._renderer.prepare(self._env.env)
         self._changes = PoseDeltas(COMMANDED if "delta" in words else MEASURED)
 
     def reset(self, seed: int) -> None:
@@ -95,7 +95,7 @@ class LiberoEpisode(Episode):
 
     def vision(self) -> dict[str, dict[str, Any]]:
         """Return the pictures of the manifest's cameras, in the form that the setting names."""
-        return self._pictures.seen(self._env.env, self._obs)
+        return self._renderer.seen(self._env.env, self._obs)
 
     def truth(self) -> dict[str, Any]:
         """Return LIBERO's own observation but for its pictures: poses of objects, quaternions [x, y, z, w] there."""

@@ -18,8 +18,8 @@ from xpl.rendering import VULKAN_COMPLAINTS, choose_vulkan, no_vulkan
 
 from . import planner
 from .arm import Arm
+from .cameras import CameraRenderer
 from .control import control_of
-from .pictures import Pictures
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,7 +44,7 @@ class ManiSkillEpisode(Episode):
         _require_assets(setup)
         self._torch = torch
         controls = [control_of(setup.action_type, words, setup.embodiment.name) for _ in setup.embodiment.arms]
-        self._pictures = Pictures(setup, words)
+        self._renderer = CameraRenderer(setup, words)
         self._env = self._made(make, controls[0].mode)
         agents = getattr(self._env.agent, "agents", [self._env.agent])
         self._arms = [
@@ -92,7 +92,7 @@ class ManiSkillEpisode(Episode):
 
     def vision(self) -> dict[str, dict[str, Any]]:
         """Return the pictures of the manifest's cameras that the task has."""
-        return self._pictures.seen(self._env)
+        return self._renderer.seen(self._env)
 
     def truth(self) -> dict[str, Any]:
         """Return ManiSkill's own observation for policies of states: poses of objects and goals, [x, y, z, w, i, j, k].
@@ -123,7 +123,7 @@ class ManiSkillEpisode(Episode):
                 control_mode=mode,
                 sim_backend="physx_cpu",
                 render_backend="cpu",
-                sensor_configs=self._pictures.options(),
+                sensor_configs=self._renderer.options(),
             ).unwrapped
         except RuntimeError as error:
             if any(word in str(error) for word in VULKAN_COMPLAINTS):

@@ -17,8 +17,8 @@ from xpl.rendering import choose_opengl
 from xpl.rotation import angle_between
 from xpl.simulator.pose_deltas import COMMANDED, MEASURED, PoseDeltas, clip
 
-from .pictures import Pictures
-from .touching import Touching
+from .cameras import CameraRenderer
+from .contacts import GraspContacts
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -76,11 +76,11 @@ class MetaWorldEpisode(Episode):
         vars(env).update(_partially_observable=False, _set_task_called=True, _freeze_rand_vec=False)
         del env.sawyer_observation_space
         env.seeded_rand_vec = True
-        env.touching_object = Touching(env).touches
+        env.touching_object = GraspContacts(env).touches
         self._policy = ENV_POLICY_MAP[name]()
         self._seen = _Seen.of(env.model, env.data)
         self._changes = PoseDeltas(COMMANDED if "delta" in words else MEASURED)
-        self._pictures = Pictures(env.model, setup, is_fast="fast" in words)
+        self._renderer = CameraRenderer(env.model, setup, is_fast="fast" in words)
 
     def reset(self, seed: int) -> None:
         """Begin an episode; the seed draws goal and objects (`reset(seed)` of Meta-World ignores it)."""
@@ -122,7 +122,7 @@ class MetaWorldEpisode(Episode):
 
     def vision(self) -> dict[str, dict[str, Any]]:
         """Return the pictures of the manifest's cameras, upright."""
-        return self._pictures.seen(self._env.data)
+        return self._renderer.seen(self._env.data)
 
     def truth(self) -> dict[str, Any]:
         """Return Meta-World's own observation with the goal, and the pose that the hand is pulled to.
@@ -138,7 +138,7 @@ class MetaWorldEpisode(Episode):
 
     def close(self) -> None:
         """Release the simulator and what draws."""
-        self._pictures.close()
+        self._renderer.close()
         self._env.close()
 
     def _look(self, obs: NDArray[np.float64]) -> None:

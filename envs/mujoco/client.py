@@ -46,7 +46,7 @@ class MujocoEnv(EnvironmentBase["_Place"]):
     @property
     def episodes(self) -> tuple[Episode, ...]:
         """The episodes of all environments, for tools that look behind the observations; empty before `reset`."""
-        return tuple(slot.episode for slot in self._places)
+        return tuple(slot.episode for slot in self._envs)
 
     def render(self, env_idx: int = 0, camera: str | None = None) -> NDArray[np.uint8]:
         """Return what a camera of env.yml sees now, (H, W, 3) uint8 RGB, for people; observations do not change.
@@ -63,7 +63,7 @@ class MujocoEnv(EnvironmentBase["_Place"]):
         one_of("camera", name, entries)
         return episode.render(name, entries[name]["height"], entries[name]["width"]).color
 
-    def _place(self, setup: Setup, index: int) -> _Place:
+    def _make_env(self, setup: Setup, index: int) -> _Place:
         return _Place(setup, self._renderer, index)
 
 

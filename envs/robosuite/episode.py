@@ -16,7 +16,7 @@ from xpl.rendering import choose_opengl
 from xpl.simulator.pose_deltas import COMMANDED, MEASURED
 
 from .arm import Arm
-from .drawing import Pictures
+from .cameras import CameraRenderer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,7 +47,7 @@ class RobosuiteEpisode(Episode):
         controller = load_composite_controller_config(controller=None, robot="Panda")
         if setup.setting == _ABSOLUTE:
             controller["body_parts"]["right"].update(input_type="absolute", input_ref_frame="world")
-        self._pictures = Pictures(setup)
+        self._renderer = CameraRenderer(setup)
         self._env = robosuite.make(
             setup.task,
             robots=["Panda"] * len(prefixes),
@@ -55,9 +55,9 @@ class RobosuiteEpisode(Episode):
             control_freq=round(setup.frequency),
             ignore_done=True,  # the step limit is that of env.yml
             seed=0,
-            **self._pictures.options(),
+            **self._renderer.options(),
         )
-        self._pictures.prepare(self._env)
+        self._renderer.prepare(self._env)
         counted = COMMANDED if setup.setting == _DELTA else MEASURED
         self._arms = [Arm(prefix, number, counted) for number, prefix in enumerate(prefixes)]
         self._step = self._sent if setup.setting == _ABSOLUTE else self._changed
@@ -104,7 +104,7 @@ class RobosuiteEpisode(Episode):
 
     def vision(self) -> dict[str, dict[str, Any]]:
         """Return the pictures of the manifest's cameras, upright."""
-        return self._pictures.seen(self._env, self._obs)
+        return self._renderer.seen(self._env, self._obs)
 
     def truth(self) -> dict[str, Any]:
         """Return robosuite's own observation but for its pictures: poses of objects, quaternions [x, y, z, w] there."""

@@ -8,7 +8,7 @@ from typing import Any
 from xpl.environment import Environment, read_manifest, require
 
 from .episode import RoboTwinEpisode
-from .own import check
+from .upstream import check
 
 
 def make(config: Mapping[str, Any]) -> Environment:

@@ -14,8 +14,8 @@ from xpl.episode import SUCCESS_SCORE, Simulated
 
 from . import convert
 from .loop import SEEN, Source, ask_expert
-from .own import Own, quiet
-from .without_gpu import WithStandIn
+from .upstream import UpstreamSource, quiet
+from .without_gpu import SourceWithoutGpu
 
 UNREACHED = "unreached"
 _NEAR = 0.01  # m; farther from where it was sent, an arm has not found a way, about which RoboTwin says nothing
@@ -42,7 +42,7 @@ class RoboTwinEpisode(Episode):
                 f"{setup.task} needs objects that only RoboTwin's assets have; {setup.setting} plays "
                 f"{', '.join(stand_in['tasks'])}"
             )
-        self._source = source or (Own() if stand_in is None else WithStandIn())
+        self._source = source or (UpstreamSource() if stand_in is None else SourceWithoutGpu())
         self._task = self._source.make(setup.task)
         theirs = setup.setting if stand_in is None else stand_in["plays"]
         arguments = self._source.arguments(setup.task, theirs)

@@ -49,7 +49,7 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True)
-class Wishes:
+class EvalOptions:
     """What is played.
 
     Attributes:
@@ -73,7 +73,7 @@ class Wishes:
 
 
 @dataclass
-class Played:
+class EvalResult:
     """What came of it.
 
     Attributes:
@@ -92,14 +92,14 @@ class Played:
 
 
 def evaluate(
-    source: Source, client: Any, wishes: Wishes, robot: Embodiment, cameras: Mapping[str, Mapping[str, Any]]
-) -> Played:
+    source: Source, client: Any, options: EvalOptions, robot: Embodiment, cameras: Mapping[str, Mapping[str, Any]]
+) -> EvalResult:
     """Play seeds until enough episodes count.
 
     Args:
         source: where the task comes from.
         client: `call(func_name=..., obs=...)` runs an operation of the policy.
-        wishes: what is played.
+        options: what is played.
         robot: of the standard.
         cameras: those of env.yml.
 
@@ -107,23 +107,23 @@ def evaluate(
         ClientError: the connection is lost; RoboTwin would count all that follow as failed.
         RuntimeError: so many seeds were skipped that there is something wrong.
     """
-    task, played = source.make(wishes.task), Played()
-    arguments = {**source.arguments(wishes.task, wishes.setting), "eval_mode": True}
-    seed = SEEDS * (1 + wishes.seed)
-    last = seed + max(_ATTEMPTS * wishes.test_num, _ATTEMPTS)
-    while len(played.episodes) < wishes.test_num:
+    task, played = source.make(options.task), EvalResult()
+    arguments = {**source.arguments(options.task, options.setting), "eval_mode": True}
+    seed = SEEDS * (1 + options.seed)
+    last = seed + max(_ATTEMPTS * options.test_num, _ATTEMPTS)
+    while len(played.episodes) < options.test_num:
         if seed == last:
             raise RuntimeError(
-                f"of {len(played.skipped)} seeds {wishes.task} took {len(played.episodes)}: {_why(played)}"
+                f"of {len(played.skipped)} seeds {options.task} took {len(played.episodes)}: {_why(played)}"
             )
-        info, reason = _checked(source, task, arguments, seed, len(played.episodes), wishes)
+        info, reason = _checked(source, task, arguments, seed, len(played.episodes), options)
         if reason is None:
             reason = _set_up(source, task, {**arguments, "now_ep_num": len(played.episodes), spec.Deploy.SEED: seed})
         if reason is None:
-            wordings = source.describe(wishes.task, info, wishes.test_num, seed).get(wishes.instruction_type)
-            instruction = random.Random(seed).choice(wordings) if wordings else wishes.task  # noqa: S311 - words
+            wordings = source.describe(options.task, info, options.test_num, seed).get(options.instruction_type)
+            instruction = random.Random(seed).choice(wordings) if wordings else options.task  # noqa: S311 - words
             task.set_instruction(instruction=instruction)
-            played.episodes.append(_episode(task, client, wishes, robot, cameras, seed))
+            played.episodes.append(_episode(task, client, options, robot, cameras, seed))
             task.close_env()
         else:
             played.skipped[seed] = reason
@@ -132,10 +132,10 @@ def evaluate(
 
 
 def _checked(  # noqa: PLR0913, PLR0917 - private
-    source: Source, task: Any, arguments: Mapping[str, Any], seed: int, number: int, wishes: Wishes
+    source: Source, task: Any, arguments: Mapping[str, Any], seed: int, number: int, options: EvalOptions
 ) -> tuple[Mapping[str, Any], str | None]:
     """Return what the expert says of a seed, and why the seed does not count, or None."""
-    if not wishes.expert_check:
+    if not options.expert_check:
         return {}, None
     try:
         task.setup_demo(now_ep_num=number, seed=seed, is_test=True, **{**arguments, "render_freq": 0})
@@ -186,17 +186,17 @@ def _set_up(source: Source, task: Any, arguments: Mapping[str, Any]) -> str | No
 def _episode(  # noqa: PLR0913, PLR0917 - private
     task: Any,
     client: Any,
-    wishes: Wishes,
+    options: EvalOptions,
     robot: Embodiment,
     cameras: Mapping[str, Mapping[str, Any]],
     seed: int,
 ) -> dict[str, Any]:
     """Play one episode as RoboTwin does, and return what came of it."""
     case = {
-        spec.Deploy.TASK_NAME: wishes.task,
+        spec.Deploy.TASK_NAME: options.task,
         spec.Deploy.SEED: seed,
         spec.Obs.INSTRUCTION: task.get_instruction(),
-        spec.Deploy.ACTION_TYPE: wishes.action_type,
+        spec.Deploy.ACTION_TYPE: options.action_type,
     }
 
     def show() -> None:
@@ -205,7 +205,7 @@ def _episode(  # noqa: PLR0913, PLR0917 - private
             cameras=cameras,
             robot=getattr(task, "robot", None),
             instruction=task.get_instruction(),
-            frequency=wishes.frequency,
+            frequency=options.frequency,
         )
         client.call(func_name=spec.Method.UPDATE_OBS, obs=obs)
 
@@ -219,7 +219,7 @@ def _episode(  # noqa: PLR0913, PLR0917 - private
             if len(chunk) == 0:
                 raise ActionError("the policy returned an empty chunk")  # noqa: TRY301 - told like all that it raises
             for index, action in enumerate(chunk):
-                vector, kind = convert.command(action, robot, wishes.action_type)
+                vector, kind = convert.command(action, robot, options.action_type)
                 task.take_action(vector, action_type=kind)
                 if _has_ended(task) or index + 1 == len(chunk):
                     break
@@ -231,7 +231,7 @@ def _episode(  # noqa: PLR0913, PLR0917 - private
     success = bool(task.eval_success)
     client.call(
         func_name=spec.Message.TRIAL_END,
-        obs={spec.Deploy.TASK_NAME: wishes.task, spec.Deploy.SEED: seed, "success": success},
+        obs={spec.Deploy.TASK_NAME: options.task, spec.Deploy.SEED: seed, "success": success},
     )
     return {
         spec.Deploy.SEED: seed,
@@ -246,6 +246,6 @@ def _has_ended(task: Any) -> bool:
     return bool(task.eval_success or task.take_action_cnt >= task.step_lim)
 
 
-def _why(played: Played) -> str:
+def _why(played: EvalResult) -> str:
     reasons = list(played.skipped.values())
     return ", ".join(f"{reasons.count(one)} {one}" for one in dict.fromkeys(reasons))

@@ -31,13 +31,13 @@ def main(words: list[str]) -> int:
     package = load_module(HERE / "loop.py").__package__
     loop, stand_in = (importlib.import_module(f"{package}.{name}") for name in ("loop", "stand_in"))
     facts = read_manifest(HERE)
-    wishes = loop.Wishes(
+    options = loop.EvalOptions(
         arguments.task_name, action_type=arguments.action_type, seed=arguments.seed, test_num=arguments.test_num
     )
     trial, case = f"{arguments.task_name}-{arguments.seed}", f"{arguments.task_name}-case"
     with Client(f"ws://{arguments.host}:{arguments.port}", trial_id=trial, action_case_id=case) as client:
         robot = get_embodiment(facts.embodiments[0])
-        played = loop.evaluate(stand_in.StandInSource(), client, wishes, robot, facts.cameras)
+        played = loop.evaluate(stand_in.MockSource(), client, options, robot, facts.cameras)
     results = [{**one, "success": None} for one in played.episodes]
     print(json.dumps({"stand_in": True, "episodes": results, "skipped": played.skipped}))  # noqa: T201 - its answer
     return 1 if any(one["error"] for one in results) else 0

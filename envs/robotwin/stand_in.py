@@ -22,7 +22,7 @@ class UnstableError(Exception):
     """Stands for RoboTwin's UnStableError."""
 
 
-class StandInSource:
+class MockSource:
     """Where stand-ins come from.
 
     Args:
@@ -37,9 +37,9 @@ class StandInSource:
     def __init__(self, step_lim: int = 20, succeeds_at: int | None = None, size: tuple[int, int] = SIZE) -> None:
         self._made = step_lim, succeeds_at, size
 
-    def make(self, task: str) -> StandInTask:
+    def make(self, task: str) -> MockTask:
         """Return a task."""
-        return StandInTask(task, *self._made)
+        return MockTask(task, *self._made)
 
     def arguments(self, task: str, setting: str) -> dict[str, Any]:
         """Return what RoboTwin's loop hands on."""
@@ -50,7 +50,7 @@ class StandInSource:
         return {"seen": [f"do {task} with {info['{A}']}"], "unseen": [f"please do {task} with {info['{A}']}"]}
 
 
-class StandInTask:
+class MockTask:
     """One task, one episode after the other; names are RoboTwin's.
 
     Attributes:
@@ -155,7 +155,7 @@ class StandInTask:
 
 
 class _Robot:
-    def __init__(self, task: StandInTask) -> None:
+    def __init__(self, task: MockTask) -> None:
         self._task = task
 
     def get_left_arm_jointState(self) -> list[float]:  # noqa: N802 - RoboTwin's own name

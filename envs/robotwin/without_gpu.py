@@ -20,14 +20,14 @@ from xpl.environment import require
 from xpl.rendering import VULKAN_COMPLAINTS, choose_vulkan, no_vulkan
 
 from . import stand_in_robot
-from .own import Own, quiet
+from .upstream import UpstreamSource, quiet
 
 _UNUSED = ("open3d",)  # of point clouds, which no setting here asks for
 _NO_WAY = {"status": "Fail"}
 _SEARCH = 1  # seed of every search for a way
 
 
-class WithStandIn(Own):
+class SourceWithoutGpu(UpstreamSource):
     """RoboTwin's tasks in its own runtime, with another robot than its own.
 
     Raises:

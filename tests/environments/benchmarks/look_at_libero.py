@@ -47,7 +47,7 @@ def _glimpsed(steps: int = 8) -> dict[str, Any]:
     found["states"] = len(episode._states)
     found["result"] = env.results()[0]
     try:
-        found["seen"] = _shown(env, episode._pictures.seen(episode._env.env, episode._obs)["cam_head"])
+        found["seen"] = _shown(env, episode._cameras_renderer.seen(episode._env.env, episode._obs)["cam_head"])
     except Exception as error:
         if type(error).__name__ != "RendererMissingError":
             raise

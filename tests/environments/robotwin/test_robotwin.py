@@ -38,7 +38,7 @@ ROBOT = get_embodiment("aloha_agilex")
 MANIFEST = environments.manifest(ENV)
 FACTS = MANIFEST.data
 CAMERAS = FACTS["cameras"]
-CONVERT, LOOP, OWN = (load_module(ENV / f"{name}.py") for name in ("convert", "loop", "own"))
+CONVERT, LOOP, UPSTREAM = (load_module(ENV / f"{name}.py") for name in ("convert", "loop", "upstream"))
 STAND_IN, EPISODE = (load_module(ENV / f"{name}.py") for name in ("stand_in", "episode"))
 STAND_IN_ROBOT = load_module(ENV / "stand_in_robot.py")
 SMALL = (12, 16)
@@ -53,7 +53,7 @@ CHECKOUT = os.environ.get("XPL_ROBOTWIN_CHECKOUT")
 
 def source(**settings: Any) -> Any:
     """Return where stand-ins come from."""
-    return STAND_IN.StandInSource(**{"step_lim": 6, "size": SMALL, **settings})
+    return STAND_IN.MockSource(**{"step_lim": 6, "size": SMALL, **settings})
 
 
 def task() -> Any:
@@ -98,8 +98,8 @@ class Chunks:
 def played(client: Any, **settings: Any) -> Any:
     """Play RoboTwin's loop with a stand-in."""
     made = {key: settings.pop(key) for key in ("step_lim", "succeeds_at") if key in settings}
-    wishes = LOOP.Wishes("stack_blocks_two", **{"test_num": 1, **settings})
-    return LOOP.evaluate(source(**made), client, wishes, ROBOT, CAMERAS)
+    options = LOOP.EvalOptions("stack_blocks_two", **{"test_num": 1, **settings})
+    return LOOP.evaluate(source(**made), client, options, ROBOT, CAMERAS)
 
 
 # -- conventions -------------------------------------------------------------------------------------------------------
@@ -197,7 +197,7 @@ def test_the_expert_is_judged_before_its_task_is_closed() -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(task, "close_env", lambda one, clear_cache=False: setattr(one, "closed", True))
         patch.setattr(task, "check_success", lambda one: not getattr(one, "closed", False))
-        told = LOOP.evaluate(unsolved, Chunks(), LOOP.Wishes("stack_blocks_two", test_num=1), ROBOT, CAMERAS)
+        told = LOOP.evaluate(unsolved, Chunks(), LOOP.EvalOptions("stack_blocks_two", test_num=1), ROBOT, CAMERAS)
     assert told.skipped == {}
 
 
@@ -241,7 +241,7 @@ def test_the_search_for_seeds_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     unsolved = source()
     monkeypatch.setattr(type(unsolved.make("x")), "check_success", lambda _self: False)
     with pytest.raises(RuntimeError, match="expert_failed"):
-        LOOP.evaluate(unsolved, Chunks(), LOOP.Wishes("x", test_num=1), ROBOT, CAMERAS)
+        LOOP.evaluate(unsolved, Chunks(), LOOP.EvalOptions("x", test_num=1), ROBOT, CAMERAS)
 
 
 def test_the_loop_plays_a_real_server() -> None:
@@ -281,7 +281,7 @@ def test_the_robot_that_stands_in_is_what_robotwin_reads(tmp_path: Path) -> None
     """Each folder and file that its runtime asks for; every name of the configuration is one of the description."""
     STAND_IN_ROBOT.write(tmp_path)
     own = tmp_path / "assets" / "embodiments" / "aloha-agilex"
-    assert all((tmp_path / folder).is_dir() for folder in OWN.NEEDED)
+    assert all((tmp_path / folder).is_dir() for folder in UPSTREAM.NEEDED)
     assert all((own / f"curobo_{side}_tmp.yml").read_text() == "robot_cfg: {}\n" for side in ("left", "right"))
     config = yaml.safe_load((own / "config.yml").read_text())
     robot = ET.fromstring((own / config["urdf_path"]).read_text())  # noqa: S314 - our own
@@ -306,7 +306,7 @@ def test_every_setting_that_stands_in_says_so_by_its_name() -> None:
 
 
 def test_without_the_runtime_one_sentence_says_how_to_install_it() -> None:
-    if OWN.importlib.util.find_spec("robotwin") is not None:
+    if UPSTREAM.importlib.util.find_spec("robotwin") is not None:
         pytest.skip("RoboTwin's runtime is installed here")
     client = load_module(ENV / "client.py")
     config = {"task": "stack_blocks_two", "embodiment": "aloha_agilex", "setting": "stand_in_robot"}
@@ -425,29 +425,29 @@ def test_a_seed_that_robotwin_skips_is_no_failure_of_the_policy(seed: int, said:
 
 def test_without_code_or_assets_one_sentence_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No code, a folder that is no checkout, a checkout without assets, and assets that stand in for RoboTwin's."""
-    monkeypatch.delenv(OWN.CHECKOUT, raising=False)
-    monkeypatch.setattr(OWN.importlib.util, "find_spec", lambda _name: None)
+    monkeypatch.delenv(UPSTREAM.CHECKOUT, raising=False)
+    monkeypatch.setattr(UPSTREAM.importlib.util, "find_spec", lambda _name: None)
     with pytest.raises(NotInstalledError, match="code is not here"):
-        OWN.check()
-    monkeypatch.setenv(OWN.CHECKOUT, str(tmp_path))
+        UPSTREAM.check()
+    monkeypatch.setenv(UPSTREAM.CHECKOUT, str(tmp_path))
     with pytest.raises(NotInstalledError, match="no checkout"):
-        OWN.check()
+        UPSTREAM.check()
     (tmp_path / "envs").mkdir()
     (tmp_path / "envs" / "_base_task.py").touch()
     (tmp_path / "env_cfg" / "task_config").mkdir(parents=True)
     with pytest.raises(NotInstalledError, match="assets are not here"):
-        OWN.check()
-    for folder in OWN.NEEDED:
+        UPSTREAM.check()
+    for folder in UPSTREAM.NEEDED:
         (tmp_path / folder).mkdir(parents=True)
-    assert OWN.check() == (tmp_path, tmp_path)
+    assert UPSTREAM.check() == (tmp_path, tmp_path)
     STAND_IN_ROBOT.write(tmp_path)
     with pytest.raises(NotInstalledError, match="a robot that stands in for RoboTwin's"):
-        OWN.check()
+        UPSTREAM.check()
 
 
 def test_the_command_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(OWN.CHECKOUT, raising=False)
-    if OWN.importlib.util.find_spec("robotwin") is not None:
+    monkeypatch.delenv(UPSTREAM.CHECKOUT, raising=False)
+    if UPSTREAM.importlib.util.find_spec("robotwin") is not None:
         pytest.skip("RoboTwin's runtime is installed here")
     words = ["--set", "env_cfg_type=aloha_agilex", "--task", "stack_blocks_two", "--workers", "0", "--eval-env", "none"]
     ended = xpl("eval", POLICY, "--env", "robotwin", *words)
@@ -464,7 +464,7 @@ _FILES = {
 import pathlib, sys
 from xpl.process.modules import load_module
 made = load_module(pathlib.Path({stand_in!r}))
-class stack_blocks_two(made.StandInTask):
+class stack_blocks_two(made.MockTask):
     def __init__(self):
         super().__init__("stack_blocks_two", 800, 2, (12, 16))
     def setup_demo(self, **kwargs):
@@ -497,7 +497,7 @@ def test_a_checkout_is_played_through_its_own_modules(tmp_path: Path, monkeypatc
     for name, text in _FILES.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text.format(stand_in=str(ENV / "stand_in.py")))
-    monkeypatch.setenv(OWN.CHECKOUT, str(tmp_path))
+    monkeypatch.setenv(UPSTREAM.CHECKOUT, str(tmp_path))
     words = ["--set", "env_cfg_type=aloha_agilex", "--task", "stack_blocks_two", "--seed", "100000", "--json"]
     ended = xpl("eval", POLICY, "--env", "robotwin", "--eval-env", "none", *words)
     assert ended.code == 0, ended.stderr
@@ -509,7 +509,7 @@ def test_a_checkout_is_played_through_its_own_modules(tmp_path: Path, monkeypatc
 def test_robotwins_own_task_plays() -> None:
     """One episode of ten steps in its own simulator, where its code and its assets are."""
     try:
-        OWN.check()
+        UPSTREAM.check()
     except NotInstalledError as error:
         pytest.skip(f"not run: {error}")
     config = {"task": "stack_blocks_two", "embodiment": "aloha_agilex", "action_type": "joint", "max_steps": 10}

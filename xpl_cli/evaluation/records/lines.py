@@ -43,14 +43,14 @@ def parse_line(raw: bytes) -> Line:
         raw: its bytes, without the end of the line.
 
     Raises:
-        NotJsonError: it is no JSON.
+        InvalidJsonError: it is no JSON.
         LineError: it is no line of a record.
     """
     if len(raw) > MOST_BYTES:
         raise LineError(f"it has {len(raw)} bytes, more than the {MOST_BYTES} that a line may have")
     try:
         line: Any = json_text.parse(raw, finite=True)
-    except json_text.NotJsonError:
+    except json_text.InvalidJsonError:
         raise LineNotJsonError("it is not JSON") from None
     except json_text.JsonError as error:
         raise LineError(str(error)) from None

@@ -7,7 +7,7 @@ from typing import Any
 _PADS = ("leftpad_geom", "rightpad_geom")
 
 
-class Touching:
+class GraspContacts:
     """Answers as `SawyerXYZEnv.touching_object` does.
 
     That one goes twice through all contacts, and asks each of them up to four times who touches: a fifth of what a

@@ -30,7 +30,7 @@ NEEDED = ("assets/background_texture", "assets/embodiments/aloha-agilex", "asset
 _CONFIGS = Path("env_cfg") / "task_config"
 
 
-class Own:
+class UpstreamSource:
     """RoboTwin's tasks. The process works in its folder from now on, since its paths are relative.
 
     Raises:

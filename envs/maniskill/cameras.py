@@ -14,7 +14,7 @@ _GOAL = "goal"
 _ONLY_COLOR = {spec.Camera.DEPTH: False, "position": False, "segmentation": False, "normal": False, "albedo": False}
 
 
-class Pictures:
+class CameraRenderer:
     """Draws what the manifest's cameras see, as far as the task has them; nothing is drawn that nobody asks for.
 
     Args:

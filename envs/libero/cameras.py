@@ -14,8 +14,8 @@ from xpl.rendering.robosuite import RobosuiteCameras
 _RAW, _ROTATED, _FAST = "raw", "rotated", "fast"
 
 
-class Pictures(RobosuiteCameras):
-    """Pictures of the manifest's cameras.
+class CameraRenderer(RobosuiteCameras):
+    """CameraRenderer of the manifest's cameras.
 
     LIBERO gives them upside down, as OpenGL does. The standard's are upright. `raw` leaves them as they are, and
     `rotated` turns them by 180 degrees, which mirrors what is upright: both only for policies that were trained so.

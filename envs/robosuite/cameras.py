@@ -8,8 +8,8 @@ from xpl.rendering.robosuite import RobosuiteCameras
 _FAST = "fast"
 
 
-class Pictures(RobosuiteCameras):
-    """Pictures of the manifest's cameras for so many arms.
+class CameraRenderer(RobosuiteCameras):
+    """CameraRenderer of the manifest's cameras for so many arms.
 
     Args:
         setup: which robot and size; the manifest's by default.

@@ -13,7 +13,7 @@ from xpl.rendering import RendererMissingError, mujoco_view
 _FAST = "fast"
 
 
-class Pictures:
+class CameraRenderer:
     """Draws what the cameras of a setting see.
 
     Args:

@@ -11,7 +11,7 @@ class _Contact(NamedTuple):
     geom2: int
 
 
-class Touching:
+class ContactTable:
     """What gym-aloha's `get_reward` asks a physics for: contacts and names of geoms.
 
     It asks for the list of contacts twice for each, and the list is made anew each time; names are looked up in each

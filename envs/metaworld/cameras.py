@@ -9,7 +9,7 @@ from xpl.environment import Setup
 from xpl.rendering import RendererMissingError, mujoco_view
 
 
-class Pictures:
+class CameraRenderer:
     """Draws what the manifest's cameras see.
 
     Args:
