@@ -224,7 +224,7 @@ def test_whoever_waits_for_the_model_is_told_how_far_it_is(start: Callable[..., 
     with greeted(server.url) as peer:
         peer.send("infer", {"observation": {"n": 4, "fifo": str(fifo)}})
         with fifo.open("w"):
-            line = server.logs("the model has been at work for")
+            line = server.logs("the model has been busy for")
             wait_until(lambda: sum("at work for" in line for line in list(server.log)) >= 2, "it is reported again")
         assert re.search(r"for \d+ s \(process \d+, infer\); it is ended after 120 s$", line)
         assert peer.receive().payload["actions"] == [4]
@@ -402,7 +402,7 @@ def test_what_runs_is_answered_before_the_end(start: Callable[..., Started], fif
             with pytest.raises(ConnectionRefusedError):
                 Peer(server.url)
             peer.send("infer", {"observation": {}}, message_id="running")  # asked again, not anew
-            server.logs("waiting up to 10 s for the requests that run")
+            server.logs("waiting up to 10 s for running requests")
         for _ in range(2):
             answer = peer.receive()
             assert (answer.message_id, answer.payload["actions"]) == (running.message_id, [3])

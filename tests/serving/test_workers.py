@@ -177,7 +177,7 @@ def test_a_worker_that_dies_ends_the_trial_of_its_client_only(
             with pytest.raises(PolicyServerError, match="ended by signal SIGKILL") as failure:
                 request.result()
     assert failure.value.details == {"reason": "worker_died"}
-    wait_until(lambda: any("1 of the workers go on" in line for line in server.log), "it is logged")
+    wait_until(lambda: any("1 of the workers continue" in line for line in server.log), "it is logged")
     with pytest.raises(ServerFailedError, match="the worker was ended by signal SIGKILL"):
         unlucky.infer({"n": 2})
     for n in range(3):

@@ -1,8 +1,8 @@
-"""Servers of one tool are forked from one process that has imported everything already: they start in half the time.
+"""A fork server for policy servers: a process that has imported all modules, so that a fork starts in half the time.
 
-Half of what it takes to start a policy server is imports, and an audit starts dozens of servers. The nursery is a
-process without threads that is asked over a private socket: with each order come the descriptors of the new server's
-standard streams. It is started with the first order and ends with the process that started it.
+Imports take half of the start of a policy server, and an audit starts dozens of servers. The fork server is a process
+without threads that gets requests over a private socket, each with the descriptors of the new server's standard
+streams. It starts with the first request and ends with the process that started it.
 
     -> {"arguments": [...], "cwd": "/...", "environment": {...}, "limits": [...]}
     <- {"wants": 4}
@@ -46,23 +46,23 @@ _PRELOADED: Final = (
     "encodings.utf_8_sig",
 )
 _SCHEMAS: Final = ("policy", "deploy")
-"""What every server reads its package's manifests by."""
+"""Schemas of the manifests that every server reads."""
 _START: Final = (
     "import sys; sys.path.insert(0, sys.argv[1]); from xpl_cli.serving.fork_server import main; main(int(sys.argv[2]))"
 )
 _LIMITS: Final = frozenset(number for name, number in vars(resource).items() if name.startswith("RLIMIT_"))
 _STREAMS: Final = 3
 _UNKNOWN: Final = -signal.SIGKILL
-"""Exit code of a server whose nursery is gone."""
+"""Exit code of a server whose fork server is gone."""
 
 
 class ForkedServer:
-    """A command of `xpl` in a process of its own; what `subprocess.Popen` would be for it.
+    """A forked `xpl` process, with the interface of `subprocess.Popen`.
 
     Attributes:
         pid: the process, which leads a session of its own.
-        stdin, stdout, stderr: our ends of its standard streams.
-        returncode: its exit code, None as long as it runs.
+        stdin, stdout, stderr: this process's ends of its standard streams.
+        returncode: its exit code, None while it runs.
     """
 
     def __init__(self, fork_server: ForkServer, pid: int, streams: Sequence[IO[bytes]], life: int) -> None:
@@ -74,7 +74,7 @@ class ForkedServer:
         self._lock = threading.Lock()
 
     def poll(self) -> int | None:
-        """Return the exit code, None if it runs."""
+        """Return the exit code, None while it runs."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.wait(0)
         return self.returncode
@@ -102,15 +102,15 @@ class ForkedServer:
                 os.kill(self.pid, number)
 
     def terminate(self) -> None:
-        """Ask it to end."""
+        """Send SIGTERM."""
         self.send_signal(signal.SIGTERM)
 
 
 class ForkServer:
-    """The process that servers are forked from, seen from the tool that wants them.
+    """The client side of the fork server.
 
     Args:
-        start: what it runs; its arguments are the folder of `xpl_cli` and the number of its end of the socket.
+        start: code of the process; its arguments are the folder of `xpl_cli` and the descriptor of its socket.
     """
 
     def __init__(self, start: str = _START) -> None:
@@ -132,7 +132,7 @@ class ForkServer:
         """Start `xpl` with arguments, in this process's working directory, environment and limits as they are now.
 
         Raises:
-            OSError, EOFError: if the nursery is gone.
+            OSError, EOFError: if the fork server is gone.
         """
         request = {
             "arguments": list(arguments),
@@ -164,7 +164,7 @@ class ForkServer:
             return _UNKNOWN
 
     def close(self) -> None:
-        """End it; what was forked goes on."""
+        """End the fork server; forked processes continue."""
         self._channel.close()
         self._process.wait()
 
@@ -172,7 +172,7 @@ class ForkServer:
         with self._lock:
             self._link.send(request)
             if descriptors:
-                _receive(self._link)  # nobody reads on meanwhile: descriptors are lost to who reads their byte alone
+                _receive(self._link)  # the lock prevents other reads, which would lose the descriptors
                 socket.send_fds(self._channel, [b"\0"], list(descriptors))
             return _receive(self._link)
 
@@ -182,14 +182,14 @@ _LOCK = threading.Lock()
 
 @functools.cache
 def _fork_server(_pid: int) -> ForkServer:
-    """Return the nursery of this very process; a process that was forked from it makes its own."""
-    made = ForkServer()
-    atexit.register(made.close)
-    return made
+    """Return the fork server of this process; a forked process creates its own."""
+    server = ForkServer()
+    atexit.register(server.close)
+    return server
 
 
 def warm() -> None:
-    """Start the nursery now, in the environment as it is, rather than with the first order."""
+    """Start the fork server now, in the current environment, instead of with the first request."""
     with _LOCK:
         _fork_server(os.getpid())
 
@@ -198,21 +198,21 @@ def start(arguments: Sequence[str]) -> ForkedServer:
     """Start `xpl` with arguments in a process of its own.
 
     Raises:
-        OSError: if no process can be had.
+        OSError: if no process can be started.
     """
     with _LOCK:
-        nursery = _fork_server(os.getpid())
+        fork_server = _fork_server(os.getpid())
     try:
-        return nursery.start(arguments)
-    except (OSError, EOFError):  # something has killed it: another one, once
+        return fork_server.start(arguments)
+    except (OSError, EOFError):  # the fork server was killed: start another one, once
         with _LOCK:
             _fork_server.cache_clear()
-            nursery = _fork_server(os.getpid())
-        return nursery.start(arguments)
+            fork_server = _fork_server(os.getpid())
+        return fork_server.start(arguments)
 
 
 def main(descriptor: int) -> None:
-    """Fork what the process at the other end of a socket asks for, until it is gone."""
+    """Serve fork requests of the process at the other end of a socket, until it is gone."""
     for name in _PRELOADED:
         importlib.import_module(name)
     from xpl_cli.standard.validate import validate
@@ -242,7 +242,7 @@ def main(descriptor: int) -> None:
 
 
 def _run_child(channel: socket.socket, request: Head, descriptors: Sequence[int]) -> NoReturn:
-    """Turn this process, which was just forked, into the command."""
+    """Run the command in this forked process."""
     channel.close()
     os.setsid()
     for number, received in enumerate(descriptors[:_STREAMS]):
@@ -253,11 +253,11 @@ def _run_child(channel: socket.socket, request: Head, descriptors: Sequence[int]
     os.environ.update(request["environment"])
     os.chdir(request["cwd"])
     for number, limits in request["limits"]:
-        with contextlib.suppress(OSError, ValueError):  # a hard limit above ours
+        with contextlib.suppress(OSError, ValueError):  # a hard limit above the current one
             resource.setrlimit(number, tuple(limits))
     signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.argv = ["xpl", *request["arguments"]]
-    with contextlib.suppress(OSError):  # its command line is still the nursery's; this is what `ps` and `top` show
+    with contextlib.suppress(OSError):  # its command line is still the fork server's; `ps` and `top` show this
         Path("/proc/self/comm").write_text(" ".join(sys.argv[:2]), encoding="utf-8")
     _exit(_run())
 
@@ -271,21 +271,21 @@ def _run() -> int:
             return ended.code or 0
         sys.stderr.write(f"{ended.code}\n")
         return 1
-    except BaseException:  # noqa: BLE001 - what the interpreter would show
+    except BaseException:  # noqa: BLE001 - as the interpreter does
         sys.excepthook(*sys.exc_info())
         return 1
     return 0
 
 
 def _exit(code: int) -> NoReturn:
-    """End in order, as the interpreter does, but leave the memory to the system.
+    """End as the interpreter does, but leave the memory to the system.
 
-    To take apart what was inherited, one by one, means to copy it first, and takes longer than a short command.
+    Freeing inherited objects one by one would first copy their pages, which takes longer than a short command.
     """
     threading._shutdown()  # type: ignore[attr-defined]  # noqa: SLF001 - as `multiprocessing` ends what it forked
     atexit._run_exitfuncs()  # noqa: SLF001
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # nobody reads any more
+        with contextlib.suppress(OSError, ValueError):  # the reader is gone
             stream.flush()
     os._exit(code)
 

@@ -1,4 +1,4 @@
-"""The front end: WebSocket in, workers out. Stays responsive while models load, think or hang."""
+"""The front end between WebSocket clients and workers; it stays responsive while models load, compute or hang."""
 
 from __future__ import annotations
 
@@ -38,26 +38,26 @@ if TYPE_CHECKING:
 
 
 _MAX_MALFORMED_PER_MINUTE = 100
-"""Frames that cannot be read, of which each is in the log, in a minute."""
+"""Log at most so many malformed frames per minute; count the rest."""
 
 
 @dataclass(frozen=True)
 class FrontEndSettings:
-    """Where the front end listens, who may come in, and how long it waits; times in seconds.
+    """Address, access control and timeouts of the front end; times in seconds.
 
     Attributes:
         host: address to listen on.
         port: TCP port; 0 lets the system choose.
-        timing: deadlines of a connection.
+        timing: timeouts of a connection.
         handshake_timeout: longest time for the opening handshake.
         request_timeout: longest time for one batch.
-        grace: how long a place waits for a client whose connection was cut.
+        grace: how long a slot is reserved for a client whose connection was lost.
         policy: what the policy needs (`xpl.client.agreement`).
-        names: what the server goes by, and which pages may speak to it.
+        allowed_hosts: host names of the server, and web pages that may connect.
         token: bearer token, or None.
         tls: TLS context, or None.
         debug: send tracebacks to clients.
-        renew: build the model anew for every client.
+        renew: load the model again for every client.
     """
 
     host: str
@@ -76,12 +76,12 @@ class FrontEndSettings:
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A port, and what is spoken there.
+    """A port and its wire.
 
     Attributes:
         port: TCP port; 0 lets the system choose.
-        connection: makes the connection of a peer.
-        scheme: how a token is announced there, in lower case.
+        connection: creates the connection of a client.
+        scheme: authorization scheme of its tokens, in lower case.
     """
 
     port: int
@@ -90,16 +90,16 @@ class Endpoint:
 
 
 class FrontEnd:
-    """Serves the workers to the clients.
+    """Connects clients and workers.
 
     Args:
         processes: the workers' processes.
-        settings: see there.
-        observer: is told about every request, or None.
+        settings: address, access control and timeouts.
+        monitor: records every request; None without metrics and trace.
 
     Attributes:
         state: loading, ready or draining.
-        workers: those that are alive.
+        workers: live workers by number.
         failed: resolves with the reason when no worker is left.
     """
 
@@ -114,14 +114,12 @@ class FrontEnd:
         self._monitor = monitor
         self._instance = uuid.uuid4().hex
         self._loop = asyncio.get_running_loop()
-        # In the order in which they came.
+        # Oldest first.
         self._connections: dict[Connection, None] = {}
         self._max_connections, half_open = connection_limiter.connection_limits()
         self._connection_limiter = connection_limiter.ConnectionLimiter(half_open)
         self._malformed_log = RateLimitedLog("refused a frame", max_per_minute=_MAX_MALFORMED_PER_MINUTE)
-        self._dropped_log = RateLimitedLog(
-            "dropped a connection that had said nothing: there are more than can be served"
-        )
+        self._dropped_log = RateLimitedLog("dropped a connection without a message: there are too many connections")
         self._memory_limiter = MessageMemoryLimiter()
         self._waiting_hellos: list[tuple[Connection, codec.Frame]] = []
         self._slot_pool = SlotPool(len(processes), 1, settings.grace)
@@ -135,23 +133,23 @@ class FrontEnd:
 
     # -- life ----------------------------------------------------------------------------------------------------------
 
-    async def listen(self, entrance: Endpoint | None = None) -> list[asyncio.Server]:
-        """Bind the address, or that of another entrance, and start answering; a name may stand for several addresses.
+    async def listen(self, endpoint: Endpoint | None = None) -> list[asyncio.Server]:
+        """Bind the main address or that of another endpoint, and accept connections; a name may have several addresses.
 
         Raises:
-            OSError: if the address cannot be had.
+            OSError: if the address cannot be bound.
         """
         settings = self._settings
-        entrance = entrance or Endpoint(settings.port, Connection)
+        endpoint = endpoint or Endpoint(settings.port, Connection)
         metrics = None if self._monitor is None else self._monitor.page
         admission = Admission(
-            settings.token, settings.allowed_hosts, self.health, metrics, self._drop_silent, entrance.scheme
+            settings.token, settings.allowed_hosts, self.health, metrics, self._drop_silent, endpoint.scheme
         )
         trouble = RateLimitedLog("a connection failed")
         self._loop.set_exception_handler(lambda _, context: trouble.log(_describe_failure(context)))
 
         def admit(request: WSUpgradeRequest) -> Any:
-            return admission.refusal(request) or entrance.connection(self, settings.timing)
+            return admission.refusal(request) or endpoint.connection(self, settings.timing)
 
         return [
             await ws_create_server(
@@ -161,11 +159,11 @@ class FrontEnd:
                 websocket_handshake_timeout=settings.handshake_timeout,
                 max_frame_size=spec.LIMITS["frame_bytes"],
             )
-            for listening in self._connection_limiter.bind(settings.host, entrance.port)
+            for listening in self._connection_limiter.bind(settings.host, endpoint.port)
         ]
 
     def _drop_silent(self) -> bool:
-        """Tell whether one more connection is possible; the oldest that has said nothing makes room."""
+        """Tell whether one more connection is possible, after dropping the oldest silent one if necessary."""
         if len(self._connections) < self._max_connections:
             return True
         silent = next((connection for connection in self._connections if connection.is_silent), None)
@@ -177,7 +175,7 @@ class FrontEnd:
         return True
 
     def ready(self) -> None:
-        """Say that the models are loaded, and answer the hellos that waited for that."""
+        """Enter the state `ready`, and answer the waiting hellos."""
         shared = all(worker.queue.shared for worker in self.workers.values())
         clients = spec.LIMITS["clients"] if shared else 1
         self._slot_pool = SlotPool(len(self.workers), clients, self._settings.grace)
@@ -188,7 +186,7 @@ class FrontEnd:
                 self._hello(connection, frame)
 
     def health(self) -> Health:
-        """Return the state, and what a person or a supervisor wants to know of it."""
+        """Return the answer of `/healthz`: state, slots, connections and workers."""
         workers = [
             {
                 "process": worker.process.adapter_pid(),
@@ -207,12 +205,12 @@ class FrontEnd:
         }
 
     def _state_report(self) -> Health:
-        """Return what health, heartbeats and hello tell alike: the state, and how far loading is."""
+        """Return the state and the loading progress, for health, heartbeats and hello."""
         progress = {spec.Payload.PROGRESS: self.progress()} if self.state == spec.ServerState.LOADING else {}
         return {spec.Payload.STATE: self.state, **progress}
 
     def progress(self) -> Health:
-        """Return how far loading is: seconds, bytes of memory in use, and what was printed last."""
+        """Return the loading progress: seconds, bytes of memory in use, and the last printed line."""
         processes = [worker.process for worker in self.workers.values()]
         return {
             "seconds": round(time.monotonic() - self._started, 3),
@@ -221,14 +219,14 @@ class FrontEnd:
         }
 
     async def drain(self, seconds: float) -> None:
-        """Begin nothing new, and let what runs for a client that is still there end, for some seconds at most."""
+        """Accept no new requests, and wait up to `seconds` for those that run."""
         self.state = spec.ServerState.DRAINING
         if self._is_busy():
-            log(f"waiting up to {seconds:g} s for the requests that run; interrupt again to end now")
+            log(f"waiting up to {seconds:g} s for running requests; interrupt again to end now")
             await self._until(lambda: not self._is_busy(), seconds)
 
     async def close_connections(self, code: int, reason: str) -> None:
-        """Close every connection and tell why."""
+        """Close every connection with a code and a reason."""
         for connection in list(self._connections):
             connection.close(code, reason)
         await self._until(lambda: not self._connections, self._settings.timing.close or 0.0)
@@ -237,58 +235,56 @@ class FrontEnd:
         return any(connection.is_busy for connection in self._connections)
 
     async def _until(self, condition: Callable[[], bool], seconds: float) -> None:
-        """Wait until a condition holds, which only what connections do can bring about."""
+        """Wait until a condition holds, which is checked after each answer and each closed connection."""
         deadline = self._loop.time() + seconds
         while not condition() and (left := deadline - self._loop.time()) > 0.0:
             self._changed.clear()
             with contextlib.suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(self._changed.wait(), left)
 
-    # -- what connections tell -----------------------------------------------------------------------------------------
+    # -- callbacks of connections --------------------------------------------------------------------------------------
 
     def connection_opened(self, connection: Connection) -> None:
-        """Count a connection."""
+        """Register a connection."""
         self._connections[connection] = None
         self._connection_limiter.note_upgrade(connection.descriptor)
 
     def memory_changed(self, connection: Connection) -> None:
-        """Count the memory of a connection's messages."""
+        """Update the memory of a connection's messages."""
         self._memory_limiter.update(connection)
 
     def connection_closed(self, connection: Connection, *, clean: bool) -> None:
-        """Take the connection's place back, and the memory that it shared once nothing in the line uses it."""
+        """Release the connection's slot, and its shared memory once no queued request uses it."""
         self._connections.pop(connection, None)
         self._memory_limiter.forget(connection)
         self._changed.set()
         self._release_slot(connection, clean=clean)
-        place, number = connection.slot, connection.segment_number
-        worker = None if place is None else self.workers.get(place.worker)
-        if place is not None and number is not None and worker is not None:
-            # What still waits for the worker may lie there.
-            worker.call_when_done(
-                place, lambda: worker.send_control({"op": "unmap", "segment": number}, lambda _: None)
-            )
+        slot, number = connection.slot, connection.segment_number
+        worker = None if slot is None else self.workers.get(slot.worker)
+        if slot is not None and number is not None and worker is not None:
+            # Requests that wait for the worker may have their arrays there.
+            worker.call_when_done(slot, lambda: worker.send_control({"op": "unmap", "segment": number}, lambda _: None))
 
     def _release_slot(self, connection: Connection, *, clean: bool) -> None:
-        place = self._slot_pool.release(connection, clean=clean)
-        if place is not None and place.worker in self.workers:
-            self.workers[place.worker].queue.forget(place)
+        slot = self._slot_pool.release(connection, clean=clean)
+        if slot is not None and slot.worker in self.workers:
+            self.workers[slot.worker].queue.forget(slot)
 
     def handle_message(self, connection: Connection, data: bytes | memoryview) -> None:
-        """Answer a message, now or when a worker has."""
+        """Decode a message and handle its request."""
         try:
             frame = codec.decode(data)
         except codec.WireError as error:
             self._malformed_log.log(str(error))
             if error.message_id is not None:
-                known = {spec.Frame.EVALUATION_ID: "", **error.identifiers}
+                identifiers = {spec.Frame.EVALUATION_ID: "", **error.identifiers}
                 refused = RequestError(spec.ErrorCode.INVALID_FRAME, str(error), spec.ErrorReason.UNREADABLE)
-                connection.send(encode_error(codec.Frame(spec.Message.ERROR, **known), refused))
+                connection.send(encode_error(codec.Frame(spec.Message.ERROR, **identifiers), refused))
             return
         self.handle_request(connection, frame, len(data))
 
     def handle_request(self, connection: Connection, frame: codec.Frame, size: int) -> None:
-        """Answer a request of so many bytes, now or when a worker has."""
+        """Answer a request of `size` bytes at once, or pass it to a worker."""
         kind = frame.message_type
         if kind == spec.Message.CLOSE:
             self._release_slot(connection, clean=True)
@@ -308,79 +304,79 @@ class FrontEnd:
         connection.answer(encode_answer(frame, {spec.Payload.OK: True, **self._state_report()}))
 
     def _hello(self, connection: Connection, frame: codec.Frame) -> None:
-        """Greet a client, or say why not; one that does not know about loading is greeted once the models are there."""
+        """Answer hello; a client without the loading capability is answered once the models are loaded."""
         try:
             answer = self._greeting(connection, frame)
         except RequestError as error:
             connection.answer(encode_error(frame, error))
-        except Exception as error:  # noqa: BLE001 - one bad hello must cost nobody else anything
+        except Exception as error:  # noqa: BLE001 - one bad hello must not affect other clients
             connection.answer(encode_error(frame, server_fault(error)))
         else:
             if answer is not None:
                 connection.answer(encode_answer(frame, answer))
 
     def _greeting(self, connection: Connection, frame: codec.Frame) -> Payload | None:
-        """Return the answer to hello: while the models load without a place, or None for who waits for them."""
-        asked = capabilities(frame)
+        """Return the answer to hello, without a slot while the models load; None for a client that waits for them."""
+        announced = capabilities(frame)
         answer = hello_answer(self._settings.policy, self.state, frame, guarded=self._settings.token is not None)
-        connection.reads_packed = bool(asked.get(spec.Capability.PACKED))
-        connection.numbers_requests = bool(asked.get(spec.Capability.SEQUENCE))
+        connection.reads_packed = bool(announced.get(spec.Capability.PACKED))
+        connection.numbers_requests = bool(announced.get(spec.Capability.SEQUENCE))
         if self.state == spec.ServerState.LOADING:
-            if not asked.get(spec.Capability.LOADING):
+            if not announced.get(spec.Capability.LOADING):
                 self._waiting_hellos.append((connection, frame))
                 return None
             return {**answer, spec.Payload.SERVER_INSTANCE_ID: self._instance, **self._state_report()}
-        place = self._assign_slot(connection, frame)
-        answer[spec.Payload.SERVER_INSTANCE_ID] = f"{self._instance}-{place.tenancy}"
-        # Not with TLS: it says that the client is elsewhere, or that what it sends is to be seen by nobody.
-        wanted = None if self._settings.tls is not None else asked.get(spec.Capability.SHARED_MEMORY)
-        shared = share_memory(connection, self.workers[place.worker], wanted)
+        slot = self._assign_slot(connection, frame)
+        answer[spec.Payload.SERVER_INSTANCE_ID] = f"{self._instance}-{slot.tenancy}"
+        # Not with TLS: the client is remote then, or its data must stay encrypted.
+        shared_memory = None if self._settings.tls is not None else announced.get(spec.Capability.SHARED_MEMORY)
+        shared = share_memory(connection, self.workers[slot.worker], shared_memory)
         if shared is not None:
             answer[spec.Payload.CAPABILITIES][spec.Capability.SHARED_MEMORY] = shared
         return answer
 
     def _request(self, connection: Connection, frame: codec.Frame, size: int) -> None:
-        """Hand a request to the desk, if there is a place for it."""
+        """Pass a request to the request handler, if there is a slot for it."""
         try:
-            place = self._slot_for_request(connection, frame)
+            slot = self._slot_for_request(connection, frame)
         except RequestError as error:
             self._request_handler.refuse(connection, None, frame, None, error)
         else:
-            self._request_handler.handle(connection, place, self.workers[place.worker], frame, size)
+            self._request_handler.handle(connection, slot, self.workers[slot.worker], frame, size)
 
     def _slot_for_request(self, connection: Connection, frame: codec.Frame) -> WorkerSlot:
-        """Return the place that a request is about.
+        """Return the slot of a request.
 
         Raises:
-            RequestError: if it is no request, or cannot be served now.
+            RequestError: if it is no request, or the server cannot serve it now.
         """
         if frame.message_type not in spec.ANSWERS:
             raise _not_a_request(frame.message_type)
         if self.state == spec.ServerState.LOADING:
             raise RequestError(spec.ErrorCode.INTERNAL, "the model is still loading", spec.ErrorReason.LOADING)
-        place = self._assign_slot(connection, frame)
-        if self.state == spec.ServerState.DRAINING and place.replay.find(frame) is None:
+        slot = self._assign_slot(connection, frame)
+        if self.state == spec.ServerState.DRAINING and slot.replay.find(frame) is None:
             text = "the policy server is shutting down"
             raise RequestError(spec.ErrorCode.INTERNAL, text, spec.ErrorReason.SHUTTING_DOWN)
-        return place
+        return slot
 
-    # -- places and workers --------------------------------------------------------------------------------------------
+    # -- slots and workers ---------------------------------------------------------------------------------------------
 
     def _assign_slot(self, connection: Connection, frame: codec.Frame) -> WorkerSlot:
-        place = self._slot_pool.slot_of(connection)
-        if place is not None:
-            return place
+        slot = self._slot_pool.slot_of(connection)
+        if slot is not None:
+            return slot
         session = capabilities(frame).get(spec.Capability.SESSION) if frame.message_type == spec.Message.HELLO else None
-        place, lost = self._slot_pool.assign(
+        slot, lost = self._slot_pool.assign(
             connection, frame.evaluation_id, session if isinstance(session, str) else None
         )
-        connection.slot = place
+        connection.slot = slot
         if isinstance(lost, Connection):
             lost.close(spec.CLOSE_CODES["replaced"], "the same client came back over another connection")
-        return place
+        return slot
 
     def _worker_failed(self, worker: ModelWorker, reason: str) -> None:
-        """Go on with the others; the clients of this one are told, and no longer served."""
+        """Continue with the other workers, and close the connections of this one's clients."""
         self.workers.pop(worker.number, None)
         for connection in self._slot_pool.remove_worker(worker.number):
             if isinstance(connection, Connection):
@@ -389,7 +385,7 @@ class FrontEnd:
             if not self.failed.done():
                 self.failed.set_result(reason)
             return
-        log(f"{reason}; {len(self.workers)} of the workers go on")
+        log(f"{reason}; {len(self.workers)} workers continue")
         self._loop.create_task(worker.process.stop(grace=1.0))
 
 
@@ -399,6 +395,6 @@ def _describe_failure(context: dict[str, Any]) -> str:
 
 
 def _not_a_request(kind: str) -> RequestError:
-    known = kind == spec.Message.ERROR or kind in spec.ANSWERS.values()
-    code = spec.ErrorCode.UNKNOWN_MESSAGE_TYPE if known else spec.ErrorCode.INVALID_FRAME
+    is_answer = kind == spec.Message.ERROR or kind in spec.ANSWERS.values()
+    code = spec.ErrorCode.UNKNOWN_MESSAGE_TYPE if is_answer else spec.ErrorCode.INVALID_FRAME
     return RequestError(code, f"message_type {kind!r:.80} is not a request; requests are {', '.join(spec.ANSWERS)}")

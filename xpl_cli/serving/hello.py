@@ -1,4 +1,4 @@
-"""What the server says of itself in answer to hello, and how it comes to share memory with a client."""
+"""The answer to hello: checks the announcements, and offers shared memory to local clients."""
 
 from __future__ import annotations
 
@@ -24,36 +24,36 @@ _TRY_AGAIN = 1012  # service restart; registered in the WebSocket close code reg
 
 _PLAIN = (bool, int, float, str, bytes, type(None))
 _ENTRIES = 256
-"""Of all maps and lists in what a client announces of itself."""
+"""Most entries of all maps and lists in a client's capabilities."""
 
 
 def capabilities(frame: codec.Frame) -> Announcement:
-    """Return what a client announced in hello: maps, lists, text and numbers, a few of them.
+    """Return the capabilities that a client announced in hello: maps, lists, text and numbers.
 
     Raises:
-        RequestError: `invalid_frame` if it is anything else.
+        RequestError: `invalid_frame` if they are anything else.
     """
-    given = frame.payload.get(spec.Payload.CAPABILITIES)
-    if given is None:
+    announced = frame.payload.get(spec.Payload.CAPABILITIES)
+    if announced is None:
         return {}
-    if not isinstance(given, dict):
-        raise _invalid_hello(spec.Payload.CAPABILITIES, f"must be a map, got {type(given).__name__}")
-    inside, entries = list(given.values()), 0
-    while inside:
-        value = inside.pop()
+    if not isinstance(announced, dict):
+        raise _invalid_hello(spec.Payload.CAPABILITIES, f"must be a map, got {type(announced).__name__}")
+    remaining, entries = list(announced.values()), 0
+    while remaining:
+        value = remaining.pop()
         entries += 1
         if isinstance(value, dict):
-            inside.extend(value.values())
+            remaining.extend(value.values())
         elif isinstance(value, list):
-            inside.extend(value)
+            remaining.extend(value)
         elif type(value) not in _PLAIN:
             kind = type(value).__name__
             raise _invalid_hello(spec.Payload.CAPABILITIES, f"must hold text, numbers, lists, maps, got {kind}")
         elif isinstance(value, str | bytes) and len(value) > spec.LIMITS["identifier"]:
             raise _invalid_hello(spec.Payload.CAPABILITIES, f"may hold texts of {spec.LIMITS['identifier']} characters")
-        if entries + len(inside) > _ENTRIES:
+        if entries + len(remaining) > _ENTRIES:
             raise _invalid_hello(spec.Payload.CAPABILITIES, f"may have {_ENTRIES} entries")
-    return given
+    return announced
 
 
 def _invalid_hello(part: str, problem: str, *differences: dict[str, Any]) -> RequestError:
@@ -62,34 +62,34 @@ def _invalid_hello(part: str, problem: str, *differences: dict[str, Any]) -> Req
 
 
 def hello_answer(policy: Announcement, state: str, frame: codec.Frame, *, guarded: bool) -> Payload:
-    """Return the answer to hello, but for what depends on the client's place.
+    """Return the answer to hello, without the entries that depend on the client's slot.
 
     Args:
         policy: what the policy needs.
         state: of the server.
         frame: the hello.
-        guarded: whether clients have to show a token.
+        guarded: whether clients need a token.
 
     Raises:
-        RequestError: `mismatch` if policy and environment do not fit; `invalid_frame` if what the environment says of
-            itself is not what it should be.
+        RequestError: `mismatch` if policy and environment do not fit; `invalid_frame` if the environment's
+            announcement is malformed.
     """
     try:
         offered = agreement.validate_announcement(frame.payload.get(spec.Payload.ENVIRONMENT))
     except agreement.AnnouncementError as error:
-        told = {"field": error.field, "policy": None, "environment": None, "message": str(error)}
-        raise _invalid_hello(spec.Payload.ENVIRONMENT, f"cannot be understood: {error}", told) from None
+        malformed = {"field": error.field, "policy": None, "environment": None, "message": str(error)}
+        raise _invalid_hello(spec.Payload.ENVIRONMENT, f"cannot be understood: {error}", malformed) from None
     if offered.get(agreement.REAL_TIME) and not guarded:
-        text = "the environment runs in real time, and this server asks for no token: start it with --token-file"
+        text = "the environment runs in real time, and this server requires no token: start it with --token-file"
         difference = {"field": agreement.REAL_TIME, "policy": None, "environment": True, "message": text}
         raise RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.MISMATCH, differences=[difference])
-    found = agreement.differences(policy, offered)
-    if found:
+    differences = agreement.differences(policy, offered)
+    if differences:
         raise RequestError(
             spec.ErrorCode.INVALID_FRAME,
-            agreement.format_differences(found),
+            agreement.format_differences(differences),
             spec.ErrorReason.MISMATCH,
-            differences=found,
+            differences=differences,
         )
     return {
         spec.Payload.OK: True,
@@ -106,23 +106,23 @@ def hello_answer(policy: Announcement, state: str, frame: codec.Frame, *, guarde
     }
 
 
-def share_memory(connection: Connection, worker: ModelWorker, asked: Any) -> Payload | None:
-    """Offer memory to a client on this host; when it has proved that it sees it, have the worker map it.
+def share_memory(connection: Connection, worker: ModelWorker, announced: Any) -> Payload | None:
+    """Offer shared memory to a client on this host; when it has proved that it can map it, have the worker map it.
 
     Args:
         connection: the client.
-        worker: who serves it.
-        asked: what it announced about shared memory; `{"proof": token}` is the second step.
+        worker: the client's worker.
+        announced: its capability for shared memory; `{"proof": token}` is the second step.
 
     Returns:
-        what to announce about shared memory, or None.
+        the server's capability for shared memory, or None.
     """
-    if not asked or not connection.is_local or not worker.shares_memory:
+    if not announced or not connection.is_local or not worker.shares_memory:
         return None
     if connection.segment is None:
         return _offer_segment(connection)
-    if connection.segment_number is None and isinstance(asked, dict):
-        return _verify_proof(connection, connection.segment, worker, asked.get("proof"))
+    if connection.segment_number is None and isinstance(announced, dict):
+        return _verify_proof(connection, connection.segment, worker, announced.get("proof"))
     return None
 
 
@@ -139,11 +139,11 @@ def _verify_proof(connection: Connection, segment: Segment, worker: ModelWorker,
     if proof != segment.token.hex():
         segment.close()
         return None
-    number, shown = next(_segments), segment.answer().hex()
+    number, answer = next(_segments), segment.answer().hex()
     connection.segment_number = number
 
     def mapped(error: str | None) -> None:
-        segment.close()  # unlinked: whoever dies from now on, the system clears up
+        segment.close()  # unlinked: the system frees it when the last process ends
         if worker.failed:
             return
         if error is not None:  # no descriptors left, for example
@@ -153,6 +153,6 @@ def _verify_proof(connection: Connection, segment: Segment, worker: ModelWorker,
         elif not connection.is_open:
             worker.send_control({"op": "unmap", "segment": number}, lambda _: None)
 
-    # An errand: done before anything that this client asks for, but not waited for, because the model may be at work.
+    # A control message: the worker handles it before the client's next request; nothing waits for a busy model.
     worker.send_control({"op": "map", "segment": number, "path": str(segment.path), "size": segment.size}, mapped)
-    return {"proof": shown}
+    return {"proof": answer}

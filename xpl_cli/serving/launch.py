@@ -1,4 +1,4 @@
-"""Start a policy server as a process of its own, wait until it is ready, and end it for certain."""
+"""Start a policy server in a process of its own, wait until it is ready, and end it reliably."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 STOP_S = 10.0
 LOG_LINES = 400
 LINE_BYTES = 1 << 16
-"""Longest line of a log: an adapter need not end its own."""
+"""Longest line of a log: an adapter may print without line ends."""
 _ERROR = "error: "
 
 
 @dataclass(frozen=True)
 class MissingRequirement:
-    """What a machine lacks, so that a model cannot be loaded or does not answer there (`xpl.worker.lacking`).
+    """What a machine lacks, so that a model cannot load or answer there (`xpl.worker.lacking`).
 
     Attributes:
         kind: such as `module` or `checkpoint`.
@@ -47,15 +47,15 @@ class MissingRequirement:
 
     @classmethod
     def parse(cls, entry: object) -> Self | None:
-        """Read what a worker said of it; None if it said nothing."""
+        """Parse the entry of a worker's message; None if it is empty."""
         return cls(str(entry["kind"]), str(entry["name"])) if isinstance(entry, dict) and entry else None
 
 
 class ServerStartError(UserError):
-    """The server ended, or stayed silent, before it was ready.
+    """The server ended or timed out before it was ready.
 
     Attributes:
-        reason: the sentence.
+        reason: one sentence.
         log: last lines of its output.
         lacks: what the machine lacks, if that is why the model could not be loaded.
     """
@@ -69,16 +69,16 @@ class ServerStartError(UserError):
 
 @dataclass
 class RunningServer:
-    """A policy server that answers.
+    """A policy server that is ready.
 
     Attributes:
-        url: where it answers.
-        also: where it answers clients of other wires, by their names.
+        url: its address.
+        also: its addresses for other wires, by their names.
         pid: process of its front end.
-        log: last lines of what it and the adapter printed.
-        stop_seconds: how long it took to end when it was told to, s.
-        token: what clients have to show, where it was started with a secret.
-        process: its front end, for whoever started it.
+        log: last lines that it and the adapter printed.
+        stop_seconds: how long its shutdown took, s.
+        token: its bearer token; None without one.
+        process: process of its front end.
     """
 
     url: str
@@ -96,13 +96,13 @@ class RunningServer:
 
     @property
     def last_error(self) -> str | None:
-        """What it printed last about an error that ended it."""
+        """Its last printed error."""
         found = next((text for text in reversed(self.log) if text.startswith(_ERROR)), None)
         return None if found is None else found.removeprefix(_ERROR)
 
 
 @contextlib.contextmanager
-def running_server(  # noqa: PLR0913 - what `xpl serve` takes
+def running_server(  # noqa: PLR0913 - options of `xpl serve`
     policy: Path,
     overrides: Config | None = None,
     *,
@@ -125,13 +125,13 @@ def running_server(  # noqa: PLR0913 - what `xpl serve` takes
         options: further options of `xpl serve`.
         load_timeout: longest wait for the model, s.
         echo: also show the server's output on stderr.
-        token: bearer token that it asks for, as servers in front of robots do; None to ask for none.
+        token: bearer token that it requires; None for no token.
 
     Raises:
         ServerStartError: if it does not become ready.
     """
     command = ["serve", str(policy), "--port", "0", "--host", "localhost"]
-    # The server holds our end of its standard input: if this process is killed, the server notices and ends too.
+    # If this process is killed, its end of the server's standard input closes, and the server ends too.
     command.append("--until-stdin-ends")
     for key, value in (overrides or {}).items():
         command += ["--set", f"{key}={json.dumps(value)}"]
@@ -160,7 +160,7 @@ def running_server(  # noqa: PLR0913 - what `xpl serve` takes
 
 @contextlib.contextmanager
 def _token_options(token: str | None) -> Iterator[tuple[str, ...]]:
-    """Yield the options that tell a server its token: it lies in a file that nobody else may read."""
+    """Yield the options that pass a token to a server: the token lies in a file that only this user can read."""
     if token is None:
         yield ()
         return
@@ -174,7 +174,7 @@ def _token_options(token: str | None) -> Iterator[tuple[str, ...]]:
 
 
 def _wait_ready(server: RunningServer, process: ForkedServer, timeout: float, reader: threading.Thread) -> None:
-    """Wait until the server is ready, and note where it then says that it answers."""
+    """Wait until the server is ready, and store its addresses."""
     with selectors.DefaultSelector() as selector:
         selector.register(process.stdout, selectors.EVENT_READ)
         if not selector.select(timeout):
@@ -198,7 +198,7 @@ def _copy_log(stream: IO[bytes], log: collections.deque[str], echo: bool) -> Non
 
 
 def _stop(process: ForkedServer) -> None:
-    """End the server in order, and by force if that takes too long. Ctrl-C during this does not leave it behind."""
+    """Terminate the server, and kill it after a timeout, also if Ctrl-C interrupts the wait."""
     if process.poll() is None:
         process.terminate()
         try:

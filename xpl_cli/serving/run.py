@@ -1,4 +1,4 @@
-"""Run a policy server until it is told to end: start the workers, load, listen, announce readiness, shut down."""
+"""Run a policy server: start the workers, load the models, listen, announce readiness, shut down."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _GOING_AWAY = 1001  # RFC 6455, section 7.4.1
 
 @dataclass(frozen=True)
 class ServeOptions:
-    """What `xpl serve` takes besides the keys of deploy.yml.
+    """Options of `xpl serve` besides the keys of deploy.yml.
 
     Attributes:
         python: interpreter of the workers.
@@ -61,20 +61,20 @@ class ServeOptions:
         token_file: file of the bearer token.
         tls_cert: certificate chain, PEM.
         tls_key: its key, PEM, where it is not in the same file.
-        insecure: listen elsewhere than on loopback without a token.
-        allow_hosts: further names that the server goes by.
-        allow_origins: web pages that may speak to it.
+        insecure: allow other addresses than loopback without a token.
+        allow_hosts: further host names of the server.
+        allow_origins: web pages that may connect.
         debug: send tracebacks to clients.
-        metrics: offer /metrics.
-        trace: file that gets one line for each request.
+        metrics: serve /metrics.
+        trace: file that gets one JSON line per request.
         until_stdin_ends: end when standard input ends.
         shadow: do not load the model; a function of its inputs answers (`xpl.worker.shadow`).
         working_directory: of the adapter; its own folder by default.
-        memory_limit: what each worker may hold; None means what the machine has.
-        bounds: what the adapter is kept from.
-        patience: how long it may be silent while it loads or answers, s; None for as long as it takes.
-        renew: build the model anew for every client.
-        also: what is spoken besides, each at a port of its own: the name of a wire, or `NAME:PORT`.
+        memory_limit: memory limit of each worker; None means no limit.
+        bounds: isolation of the adapter.
+        patience: end an adapter that hangs for so long, s; None means never.
+        renew: load the model again for every client.
+        also: further wires, each at a port of its own: `NAME` or `NAME:PORT`.
     """
 
     python: str | None = None
@@ -177,12 +177,12 @@ def _open_trace(path: Path | None) -> Iterator[IO[str] | None]:
     try:
         yield file
     finally:
-        with contextlib.suppress(OSError):  # a full disk, which the log has told
+        with contextlib.suppress(OSError):  # a full disk, which is in the log already
             file.close()
 
 
 class _ShutdownSignals:
-    """Whether someone wants the server to end: the first time in order, the second time at once."""
+    """Shutdown signals: the first requests an orderly end, the second forces it."""
 
     def __init__(self) -> None:
         self.requested = asyncio.Event()
@@ -200,12 +200,12 @@ class _ShutdownSignals:
                 loop.add_reader(sys.stdin.fileno(), self._read_stdin)
             except (OSError, ValueError):
                 raise UserError(
-                    "--until-stdin-ends: standard input is a file or a device, which does not end with anybody",
-                    hint="it has to be a pipe, a socket or a terminal: whoever starts the server holds its other end",
+                    "--until-stdin-ends: standard input is a file or a device, which does not end with another process",
+                    hint="use a pipe, a socket or a terminal, whose other end the starting process holds",
                 ) from None
 
     def _read_stdin(self) -> None:
-        """End when whoever started this server is gone: the last holder of the other end of standard input."""
+        """End when the other end of standard input is closed: the process that started this server is gone."""
         if not os.read(sys.stdin.fileno(), 1024):
             self.requested.set()
             self.forced.set()
@@ -225,19 +225,19 @@ class _ServerRun:
 
 
 async def _serve(run: _ServerRun) -> str | None:
-    """Serve until a signal; return why it could not go on, or None."""
+    """Serve until a signal; return the reason of a failure, or None."""
     ending = _ShutdownSignals()
     ending.listen(until_stdin_ends=run.options.until_stdin_ends)
-    segment.sweep()  # what a server that was killed left behind
+    segment.sweep()  # leftovers of killed servers
     processes.adopt_orphans()
     before = {member.pid for member in processes.descendants(os.getpid())}
     workers: list[WorkerProcess] = []
     try:
         for number in range(run.options.workers):
-            workers.append(await _start(run, number))  # noqa: PERF401 - those before one that fails are ended
+            workers.append(await _start(run, number))  # noqa: PERF401 - if one fails, those before it are ended
         front_end = FrontEnd(workers, run.settings, run.monitor)
         for worker in front_end.workers.values():
-            # What clients share with it lies where an isolated worker sees nothing of the machine.
+            # Shared memory lies in a folder that an isolated worker does not see.
             worker.shares_memory = run.isolation is None or run.isolation.folder is None
             if run.options.patience is not None:
                 worker.process.add_watch(hang_watch.watch_worker(worker, run.options.patience))
@@ -256,7 +256,7 @@ async def _serve(run: _ServerRun) -> str | None:
     finally:
         await asyncio.gather(*(process.stop(grace=1.0) for process in workers))
         for stray in processes.kill_descendants(before):
-            if run.isolation is None:  # where processes are kept apart, the system ends them
+            if run.isolation is None:  # in a PID namespace, the system ends them
                 log(f"ended process {stray.pid} ({stray.name}), which had left the adapter's process group")
 
 
@@ -277,10 +277,10 @@ async def _start(run: _ServerRun, number: int) -> WorkerProcess:
 async def _until_ended(
     run: _ServerRun, front_end: FrontEnd, servers: Mapping[str, list[asyncio.Server]], ending: _ShutdownSignals
 ) -> str | None:
-    asked = asyncio.create_task(ending.requested.wait())
+    requested = asyncio.create_task(ending.requested.wait())
     loading = asyncio.create_task(_load(run, front_end))
-    await _wait_first(loading, asked)
-    if asked.done():
+    await _wait_first(loading, requested)
+    if requested.done():
         loading.cancel()
         await asyncio.wait({loading})
         await _close_connections(front_end, ending, _GOING_AWAY, "the policy server was stopped")
@@ -290,7 +290,7 @@ async def _until_ended(
         _announce_failure(run.package, str(problem), problem.lacks)
         await _close_connections(front_end, ending, spec.CLOSE_CODES["server_failed"], str(problem))
         return str(problem)
-    # What there is now stays: looking through it again and again would make some requests slow.
+    # Loaded objects stay: garbage collection of them would slow some requests.
     gc.collect()
     gc.freeze()
     gc.set_threshold(10_000, 10, 10)
@@ -306,7 +306,7 @@ async def _until_ended(
         **({"shadow": True} if run.options.shadow else {}),
     }
     _announce(ready, shlex.join(["xpl", "eval", str(run.package.path), "--connect", str(ready["url"])]))
-    await _wait_first(asked, front_end.failed)
+    await _wait_first(requested, front_end.failed)
     if front_end.failed.done():
         reason = front_end.failed.result()
         await _close_connections(front_end, ending, spec.CLOSE_CODES["server_failed"], reason)
@@ -330,34 +330,34 @@ def _announce_failure(package: Package, reason: str, lacks: Mapping[str, str] | 
 
 
 def _announce(event: Mapping[str, object], following: str) -> None:
-    """Tell whoever started the server, and which command comes next; nothing else is ever written there."""
+    """Print an event as one JSON line on stdout, with the next command; nothing else is written there."""
     console.data(json.dumps({**event, "schema": SCHEMA, "next": [following]}))
 
 
 async def _close_connections(front_end: FrontEnd, ending: _ShutdownSignals, code: int, reason: str) -> None:
-    """Close every connection; who insists does not wait for the other sides to close theirs."""
+    """Close every connection; a forced end does not wait for the clients to close theirs."""
     await _wait_first(
         asyncio.create_task(front_end.close_connections(code, reason)), asyncio.create_task(ending.forced.wait())
     )
 
 
 async def _wait_first(*futures: asyncio.Future[Any]) -> None:
-    """Wait until one of them is done."""
+    """Wait until one of the futures is done."""
     await asyncio.wait(futures, return_when=asyncio.FIRST_COMPLETED)
 
 
 async def _load(run: _ServerRun, front_end: FrontEnd) -> ModelLoadError | None:
-    """Load every model and say how it goes; return why it failed, or None."""
-    if front_end.failed.done():  # a worker has ended before it was asked, as what is no Python does at once
+    """Load every model and report the progress; return the error, or None."""
+    if front_end.failed.done():  # a worker has ended already, for example where the interpreter is no Python
         return ModelLoadError(f"the model could not be loaded: {front_end.failed.result()}")
-    limit = run.config[spec.Deploy.MAX_CONNECT_SECONDS] or None  # nobody waits longer than that for a connection
+    limit = run.config[spec.Deploy.MAX_CONNECT_SECONDS] or None  # clients wait no longer than that for a connection
     package = run.package
     loads = [
         asyncio.create_task(worker.load(package.path, run.config, package.manifest, shadow=run.options.shadow))
         for worker in front_end.workers.values()
     ]
-    with progress() as said:
-        telling = asyncio.create_task(_report_progress(front_end, package.name, said.step))
+    with progress() as reporter:
+        telling = asyncio.create_task(_report_progress(front_end, package.name, reporter.step))
         try:
             done, running = await asyncio.wait(loads, timeout=limit, return_when=asyncio.FIRST_EXCEPTION)
         finally:
@@ -385,7 +385,7 @@ async def _report_progress(front_end: FrontEnd, name: str, say: Callable[[str], 
 
 
 def _url(server: asyncio.Server, settings: FrontEndSettings) -> str:
-    """Return where to connect to. `localhost` has two addresses, and a port that was chosen may be on one."""
+    """Return the URL of a server. `localhost` has two addresses, and a chosen port may be bound on only one."""
     bound, port = server.sockets[0].getsockname()[:2]
     host = settings.host
     if host in LOOPBACK:

@@ -1,4 +1,4 @@
-"""Secrets in files: bearer tokens and TLS certificates, for servers and for who talks to them."""
+"""Secrets in files: bearer tokens and TLS certificates, for servers and clients."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def server_tls_context(certificate: Path | None, key: Path | None) -> ssl.SSLCon
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:
-        # A key with a password would have the server wait for someone to type it.
+        # A key with a password would make the server wait for input.
         context.load_cert_chain(certificate, key, password=lambda: "")
     except (OSError, ssl.SSLError) as error:
         raise UserError(f"TLS: {certificate} and {key or certificate} cannot be used: {error}") from None

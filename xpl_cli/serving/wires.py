@@ -1,7 +1,7 @@
-"""`--also NAME`: an entrance of the front end for clients that speak another wire, by its codec (`xpl.client.codec`).
+"""`--also NAME`: an endpoint of the front end for clients of another wire, by its codec (`xpl.client.codec`).
 
-Whoever comes through it is a client like any other: it says hello, resets, and asks. This one says hello and resets for
-it, and has its codec turn messages into requests and replies into messages.
+The connection sends hello and the first reset for the client. Its codec converts messages to requests, and replies to
+messages.
 """
 
 from __future__ import annotations
@@ -36,26 +36,26 @@ _TRY_AGAIN, _REFUSED = 1013, 1008  # WebSocket close codes: RFC 6455, and its re
 def extra_endpoints(
     also: Sequence[str], config: Config, manifest: Manifest, policy: Announcement
 ) -> dict[str, Endpoint]:
-    """Return the entrances that `--also` asks for, by the names of their wires.
+    """Return the endpoints of `--also`, by the names of their wires.
 
     Args:
-        also: what was asked for: `NAME`, or `NAME:PORT`.
+        also: values of the option: `NAME`, or `NAME:PORT`.
         config: values of deploy.yml.
         manifest: the policy.yml.
-        policy: what clients are told of the policy.
+        policy: the policy's announcement.
 
     Raises:
-        UserError: one cannot be had.
+        UserError: if a value is wrong, or there is no such wire.
     """
-    found: dict[str, Endpoint] = {}
-    for one in also:
-        name, _, number = one.partition(":")
+    endpoints: dict[str, Endpoint] = {}
+    for value in also:
+        name, _, number = value.partition(":")
         if not (number or "0").isdecimal() or len(number) > 5 or int(number or 0) > 65535:
-            raise UserError(f"--also takes the name of a wire, or NAME:PORT; got {one!r}")
-        if name in found:
+            raise UserError(f"--also takes the name of a wire, or NAME:PORT; got {value!r}")
+        if name in endpoints:
             raise UserError(f"--also was given twice for {name}: a wire has one port")
-        found[name] = _endpoint(name, int(number or 0), {**config, "manifest": manifest.data}, policy)
-    return found
+        endpoints[name] = _endpoint(name, int(number or 0), {**config, "manifest": manifest.data}, policy)
+    return endpoints
 
 
 def _endpoint(name: str, port: int, config: Config, policy: Announcement) -> Endpoint:
@@ -72,13 +72,13 @@ def _endpoint(name: str, port: int, config: Config, policy: Announcement) -> End
 
 
 class CodecConnection(Connection):
-    """A peer that speaks the wire of a codec.
+    """The connection of a client that uses the wire of a codec.
 
     Args:
         codec: of the wire.
-        greeting: what the peer is told first; None where it speaks first.
+        greeting: the server's first message; None where the client sends the first one.
         owner: the front end.
-        timing: deadlines.
+        timing: timeouts.
     """
 
     def __init__(
@@ -96,20 +96,20 @@ class CodecConnection(Connection):
         self._answers: dict[int, Message] = {}
 
     def on_ws_connected(self, transport: WSTransport) -> None:
-        """Say hello for the peer; that it says nothing before it has something to ask is how it is."""
+        """Send hello for the client, which may stay silent until its first request."""
         super().on_ws_connected(transport)
         self._cancel_silence_timer()
         self._request(spec.Message.HELLO, spec.Message.HELLO, {})
 
     def on_ws_disconnected(self, transport: WSTransport) -> None:
-        """Give the place back: this peer has no way to come back to its episode."""
+        """Release the slot: this client cannot resume its episode."""
         self._clean = True
         super().on_ws_disconnected(transport)
 
     def answer(self, data: bytes) -> None:
-        """Send what the front end answers, in the form of the wire."""
+        """Translate an answer of the front end to the wire, and send it."""
         frame = frames.decode(data)
-        if frame.message_id.isdecimal():  # to what the peer asked
+        if frame.message_id.isdecimal():  # answers a request of the client
             self._answers[int(frame.message_id)] = self._translate(frame)
             self._send_answers()
             return
@@ -125,7 +125,7 @@ class CodecConnection(Connection):
     # -- inside --------------------------------------------------------------------------------------------------------
 
     def _begin(self) -> None:
-        """Greet the peer, and take what it has asked already."""
+        """Send the greeting, and handle the messages that arrived before it."""
         self._note_first_message()
         self._ready = True
         if self._greeting is not None:
@@ -142,7 +142,7 @@ class CodecConnection(Connection):
         self._handle_data(data.decode(errors="replace"))
 
     def _handle_data(self, data: Message) -> None:
-        """Ask the front end, or say what is wrong with a request when its turn has come."""
+        """Pass a request to the front end, or queue an error reply in its position."""
         if not self._ready:
             self.expect_answer(len(data))
             self._early.append(data)
@@ -150,7 +150,7 @@ class CodecConnection(Connection):
         number = self._requests = self._requests + 1
         try:
             request = self._codec.decode_request(data)
-        except Exception as error:  # noqa: BLE001 - a codec may come from anywhere, and so may what it reads
+        except Exception as error:  # noqa: BLE001 - codecs and messages come from third parties
             self.expect_answer(len(data))
             self._answers[number] = self._codec.encode_reply(Failure(f"{type(error).__name__}: {error}"))
             self._send_answers()
@@ -173,11 +173,11 @@ class CodecConnection(Connection):
                 return self._codec.encode_reply(ResetDone())
             steps, latency = frame.payload[spec.Payload.ACTIONS], frame.payload.get(spec.Payload.LATENCY_MS)
             return self._codec.encode_reply(Actions(steps, latency))
-        except Exception as error:  # noqa: BLE001 - whatever the policy returned, and whoever wrote the codec
+        except Exception as error:  # noqa: BLE001 - policies and codecs come from third parties
             return self._codec.encode_reply(Failure(f"the policy's answer has no form on this wire: {error}"))
 
     def _send_answers(self) -> None:
-        """Send what is there in the order of the requests: nothing else says which answer is which."""
+        """Send answers in the order of the requests, since this wire has no message ids."""
         while (answer := self._answers.pop(self._replies + 1, None)) is not None:
             self._replies += 1
             self._mark_answered()

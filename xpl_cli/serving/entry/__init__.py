@@ -1,1 +1,1 @@
-"""Who comes in: connections that may be taken, tokens, and the names by which a server may be asked."""
+"""Access control: limits on connections and memory, tokens, host names and origins."""

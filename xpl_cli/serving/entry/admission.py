@@ -1,4 +1,4 @@
-"""Who may speak to the server at all: bearer token, names, number of connections; and its two plain HTTP pages."""
+"""Admission of HTTP requests: bearer token, host and origin, number of connections; and the two HTTP pages."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     from xpl_cli.serving.monitoring import Health
 
 BEARER = "bearer"
-"""How a token is announced (RFC 6750), in lower case."""
+"""Authorization scheme of a token (RFC 6750), in lower case."""
 
 _HEALTH, _METRICS = "/healthz", "/metrics"
 
 
 @dataclass(frozen=True)
 class Admission:
-    """Answers the HTTP request that opens a connection.
+    """Admits or refuses the HTTP request that opens a connection.
 
     Args:
-        token: what a client has to show, or None.
-        names: what the server goes by, and which pages may speak to it.
+        token: bearer token that clients need, or None.
+        allowed_hosts: host names of the server, and web pages that may connect.
         health: returns the server's state.
-        metrics: returns the page of metrics, or None if there are none.
-        make_room: tells whether one more connection is possible; may drop one that has said nothing.
-        scheme: how a token is announced, in lower case; a bearer token is understood everywhere.
+        metrics: returns the page of metrics; None without metrics.
+        make_room: tells whether one more connection is possible; may drop a silent one.
+        scheme: authorization scheme of tokens, in lower case; `bearer` always works.
     """
 
     token: str | None
@@ -50,10 +50,10 @@ class Admission:
     scheme: str = BEARER
 
     def refusal(self, request: WSUpgradeRequest) -> WSUpgradeResponseWithListener | None:
-        """Return the answer to a request that is not let in, or None; never raises."""
+        """Return the response to a refused request, or None to admit it; never raises."""
         try:
             return self._refusal(request)
-        except Exception as error:  # noqa: BLE001 - what a stranger sends must not end in a traceback of the library
+        except Exception as error:  # noqa: BLE001 - untrusted input must not cause a traceback of the library
             log(f"refused a request that could not be read: {type(error).__name__}: {error}")
             return _page(HTTPStatus.BAD_REQUEST, "the request cannot be read\n", {})
 
@@ -63,12 +63,12 @@ class Admission:
     def _check_authorisation(self, headers: CIMultiDict[str]) -> WSUpgradeResponseWithListener | None:
         if self.token is not None and not self._has_token(headers.getall("Authorization", [])):
             return _page(HTTPStatus.UNAUTHORIZED, "a bearer token is needed\n", {"WWW-Authenticate": "Bearer"})
-        foreign = self.allowed_hosts.origin_refusal(headers.getall("Origin", []))
-        # Who shows the token may call this server what it likes: a page of a stranger cannot show it.
-        if foreign is None and self.token is None:
-            foreign = self.allowed_hosts.host_refusal(headers.getall("Host", []))
-        if foreign is not None:
-            return _page(HTTPStatus.FORBIDDEN, foreign + "\n", {})
+        reason = self.allowed_hosts.origin_refusal(headers.getall("Origin", []))
+        # A client with the token may use any host name: a third party's web page does not have the token.
+        if reason is None and self.token is None:
+            reason = self.allowed_hosts.host_refusal(headers.getall("Host", []))
+        if reason is not None:
+            return _page(HTTPStatus.FORBIDDEN, reason + "\n", {})
         if not all(value.isascii() for value in headers.values()):
             return _page(HTTPStatus.BAD_REQUEST, "headers must be ASCII\n", {})
         return None
@@ -88,11 +88,11 @@ class Admission:
             return _page(HTTPStatus.NOT_FOUND, f"there is {_HEALTH}, and a policy server for WebSocket clients\n", {})
         return None
 
-    def _has_token(self, shown: list[str]) -> bool:
-        if len(shown) != 1:  # of two, a proxy in between may have looked at the other one
+    def _has_token(self, headers: list[str]) -> bool:
+        if len(headers) != 1:  # with two headers, a proxy may have checked the other one
             return False
-        scheme, _, token = shown[0].partition(" ")
-        # The time that this takes must not tell how much of it was right.
+        scheme, _, token = headers[0].partition(" ")
+        # Constant time, so that the duration does not reveal a correct prefix.
         right = hmac.compare_digest(token.strip().encode(errors="replace"), (self.token or "").encode())
         return scheme.lower() in (BEARER, self.scheme) and right
 

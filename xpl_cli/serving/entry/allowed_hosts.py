@@ -1,7 +1,7 @@
-"""By which names a server may be asked, and by which web pages: what a browser sends tells a page from a client.
+"""Host names of a server, and web pages that may connect: protection against pages that a user's browser opens.
 
-A page that somebody visits can open a WebSocket to this machine, or give a name of its own this machine's address. It
-cannot hide either: browsers send the page's `Origin`, and the name that was looked up as `Host`. Clients that are no
+A web page can open a WebSocket to this machine, or point a name of its own at this machine's address (DNS rebinding).
+It cannot hide either: browsers send the page's `Origin`, and the name that was looked up as `Host`. Clients that are no
 browsers send no `Origin`.
 """
 
@@ -19,24 +19,24 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 LOOPBACK: Final = ("localhost", "127.0.0.1", "::1")
-"""What a server may listen on without being asked for a token."""
+"""Addresses that a server may listen on without a token."""
 
-_WILDCARDS = frozenset(("", "*", "0.0.0.0", "::"))  # noqa: S104 - compared with
+_WILDCARDS = frozenset(("", "*", "0.0.0.0", "::"))  # noqa: S104 - for comparison only
 _AUTHORITY = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(?::\d{1,5})?", re.ASCII)
 _ORIGIN = re.compile(rf"[a-z][a-z0-9+.-]*://{_AUTHORITY.pattern}", re.ASCII | re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class AllowedHosts:
-    """The names and pages of one server.
+    """Host names of one server, and web pages that may connect.
 
     Args:
-        bound: where it listens, as it was told.
-        hosts: further names that it goes by.
-        origins: pages that may speak to it, as `scheme://name:port`.
+        listen_host: address that it listens on, as configured.
+        hosts: further host names.
+        origins: web pages that may connect, as `scheme://name:port`.
 
     Raises:
-        UserError: for a name that is none, or a page that is none.
+        UserError: for a malformed name or origin.
     """
 
     listen_host: str
@@ -44,7 +44,7 @@ class AllowedHosts:
     origins: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Check what a user gave."""
+        """Validate names and origins."""
         for name in self.hosts:
             if _host_name(name) is None or (":" in name and not _is_address(name.strip("[]"))):
                 raise UserError(f"--allow-host takes a name without a port, such as gpu-7.lab, got {name!r}")
@@ -53,22 +53,21 @@ class AllowedHosts:
                 raise UserError(f"--allow-origin takes scheme://name:port, such as https://lab.example, got {origin!r}")
 
     def origin_refusal(self, origins: Sequence[str]) -> str | None:
-        """Return why a request with these `Origin` headers is not let in, or None."""
+        """Return why a request with these `Origin` headers is refused, or None."""
         if not origins:
             return None
         if len(origins) == 1:
             (origin,) = origins
-            found = _ORIGIN.fullmatch(origin)
-            known = {allowed.lower() for allowed in self.origins}
-            if origin.lower() in known or (found is not None and self._is_own(found[1])):
+            match = _ORIGIN.fullmatch(origin)
+            allowed_origins = {allowed.lower() for allowed in self.origins}
+            if origin.lower() in allowed_origins or (match is not None and self._is_own(match[1])):
                 return None
-        told = ", ".join(origins)
-        return f"pages of {told!a:.80} may not speak to this server; --allow-origin names those that may"
+        return f"pages of {', '.join(origins)!a:.80} may not speak to this server; --allow-origin names those that may"
 
     def host_refusal(self, hosts: Sequence[str]) -> str | None:
-        """Return why a request with these `Host` headers is not let in, or None."""
+        """Return why a request with these `Host` headers is refused, or None."""
         name = _host_name(hosts[0]) if len(hosts) == 1 else None
-        # A number is nobody's to give away. A name is, and who owns it may have it stand for this machine.
+        # An IP address has no owner who could point it elsewhere; a name has.
         anywhere = self.listen_host in _WILDCARDS
         if name is not None and (self._is_own(name) or (anywhere and _is_address(name.strip("[]")))):
             return None
@@ -89,9 +88,9 @@ class AllowedHosts:
 
 
 def _host_name(header: str) -> str | None:
-    """Return the name in a `Host` header, without its port; None if it is none."""
-    found = _AUTHORITY.fullmatch(header)
-    return None if found is None else found[1]
+    """Return the name in a `Host` header, without its port; None if it is malformed."""
+    match = _AUTHORITY.fullmatch(header)
+    return None if match is None else match[1]
 
 
 def _is_address(name: str) -> bool:

@@ -1,8 +1,8 @@
-"""Where connections come in: never so many at once that none is left for who is honest.
+"""Limit half-open connections, so that file descriptors remain for regular clients.
 
-A connection costs a descriptor from the moment it is accepted, long before anything is said. Those that have not yet
-asked for a WebSocket are therefore counted, and the oldest of them goes when there are too many: who is honest asks
-within milliseconds. Where descriptors run out all the same, one that is kept for this turns connections away.
+A connection takes a descriptor as soon as it is accepted, long before the first request. The limiter counts
+connections without a WebSocket request, and drops the oldest when there are too many: a regular client sends its
+request within milliseconds. Where descriptors run out nevertheless, a reserved one lets the server reject connections.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 Accepted = tuple[socket.socket, Any]
-"""A connection, and the address at its other end in the form of its family."""
+"""A connection and the peer's address, in the form of its address family."""
 
 HALF_OPEN = 64
-"""Connections that have not asked for a WebSocket yet, at most."""
+"""Most connections that have not requested a WebSocket yet."""
 _BACKLOG = 1024
 _RESERVED = 64
-"""Descriptors for all else: workers, logs, modules that are loaded late."""
+"""Descriptors reserved for workers, logs and late imports."""
 _PER_CONNECTION = 3
-"""Descriptors of a connection: its socket, and the memory that it shares."""
+"""Descriptors per connection: its socket and its shared memory."""
 _OUT = (errno.EMFILE, errno.ENFILE)
 _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
 
 
 def connection_limits() -> tuple[int, int]:
-    """Return how many connections there may be, and how many half open ones, with the descriptors of this process."""
+    """Return the limits on connections and on half-open ones, by the descriptors of this process."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     left = max(16, (1 << 20 if soft == resource.RLIM_INFINITY else soft) - _RESERVED)
     half_open = min(HALF_OPEN, left // 8)
@@ -43,31 +43,29 @@ def connection_limits() -> tuple[int, int]:
 
 
 class ConnectionLimiter:
-    """Lets connections in.
+    """Accepts connections within the limits.
 
     Args:
-        most: connections that may be half open.
+        max_half_open: limit on half-open connections.
     """
 
     def __init__(self, max_half_open: int = HALF_OPEN) -> None:
         self._max_half_open = max_half_open
         self._half_open: dict[int, socket.socket] = {}
         self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
-        self._dropped_log = RateLimitedLog(
-            "dropped a connection that asked for nothing: there are more than can be kept"
-        )
-        self._rejected_log = RateLimitedLog("turned a connection away: this process has no descriptor left")
+        self._dropped_log = RateLimitedLog("dropped a connection without a request: there are too many")
+        self._rejected_log = RateLimitedLog("rejected a connection: this process has no descriptor left")
 
     def bind(self, host: str, port: int) -> list[socket.socket]:
-        """Return sockets bound to every address of a host; port 0 lets the system choose one, the same for all.
+        """Return sockets bound to every address of a host; with port 0 the system chooses one port for all.
 
         Raises:
-            OSError: if there is no such address, or it cannot be had.
+            OSError: if there is no such address, or it cannot be bound.
         """
-        found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        addresses = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         bound: list[socket.socket] = []
         problem = OSError(errno.EADDRNOTAVAIL, f"{host!r} has no address")
-        for family, kind, protocol, _, address in sorted(found, key=lambda one: one[0] != socket.AF_INET):
+        for family, kind, protocol, _, address in sorted(addresses, key=lambda entry: entry[0] != socket.AF_INET):
             chosen = bound[0].getsockname()[1] if bound else port
             try:
                 bound.append(
@@ -75,7 +73,7 @@ class ConnectionLimiter:
                 )
             except OSError as error:
                 problem = error
-                # A machine without IPv6 still has a name for it, and a port that was chosen may be taken there.
+                # `localhost` may have an IPv6 address without IPv6, and a chosen port may be taken there.
                 if error.errno not in _NOT_HERE and (port or not bound):
                     break
         else:
@@ -86,20 +84,20 @@ class ConnectionLimiter:
         raise problem
 
     def note_upgrade(self, descriptor: int) -> None:
-        """Say that a connection asked for a WebSocket, and got it."""
+        """Count a connection as a WebSocket."""
         self._half_open.pop(descriptor, None)
 
     def close(self) -> None:
-        """Give back the descriptor that was kept."""
+        """Close the reserved descriptor."""
         spare, self._spare = self._spare, -1
         if spare >= 0:
             os.close(spare)
 
     def accept_limited(self, accept: Callable[[], Accepted]) -> Accepted:
-        """Accept a connection, and drop the oldest that asked for nothing if there are too many.
+        """Accept a connection, and drop the oldest half-open one if there are too many.
 
         Raises:
-            BlockingIOError: if there is none to accept, or none could be kept.
+            BlockingIOError: if there is none to accept, or no descriptor is left.
         """
         try:
             connection, address = accept()
@@ -108,7 +106,7 @@ class ConnectionLimiter:
                 raise
             self._reject(accept)
             raise BlockingIOError from None
-        self._half_open.pop(connection.fileno(), None)  # of a connection that is gone
+        self._half_open.pop(connection.fileno(), None)  # of a closed connection
         self._half_open[connection.fileno()] = connection
         if len(self._half_open) > self._max_half_open:
             self._half_open = {number: one for number, one in self._half_open.items() if one.fileno() >= 0}
@@ -123,7 +121,7 @@ class ConnectionLimiter:
             oldest.shutdown(socket.SHUT_RDWR)  # its owner reads the end of the stream, and closes it
 
     def _reject(self, accept: Callable[[], Accepted]) -> None:
-        """Take a connection off the queue and end it: one that stayed there would wake the server again and again."""
+        """Accept and close a connection: one that stays in the queue would wake the server again and again."""
         self._rejected_log.log()
         if self._half_open:
             self._drop_oldest()
@@ -135,15 +133,15 @@ class ConnectionLimiter:
 
 
 class _LimitedSocket(socket.socket):
-    """A socket that lets connections in through a door."""
+    """A listening socket that accepts through a connection limiter."""
 
     _limiter: ConnectionLimiter
 
     @classmethod
-    def create_bound(cls, door: ConnectionLimiter, kind: tuple[int, int, int], address: Any) -> _LimitedSocket:
+    def create_bound(cls, limiter: ConnectionLimiter, kind: tuple[int, int, int], address: Any) -> _LimitedSocket:
         """Return a socket of a family, type and protocol that is bound to an address."""
         made = cls(*kind)
-        made._limiter = door
+        made._limiter = limiter
         try:
             made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             if made.family == socket.AF_INET6:
@@ -155,9 +153,9 @@ class _LimitedSocket(socket.socket):
         return made
 
     def listen(self, _backlog: int = _BACKLOG, /) -> None:
-        """Listen with a queue that a burst does not fill."""
+        """Listen with a queue that is long enough for bursts."""
         super().listen(_BACKLOG)
 
     def accept(self) -> Accepted:
-        """Accept through the door."""
+        """Accept through the limiter."""
         return self._limiter.accept_limited(super().accept)

@@ -1,7 +1,7 @@
-"""Memory that messages take: of all connections together, since many small claims fill a machine as a large one does.
+"""Limit the memory of the messages of all connections together.
 
-What has arrived of a message lies in a buffer of the WebSocket library, which says nothing of it before the message is
-whole, and keeps its room for the next one. So the bytes are counted where they come in.
+The WebSocket library buffers an incomplete message without reporting its size, and keeps the buffer for the next one.
+So the bytes are counted as they arrive.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ _STEP = 1 << 18
 
 
 class ByteCountingProtocol(asyncio.BufferedProtocol):
-    """Stands between a connection and the library that reads it, and counts what came since the last whole message.
+    """Protocol between a transport and the library: counts the bytes since the last complete message.
 
     Args:
         protocol: the library's.
-        on_growth: told when `room` has grown.
+        on_growth: called when `buffer_bytes` has grown.
 
     Attributes:
-        unread: these bytes.
-        room: most that they have been, in steps: what the library's buffer takes.
+        unread: bytes since the last complete message.
+        buffer_bytes: their maximum, in steps: the size of the library's buffer.
     """
 
     def __init__(self, protocol: asyncio.BufferedProtocol, on_growth: Callable[[], None]) -> None:
@@ -37,11 +37,11 @@ class ByteCountingProtocol(asyncio.BufferedProtocol):
         self.unread = self.buffer_bytes = 0
 
     def get_buffer(self, sizehint: int) -> Any:
-        """Return where to put what comes."""
+        """Return the library's buffer."""
         return self._protocol.get_buffer(sizehint)
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Count so many bytes, and pass them on."""
+        """Count received bytes, and pass them on."""
         self.unread += nbytes
         if self.unread >= self.buffer_bytes + _STEP:
             self.buffer_bytes = self.unread
@@ -49,28 +49,28 @@ class ByteCountingProtocol(asyncio.BufferedProtocol):
         self._protocol.buffer_updated(nbytes)
 
     def eof_received(self) -> bool | None:
-        """Pass on that no more will come."""
+        """Pass on the end of the stream."""
         return self._protocol.eof_received()
 
     def pause_writing(self) -> None:
-        """Pass on that the peer does not read."""
+        """Pass on that the write buffer is full."""
         self._protocol.pause_writing()
 
     def resume_writing(self) -> None:
-        """Pass on that it reads on."""
+        """Pass on that the write buffer has drained."""
         self._protocol.resume_writing()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Pass on that it is gone, and let go of the library's buffer at once."""
+        """Pass on the end of the connection, and free the library's buffer at once."""
         protocol, self._protocol = self._protocol, asyncio.BufferedProtocol()
         protocol.connection_lost(exc)
 
 
 class ByteBudget:
-    """Who holds how many bytes, within a sum.
+    """Bytes of each holder, within a total limit.
 
     Args:
-        most: bytes that all may hold together.
+        limit: bytes of all holders together.
     """
 
     def __init__(self, limit: int) -> None:
@@ -79,13 +79,13 @@ class ByteBudget:
         self._sum = 0
 
     def set(self, holder: MemoryHolder, size: int) -> MemoryHolder | None:
-        """Note that somebody holds so many bytes now; return who has to go: the one with most, where it is too much."""
+        """Set the bytes of a holder; return the largest holder if the total exceeds the limit, else None."""
         self._sum += size - self._bytes_by_holder.get(holder, 0)
         self._bytes_by_holder[holder] = size
         return None if self._sum <= self._limit else max(self._bytes_by_holder, key=self._bytes_by_holder.__getitem__)
 
     def forget(self, holder: MemoryHolder) -> None:
-        """Note that somebody holds nothing any more."""
+        """Remove a holder."""
         self._sum -= self._bytes_by_holder.pop(holder, 0)
 
 
@@ -93,28 +93,28 @@ class MemoryHolder(Protocol):
     """A connection that holds memory.
 
     Attributes:
-        place: the place that it has, or None.
+        slot: the client's slot, or None.
     """
 
     slot: Any
 
     @property
     def buffered_bytes(self) -> int:
-        """Bytes that it holds."""
+        """Bytes of its buffered messages."""
 
     def close(self, code: int, reason: str = "") -> None:
         """Close it in order."""
 
     def abort(self) -> None:
-        """End it at once."""
+        """Close it at once."""
 
 
 class MessageMemoryLimiter:
-    """All connections: where their messages take too much memory, the one with most of it is closed.
+    """Closes the connection with the most memory where the messages of all take too much.
 
     Args:
-        most: bytes that all may hold together.
-        early: of these, bytes of connections that have no place yet.
+        limit: bytes of all connections together.
+        unassigned_limit: bytes of all connections without a slot.
     """
 
     def __init__(
@@ -122,11 +122,11 @@ class MessageMemoryLimiter:
     ) -> None:
         self._all, self._unassigned = ByteBudget(limit), ByteBudget(unassigned_limit)
         self._closed = RateLimitedLog(
-            "closed a connection: the messages of all took too much memory, and its own most of it"
+            "closed the connection with the largest messages: those of all connections took too much memory"
         )
 
     def update(self, connection: MemoryHolder) -> None:
-        """Note what a connection holds now."""
+        """Update the memory of a connection."""
         size = connection.buffered_bytes
         largest = self._all.set(connection, size)
         if connection.slot is None:
@@ -140,6 +140,6 @@ class MessageMemoryLimiter:
             self.forget(largest)
 
     def forget(self, connection: MemoryHolder) -> None:
-        """Note that a connection is gone."""
+        """Remove a closed connection."""
         self._all.forget(connection)
         self._unassigned.forget(connection)

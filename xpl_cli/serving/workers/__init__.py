@@ -1,1 +1,1 @@
-"""Workers, seen from the front end: their processes, what waits for each, and what is told when one fails."""
+"""Workers of the front end: their processes, queues and failures."""

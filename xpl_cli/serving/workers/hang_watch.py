@@ -1,4 +1,4 @@
-"""Ends a worker that hangs while it loads or answers, and shows where it stands."""
+"""End a worker that hangs while it loads or answers, after printing its stacks."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ if TYPE_CHECKING:
 
 
 async def watch_worker(worker: ModelWorker, patience: float) -> None:
-    """Look after a worker until it has ended: whenever it is at work it has to show life.
+    """Watch a worker until it ends; whenever it is busy it has to show activity.
 
     Args:
         worker: one copy of the model.
-        patience: how long it may be silent, s (`xpl_cli.isolation.hang_detector`).
+        patience: longest time without activity, s (`xpl_cli.isolation.hang_detector`).
     """
     process, began = worker.process, 0.0
-    life: HangDetector | None = None
+    detector: HangDetector | None = None
     while not process.died.done():
         now = time.monotonic()
         busy = worker.busy_for()
         if not busy:
-            life = None
-        elif life is None or abs(now - busy - began) > 0.5 * life.every_s:  # another piece of work
-            life, began = await asyncio.to_thread(HangDetector, process.pid, patience, now), now - busy
-        reason = None if life is None else await asyncio.to_thread(life.check, time.monotonic())
+            detector = None
+        elif detector is None or abs(now - busy - began) > 0.5 * detector.every_s:  # another request
+            detector, began = await asyncio.to_thread(HangDetector, process.pid, patience, now), now - busy
+        reason = None if detector is None else await asyncio.to_thread(detector.check, time.monotonic())
         if reason is not None and worker.busy_for() > busy:
             process.show_stacks()
             await asyncio.sleep(STACKS_S)
             process.kill(reason)
             return
-        await asyncio.wait([process.died], timeout=min(1.0, patience / 8) if life is None else life.every_s)
+        await asyncio.wait([process.died], timeout=min(1.0, patience / 8) if detector is None else detector.every_s)

@@ -1,4 +1,4 @@
-"""The requests that wait for one worker, free of I/O: in which order and in which batches they run."""
+"""The request queue of one worker, without I/O: order and batches of its requests."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ if TYPE_CHECKING:
 
 _ACTIONS = frozenset((spec.Method.INFER, spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH))
 _MAX_CONSECUTIVE = 16
-"""Requests of one client that are sent to its worker at once: an action and the updates before it."""
+"""Most requests of one client in one message to its worker: an action and the updates before it."""
 _MAX_WAIT_SHARE = 0.25
-"""Longest wait for others, as a part of the time that the model took last."""
+"""Longest wait for other clients, as a share of the model's last inference time."""
 _PAUSE_TOLERANCE = 2.0
-"""A client is expected until it has thought this many times as long as it usually does."""
+"""A client is expected until its pause is so many times its usual one."""
 _MEAN_WEIGHT = 0.3
 """Weight of the newest value in running means."""
 
 
 @dataclass(eq=False)
 class RequestJob:
-    """A request in the line.
+    """A request in the queue.
 
     Attributes:
         frame: the request.
-        method: what the worker is to do: `infer`, or the method that is called.
-        place: for whom.
-        payload: entries that go to the worker, as a packed map; None while its images are being decoded.
-        segment: number of the shared memory that its arrays may lie in.
-        entry: where its answer is remembered; None if nobody is told.
+        method: the method to call, such as `infer`.
+        slot: the client's slot.
+        payload: entries for the worker, as a packed map; None while its images are decoded.
+        segment: number of the shared memory that may hold its arrays.
+        entry: cache entry of its answer; None if no client waits for it.
         packs: the client reads packed answers.
         size: bytes of the request.
-        received: when it came, s.
-        arrived: when it was put into the line, s.
+        received: when it arrived at the server, s.
+        arrived: when it was queued, s.
         started: when it was sent to the worker, s.
     """
 
@@ -58,25 +58,25 @@ class RequestJob:
 
     @property
     def ready(self) -> bool:
-        """Whether its payload is there."""
+        """Whether its payload is complete."""
         return self.payload is not None
 
     def set_payload(self, payload: bytes) -> None:
-        """Take the payload as the worker reads it, and let go of the one that came."""
+        """Set the packed payload, and free the received one."""
         self.frame, self.payload = dataclasses.replace(self.frame, payload={}), payload
 
     def request(self) -> tuple[int, str, int | None, bool]:
-        """Return what the worker is sent besides the payload."""
+        """Return what the worker gets besides the payload: client, method, segment, whether the method is optional."""
         return self.slot.client, self.method, self.segment, is_optional(self.frame)
 
 
 @dataclass
 class _ClientTiming:
-    """How a client of a shared worker behaves.
+    """Timing of a client of a shared worker.
 
     Attributes:
         answered: when it got its last action, s.
-        pause: how long it usually takes until it asks for the next one, s; None before that is known.
+        pause: its usual time between an action and the next request, s; None before that is known.
     """
 
     answered: float
@@ -85,11 +85,11 @@ class _ClientTiming:
 
 @dataclass
 class JobQueue:
-    """The line of one worker. Requests of one client run in their order; clients of a shared worker run together.
+    """The queue of one worker. Requests of one client run in order; requests of several clients run as one batch.
 
     Args:
-        shared: whether several clients use the worker.
-        most: most requests in one batch.
+        shared: whether several clients share the worker.
+        max_batch: largest batch.
     """
 
     shared: bool = False
@@ -103,20 +103,19 @@ class JobQueue:
         return sum(map(len, self._jobs.values()))
 
     def add(self, job: RequestJob, now: float) -> None:
-        """Put a job at the end of its client's line."""
+        """Append a job to its client's queue."""
         job.arrived = now
         self._jobs.setdefault(job.slot, collections.deque()).append(job)
-        habit = self._client_timings.get(job.slot)
-        if habit is not None and habit.answered and job.method in _ACTIONS:
-            pause = now - habit.answered
-            habit.pause = pause if habit.pause is None else _mean(habit.pause, pause)
-            habit.answered = 0.0
+        timing = self._client_timings.get(job.slot)
+        if timing is not None and timing.answered and job.method in _ACTIONS:
+            pause = now - timing.answered
+            timing.pause = pause if timing.pause is None else _mean(timing.pause, pause)
+            timing.answered = 0.0
 
     def next_batch(self, now: float) -> tuple[list[RequestJob], float]:
-        """Return the jobs to run now, or none and how long to wait, s, for a client that is about to ask.
+        """Return the jobs to run now, or none and how long to wait for an expected client, s.
 
-        A batch may wait if others are expected within a part of what the model takes anyway; a client that is alone
-        never waits.
+        A batch waits if other clients are expected within a share of the inference time; a single client never waits.
         """
         heads = [jobs[0] for jobs in self._jobs.values() if jobs and jobs[0].ready]
         if not heads:
@@ -124,14 +123,14 @@ class JobQueue:
         if not self.shared:
             return self._take_out(self._consecutive_jobs(heads[0].slot), now), 0.0
         asking = [job for job in heads if job.method in _ACTIONS]
-        if len(asking) < len(heads):  # what only updates or resets is done at once, so that it is ready for the batch
+        if len(asking) < len(heads):  # updates and resets run at once, so that the next batch is complete
             return self._take_out([job for job in heads if job not in asking], now), 0.0
         batch = sorted(asking, key=lambda job: job.arrived)[: self.max_batch]
         wait = 0.0 if len(batch) == self.max_batch else self._wait_for_others(batch, now)
         return ([], wait) if wait > 0.0 else (self._take_out(batch, now), 0.0)
 
     def finished(self, jobs: list[RequestJob], now: float) -> None:
-        """Learn from what was answered just now how long the model and its clients take."""
+        """Update the timing of the model and of its clients after an answer."""
         self._idle_since = now
         if any(job.method in _ACTIONS for job in jobs):
             took = now - jobs[0].started
@@ -142,11 +141,11 @@ class JobQueue:
                     self._client_timings.setdefault(job.slot, _ClientTiming(now)).answered = now
 
     def forget(self, slot: WorkerSlot) -> None:
-        """Expect nothing more from a client that left."""
+        """Remove the timing of a client that left."""
         self._client_timings.pop(slot, None)
 
     def remove(self, job: RequestJob) -> None:
-        """Take one job out, if it is still there."""
+        """Remove a job, if it is still queued."""
         jobs = self._jobs.get(job.slot)
         if jobs is not None and job in jobs:
             jobs.remove(job)
@@ -154,12 +153,12 @@ class JobQueue:
                 del self._jobs[job.slot]
 
     def has_jobs_of(self, slot: WorkerSlot) -> bool:
-        """Tell whether jobs of a client wait."""
+        """Tell whether jobs of a client are queued."""
         return slot in self._jobs
 
     def clear(self) -> list[RequestJob]:
-        """Take all jobs out and return them."""
-        jobs = [job for line in self._jobs.values() for job in line]
+        """Remove all jobs and return them."""
+        jobs = [job for jobs in self._jobs.values() for job in jobs]
         self._jobs.clear()
         return jobs
 
@@ -182,18 +181,18 @@ class JobQueue:
         return jobs
 
     def _wait_for_others(self, batch: list[RequestJob], now: float) -> float:
-        """Return how long to wait for clients that will ask within our patience, s."""
+        """Return how long to wait for clients that are expected soon, s."""
         until = max(self._idle_since, min(job.arrived for job in batch)) + _MAX_WAIT_SHARE * self._model_s
         asking = {job.slot for job in batch}
         due = [
-            min(habit.answered + _PAUSE_TOLERANCE * habit.pause, until)
-            for place, habit in self._client_timings.items()
-            if place not in asking and habit.answered and habit.pause and habit.answered + habit.pause <= until
+            min(timing.answered + _PAUSE_TOLERANCE * timing.pause, until)
+            for slot, timing in self._client_timings.items()
+            if slot not in asking and timing.answered and timing.pause and timing.answered + timing.pause <= until
         ]
-        # Who has asked already, and has its images decoded still.
+        # A client whose request has arrived, and whose images are still being decoded.
         decoding = any(
-            place not in asking and not jobs[0].ready and any(job.method in _ACTIONS for job in jobs)
-            for place, jobs in self._jobs.items()
+            slot not in asking and not jobs[0].ready and any(job.method in _ACTIONS for job in jobs)
+            for slot, jobs in self._jobs.items()
         )
         return max(0.0, *(time - now for time in (*due, until if decoding else now)))
 

@@ -1,4 +1,4 @@
-"""The worker's process, seen from the front end: start, one message at a time, end."""
+"""The process of a worker: start it, exchange one message at a time, end it."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 _BOOTSTRAP = SDK_START + "from xpl.worker.main import main; main(int(sys.argv[2]))"
 ANSWER_BYTES = spec.LIMITS["frame_bytes"]
-"""Of the results of one batch: the adapter may write to the link itself, and announce anything."""
+"""Largest results of one batch: the adapter can write to the link itself, and announce any size."""
 _MAX_LINE = 500
-"""Characters of a printed line that clients are shown while the model loads."""
+"""Longest printed line in the loading progress that clients see."""
 
 
 class WorkerDiedError(Exception):
@@ -41,11 +41,11 @@ class WorkerDiedError(Exception):
 
 
 class WorkerProcess:
-    """One adapter in a process of its own, asked one message at a time.
+    """One adapter in a process of its own, which answers one message at a time.
 
     Attributes:
-        pid: the process above the adapter's, which leads a group of its own.
-        last_line: what the adapter printed last.
+        pid: the parent of the adapter's process, which leads a group of its own.
+        last_line: last line that the adapter printed.
         died: resolves with the reason when the link breaks.
     """
 
@@ -80,8 +80,8 @@ class WorkerProcess:
             python: path of the interpreter.
             cwd: working directory of the adapter.
             gpu: device made visible to it.
-            label: put before every line that it prints.
-            isolation: how it is kept apart, or None.
+            label: prefix of every line that it prints.
+            isolation: how it is isolated, or None.
         """
         ours, theirs = spawn.link()
         ours.settimeout(0.0)
@@ -108,7 +108,7 @@ class WorkerProcess:
         """Send a message; the answer arrives later, or never if the worker dies.
 
         Raises:
-            PackingError: if the message cannot travel; nothing was sent then.
+            PackingError: if the message cannot be serialised; nothing was sent then.
             WorkerDiedError: if the link is broken already.
         """
         pieces = [memoryview(piece) for piece in link.encode(head, buffers)]
@@ -124,7 +124,7 @@ class WorkerProcess:
         """Send a message and return the answer.
 
         Raises:
-            PackingError: if the message cannot travel.
+            PackingError: if the message cannot be serialised.
             WorkerDiedError: if the worker dies first.
         """
         answer: asyncio.Future[link.Head] = self._loop.create_future()
@@ -136,22 +136,22 @@ class WorkerProcess:
         return answer.result()
 
     def memory(self) -> int:
-        """Return the memory that the worker uses itself, bytes; 0 where the system does not tell."""
+        """Return the resident memory of the adapter's process, bytes; 0 where it is unknown."""
         return processes.resident_bytes(self.adapter_pid())
 
     def add_watch(self, watch: Coroutine[Any, Any, None]) -> None:
-        """Run something beside the worker, until it has ended; the worker ends if that fails."""
+        """Run a coroutine until the worker has ended; the worker is killed if it raises."""
         task = asyncio.create_task(watch)
         task.add_done_callback(self._finish_watch)
         self._watches.append(task)
 
     def show_stacks(self) -> None:
-        """Have the worker print where each of its threads is, also while it hangs."""
+        """Have the worker print the stacks of its threads, also while it hangs."""
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.adapter_pid(), signal.SIGUSR1)
 
     def kill(self, reason: str) -> None:
-        """End the worker and all its children at once, and give a reason for it."""
+        """Kill the worker and all its children, for a reason."""
         self._close_link(reason)
         processes.kill_tree(self.pid)
 
@@ -162,12 +162,12 @@ class WorkerProcess:
             await asyncio.wait_for(exits.exit_code(self._process), grace)
         processes.kill_tree(self.pid)
         await exits.exit_code(self._process)
-        # What has left the group and still holds the pipe would keep it open for ever.
+        # A process that has left the group may hold the pipe open for ever.
         with contextlib.suppress(asyncio.TimeoutError):
             await asyncio.wait_for(self._output, grace)
 
     async def wait_ended(self) -> str:
-        """Wait for the process to end and return how it did."""
+        """Wait for the process to end and return how it ended."""
         code = await exits.exit_code(self._process)
         return f"the worker {spawn.describe_exit(code, launched=self._wrapped)}"
 
@@ -184,7 +184,7 @@ class WorkerProcess:
         return self._pid_chain[-1]
 
     def _write(self) -> None:
-        """Send what there is to send, now or when the worker has read some of it."""
+        """Send the queued bytes, now or when the worker has read some of them."""
         waiting = False
         try:
             while self._unsent:
@@ -211,7 +211,7 @@ class WorkerProcess:
             messages = self._inbox.take(count) if count else None
         except BlockingIOError:
             return
-        except OSError:  # what was unread when the worker died
+        except OSError:  # the worker died with unread data
             self._close_link(None)
             return
         except PackingError as error:
@@ -234,11 +234,11 @@ class WorkerProcess:
             return
         try:
             on_answer(head, buffers)
-        except ValueError as error:  # the head is not what was agreed on
+        except ValueError as error:  # the head is malformed
             self._close_link(f"the link to the worker is out of step: {type(error).__name__}: {error}")
 
     async def _notice_end(self) -> None:
-        """Notice the end of the process, which its children may hide: they hold the link, too."""
+        """Notice the end of the process; its children may hold the link open."""
         reason = await self.wait_ended()
         if self._channel.fileno() >= 0:
             self._read()  # it may have answered before it ended
@@ -248,7 +248,7 @@ class WorkerProcess:
             self.died.set_result(reason)
 
     def _close_link(self, reason: str | None) -> None:
-        """Close the link, which ends the worker, and tell why; None means that the end of its process will tell."""
+        """Close the link, which ends the worker; without a reason, the end of the process gives it."""
         if self._channel.fileno() >= 0:
             self._loop.remove_reader(self._channel)
             self._loop.remove_writer(self._channel)
@@ -257,7 +257,7 @@ class WorkerProcess:
             self.died.set_result(reason)
 
     async def _copy_output(self) -> None:
-        """Show what the adapter prints on our standard error; nobody else writes there mid-line."""
+        """Copy the adapter's output to standard error."""
         stream = self._process.stdout
         text = codecs.getincrementaldecoder("utf-8")(errors="replace")  # a chunk may end inside a character
         at_start = True

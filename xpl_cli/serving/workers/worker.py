@@ -1,4 +1,4 @@
-"""A worker at work: its process, its line, its deadlines, and what is told when it fails."""
+"""One copy of the model: its process, request queue, timeouts and failures."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ if TYPE_CHECKING:
     from xpl_cli.serving.workers.process import Answered, WorkerProcess
 
 _REPORT_S = 10.0
-"""A request that takes longer is reported while it runs, and again whenever it has taken twice as long."""
+"""A request that takes longer is logged while it runs, and again whenever its time has doubled."""
 
 
 class JobListener(Protocol):
-    """What a worker tells about its jobs."""
+    """Callbacks for the results of jobs."""
 
     def job_answered(self, job: RequestJob, result: memoryview) -> None:
-        """Pass on the answer to a job, packed."""
+        """Handle the packed answer to a job."""
 
     def job_raised(self, job: RequestJob, error: AdapterException) -> None:
-        """Say what the adapter raised, or why its result cannot travel."""
+        """Handle an exception of the adapter, or a result that cannot be serialised."""
 
     def job_refused(self, job: RequestJob, error: RequestError) -> None:
-        """Say that a job was not done."""
+        """Handle a job that did not run."""
 
     def job_failed(self, job: RequestJob, error: Exception) -> None:
-        """Say that its answer could not be given, by a fault of ours."""
+        """Handle a fault of the server."""
 
 
 class ModelLoadError(Exception):
@@ -65,11 +65,11 @@ class ModelWorker:
     """One copy of the model.
 
     Args:
-        number: which one, from 0.
+        number: index of the worker, from 0.
         process: its process.
         timeout: longest time for one batch, s; None means no limit.
-        desk: told what becomes of the jobs.
-        on_failure: told once if the worker cannot go on, with the reason.
+        listener: gets the results of the jobs.
+        on_failure: called once with the reason if the worker fails.
     """
 
     def __init__(
@@ -102,10 +102,10 @@ class ModelWorker:
         process.died.add_done_callback(lambda died: self.fail(died.result()))
 
     async def load(self, policy_dir: Path, config: Config, manifest: Manifest, *, shadow: bool = False) -> None:
-        """Load the adapter; with `shadow` not its model (`xpl.worker.shadow`).
+        """Load the adapter, with `shadow` without its model (`xpl.worker.shadow`).
 
         Raises:
-            LoadError: with one sentence that says why it could not be loaded.
+            LoadError: if it cannot be loaded.
         """
         request = {"policy_dir": str(policy_dir), "config": dict(config), "manifest": dict(manifest.data)}
         self._loading = {"op": "load", **request, **({"shadow": True} if shadow else {})}
@@ -121,15 +121,15 @@ class ModelWorker:
         self.queue = JobQueue(shared=manifest.serving.shared, max_batch=manifest.serving.max_batch)
 
     def rebuild_model(self) -> None:
-        """Build the model anew before the next request."""
+        """Load the model again before the next request."""
         self.send_control(self._loading, self._finish_rebuild)
 
     def busy_for(self) -> float:
-        """Return for how long the model has been at work, s; 0 if it is idle."""
+        """Return for how long the model has been busy, s; 0 if it is idle."""
         return time.monotonic() - self._started if self._busy else 0.0
 
     def submit(self, job: RequestJob) -> None:
-        """Put a job into the line."""
+        """Add a job to the queue."""
         if self.failed:
             self._listener.job_refused(job, _worker_died("the worker has ended"))
             return
@@ -137,12 +137,12 @@ class ModelWorker:
         self.send_next()
 
     def send_control(self, message: Head, on_answer: Callable[[str | None], None]) -> None:
-        """Send a message that is no request, before the next batch; `on_answer` is told what went wrong, or None."""
+        """Send a control message before the next batch; `on_answer` gets the error, or None."""
         self._control_messages.append((message, on_answer))
         self.send_next()
 
     def call_when_done(self, slot: WorkerSlot, action: Callable[[], None]) -> None:
-        """Do something once no job of a client waits or runs any more."""
+        """Call a function once no job of a client is queued or running."""
         if self.failed:
             return
         if self.queue.has_jobs_of(slot) or any(job.slot is slot for job in self._running):
@@ -151,7 +151,7 @@ class ModelWorker:
             action()
 
     def send_next(self) -> None:
-        """Send the worker what it can do next, if it is idle."""
+        """Send the next control message or batch, if the worker is idle."""
         if self._busy or self.failed:
             return
         if self._batch_timer is not None:
@@ -169,7 +169,7 @@ class ModelWorker:
             self._batch_timer = self._loop.call_later(wait, self.send_next)
 
     def fail(self, reason: str, code: str = spec.ErrorCode.INTERNAL) -> None:
-        """Give up: answer everything that waits, and tell why."""
+        """Fail: answer all running and queued jobs with the reason."""
         if self.failed:
             return
         self.failed = True
@@ -197,36 +197,36 @@ class ModelWorker:
             self._loop.call_soon(self.fail, str(error))
 
     def _finish_jobs(self, head: Head, buffers: list[memoryview]) -> None:
-        told = parse_answers(head, buffers, len(self._running))
+        results = parse_answers(head, buffers, len(self._running))
         jobs, self._running = self._running, []
         self._busy = False
         self.queue.finished(jobs, time.monotonic())
-        for job, answer in zip(jobs, told, strict=True):
+        for job, answer in zip(jobs, results, strict=True):
             try:
                 if isinstance(answer, AdapterException):
                     self._listener.job_raised(job, answer)
                 else:
                     self._listener.job_answered(job, answer)
-            except Exception as problem:  # noqa: BLE001 - one job of a batch never costs another its answer
+            except Exception as problem:  # noqa: BLE001 - one job of a batch must not affect the others
                 self._listener.job_failed(job, problem)
-        later, self._deferred = self._deferred, []
-        for place, action in later:
-            self.call_when_done(place, action)
+        deferred, self._deferred = self._deferred, []
+        for slot, action in deferred:
+            self.call_when_done(slot, action)
         self.send_next()
 
     def _finish_control(self, head: Head) -> None:
-        told = parse_result(head)
+        result = parse_result(head)
         self._busy = False
         _, on_answer = self._control_messages.popleft()
-        on_answer(told.message if isinstance(told, AdapterException) else None)
+        on_answer(result.message if isinstance(result, AdapterException) else None)
         self.send_next()
 
     def _finish_rebuild(self, error: str | None) -> None:
         if error is not None:
-            self.fail(f"the model could not be built a second time: {error}")
+            self.fail(f"the model could not be loaded again: {error}")
 
     def _schedule_check(self, now: float) -> None:
-        """Look after what runs when it should have ended: one timer for all, because most requests take no time."""
+        """Start a timer that checks the running job; one timer serves many jobs, since most are short."""
         due = self._reported or _REPORT_S
         if self._timeout is not None:
             due = min(due, self._stacks_after)
@@ -251,7 +251,7 @@ class ModelWorker:
         self._schedule_check(now)
 
     def _time_out(self, started: float) -> None:
-        """End a worker that hangs, if it has not answered at the last moment."""
+        """Fail a worker that exceeds the timeout, unless it has just answered."""
         self._check_timer = None
         if self._busy and self._started == started:
             self.fail(f"the model did not answer within {self._timeout:g} s", spec.ErrorCode.TIMEOUT)
@@ -260,8 +260,8 @@ class ModelWorker:
 
     def _log_slow(self, busy: float) -> None:
         limit = "there is no limit" if self._timeout is None else f"it is ended after {self._timeout:g} s"
-        names = ", ".join(sorted({job.method for job in self._running})) or "an errand"
-        log(f"the model has been at work for {busy:.0f} s (process {self.process.adapter_pid()}, {names}); {limit}")
+        names = ", ".join(sorted({job.method for job in self._running})) or "a control message"
+        log(f"the model has been busy for {busy:.0f} s (process {self.process.adapter_pid()}, {names}); {limit}")
 
 
 def _worker_died(reason: str) -> RequestError:

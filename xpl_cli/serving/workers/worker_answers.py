@@ -1,4 +1,4 @@
-"""What a worker answers, parsed where it comes in: an adapter may write to the link itself, and write anything."""
+"""Parse the answers of a worker, which may hold anything: an adapter can write to the link itself."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ if TYPE_CHECKING:
 
 
 class WorkerAnswerError(ValueError):
-    """An answer that is none of those that were agreed on; says what was expected and what came."""
+    """A malformed answer; the message says what was expected and what came."""
 
 
 @dataclass(frozen=True)
 class AdapterException:
-    """What a worker says of an exception (`xpl.worker.main`).
+    """An exception in a worker (`xpl.worker.main`).
 
     Attributes:
         kind: its type.
@@ -24,7 +24,7 @@ class AdapterException:
         traceback: with it as the last line.
         lacks: what the machine lacks, if that is why: `kind` and `name`.
         refused: the request itself was wrong.
-        unserialisable: it is the result that cannot travel.
+        unserialisable: the result cannot be serialised.
     """
 
     kind: str
@@ -36,10 +36,10 @@ class AdapterException:
 
     @classmethod
     def parse(cls, value: object) -> Self:
-        """Read it from a worker's answer.
+        """Parse the error entry of a worker's answer.
 
         Raises:
-            HeadError: it is no such map.
+            HeadError: if it is no such map.
         """
         entries = _require_map(value, "an error")
         kind, message, traceback = (_require_text(entries.get(name), name) for name in ("type", "message", "traceback"))
@@ -51,10 +51,10 @@ class AdapterException:
 
 
 def parse_result(head: Head) -> Head | AdapterException | None:
-    """Return what an operation that is no request returned, or what it raised.
+    """Return the result of a control message, or its exception.
 
     Raises:
-        HeadError: the head says neither.
+        WorkerAnswerError: the head has neither.
     """
     if "error" in head:
         return AdapterException.parse(head["error"])
@@ -64,15 +64,15 @@ def parse_result(head: Head) -> Head | AdapterException | None:
 
 
 def parse_answers(head: Head, results: Sequence[memoryview], count: int) -> list[memoryview | AdapterException]:
-    """Return what each of so many requests got.
+    """Return the result or the exception of each request of a batch.
 
     Args:
-        head: `answers`: for each request None, or what it raised.
-        results: of those that raised nothing, in order.
-        count: of the requests.
+        head: `answers`: for each request None, or its error.
+        results: those of the successful requests, in order.
+        count: number of requests.
 
     Raises:
-        HeadError: they are not as many, or something else.
+        HeadError: if their number or form is wrong.
     """
     entries = head.get("answers")
     if not isinstance(entries, list) or len(entries) != count or entries.count(None) != len(results):
