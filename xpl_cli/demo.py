@@ -1,4 +1,4 @@
-"""The whole route in one command: scaffold, serve, audit, and a broken copy that is caught."""
+"""The demo: scaffold, serve and audit an adapter, and catch a broken copy."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _BROKEN_BY = ("batch-order", "by-position")
 
 
 @dataclass
-class Step:
-    """One command of the route.
+class DemoStep:
+    """One command of the demo.
 
     Attributes:
-        title: what it shows.
+        title: what it demonstrates.
         command: the arguments after `xpl`.
-        expected: the exit code that shows it.
-        code: the exit code it had.
+        expected: the expected exit code.
+        code: the actual exit code.
         seconds: how long it took.
     """
 
@@ -40,55 +40,55 @@ class Step:
 
 @dataclass
 class Demo:
-    """The route, played in a folder.
+    """The demo in a folder.
 
     Attributes:
-        folder: where the adapters are made.
-        say: told what begins.
-        quiet: whether the commands' own output is swallowed, because the answer is JSON.
+        folder: of the adapters.
+        report_progress: called when a step begins.
+        quiet: whether to discard the commands' output, because the answer is JSON.
     """
 
     folder: Path
-    say: Callable[[str], None]
+    report_progress: Callable[[str], None]
     quiet: bool = False
-    steps: list[Step] = field(default_factory=list)
+    steps: list[DemoStep] = field(default_factory=list)
 
-    def play(self) -> bool:
-        """Run the route; return whether every step ended as it should."""
-        self._run(Step("Scaffold an adapter from the spec", ["new-policy", NAME]))
+    def run(self) -> bool:
+        """Run the demo; return whether every step had the expected exit code."""
+        self._run(DemoStep("Scaffold an adapter from the spec", ["new-policy", NAME]))
         self._serve(f"policy/{NAME}")
-        self._run(Step("Audit it: static, offline closed loop, MuJoCo", ["audit", f"policy/{NAME}"]))
-        self.say(f"\n# Break a copy: {BROKEN} reads the list of running environments by position")
+        self._run(DemoStep("Audit it: static, offline closed loop, MuJoCo", ["audit", f"policy/{NAME}"]))
+        self.report_progress(f"\n# Break a copy: {BROKEN} reads the list of running environments by position")
         self._break(self.folder / "policy" / BROKEN)
-        caught = Step("Audit the broken copy", ["audit", f"policy/{BROKEN}"], ExitCode.FINDINGS)
+        caught = DemoStep("Audit the broken copy", ["audit", f"policy/{BROKEN}"], ExitCode.FINDINGS)
         self._run(caught)
         return all(step.code == step.expected for step in self.steps)
 
-    def _run(self, step: Step) -> None:
-        self.say(f"\n# {step.title}\n$ xpl {' '.join(step.command)}")
+    def _run(self, step: DemoStep) -> None:
+        self.report_progress(f"\n# {step.title}\n$ xpl {' '.join(step.command)}")
         started = time.perf_counter()
         output = subprocess.DEVNULL if self.quiet else None
-        done = subprocess.run(
+        completed = subprocess.run(
             [sys.executable, "-m", "xpl_cli", *step.command],
             cwd=self.folder,
             check=False,
-            stdin=subprocess.DEVNULL,  # a demo asks nothing, on a terminal neither
+            stdin=subprocess.DEVNULL,  # the demo never prompts
             stdout=output,
         )
-        step.code, step.seconds = done.returncode, round(time.perf_counter() - started, 2)
+        step.code, step.seconds = completed.returncode, round(time.perf_counter() - started, 2)
         self.steps.append(step)
         if step.code == ExitCode.INTERRUPTED:
             raise KeyboardInterrupt
 
     def _serve(self, policy: str) -> None:
-        """Serve the adapter in its own process and ask it for one chunk."""
+        """Serve the adapter in its own process and request one action chunk."""
         from xpl import Client, get_embodiment
         from xpl import _spec as spec
         from xpl_cli.packages import environments, package
         from xpl_cli.serving.launch import running_server
 
-        step = Step("Serve it in its own process and ask for an action chunk", ["serve", policy])
-        self.say(f"\n# {step.title}\n$ xpl serve {policy}")
+        step = DemoStep("Serve it in its own process and request an action chunk", ["serve", policy])
+        self.report_progress(f"\n# {step.title}\n$ xpl serve {policy}")
         started = time.perf_counter()
         path = self.folder / policy
         robot = get_embodiment(str(package.load(path).config()[spec.Deploy.ENV_CFG_TYPE]))
@@ -99,39 +99,39 @@ class Demo:
             chunk = client.get_action()
         step.code, step.seconds = ExitCode.CLEAN, round(time.perf_counter() - started, 2)
         self.steps.append(step)
-        self.say(f"{server.url} answered {len(chunk)} action step(s): {', '.join(chunk[0])}")
+        self.report_progress(f"{server.url} returned {len(chunk)} action(s): {', '.join(chunk[0])}")
 
     def _break(self, target: Path) -> None:
-        from xpl_cli.audit.engine.subjects import build, subjects
+        from xpl_cli.audit.engine.fixtures import build, fixtures
         from xpl_cli.audit.rules.registry import find
 
         slug, case = _BROKEN_BY
-        build(next(subject for subject in subjects(find(slug)) if subject.folder.name == case), target)
+        build(next(subject for subject in fixtures(find(slug)) if subject.folder.name == case), target)
 
 
-def play(keep: Path | None, say: Callable[[str], None], *, quiet: bool = False) -> Demo:
-    """Play the route in a temporary folder, or in `keep`, which must be new or empty.
+def run_demo(keep: Path | None, report_progress: Callable[[str], None], *, quiet: bool = False) -> Demo:
+    """Run the demo in a temporary folder, or in `keep`, which must be new or empty.
 
     Raises:
-        UserError: if a step did not end as it should, or `keep` holds something.
+        UserError: a step had an unexpected exit code, or `keep` is not empty.
     """
     if keep is not None and keep.is_dir() and any(keep.iterdir()):
-        raise UserError(f"{keep} is not empty: the demo writes into a new folder only")
+        raise UserError(f"{keep} is not empty: the demo writes to a new folder only")
     with tempfile.TemporaryDirectory(prefix="xpl-demo-") as temporary:
         folder = keep or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        demo = Demo(folder, say, quiet)
-        if not demo.play():
+        demo = Demo(folder, report_progress, quiet)
+        if not demo.run():
             wrong = [step for step in demo.steps if step.code != step.expected]
-            told = "; ".join(
+            failures = "; ".join(
                 f"`xpl {' '.join(step.command)}` ended with {step.code}, not {step.expected}" for step in wrong
             )
-            raise UserError(f"the demo did not go as it should: {told}", code=ExitCode.FINDINGS)
+            raise UserError(f"the demo failed: {failures}", code=ExitCode.FINDINGS)
         return demo
 
 
 def summary(demo: Demo) -> dict[str, Any]:
-    """Return what `xpl demo --json` answers."""
+    """Return the answer of `xpl demo --json`."""
     steps = [
         {"title": step.title, "command": ["xpl", *step.command], "exit_code": step.code, "seconds": step.seconds}
         for step in demo.steps

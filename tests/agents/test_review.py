@@ -19,14 +19,14 @@ from markdown_it import MarkdownIt
 from tests.support import commands
 from tests.support.peer import xpl
 from tests.support.places import ROOT
-from xpl_cli.agents.review import form, judgement, page, review
-from xpl_cli.agents.review.change import Change, Touched, change_since
+from xpl_cli.agents.review import form, new_findings, page, review
+from xpl_cli.agents.review.change import BranchChange, ChangedPackage, change_since
 from xpl_cli.agents.review.description import TEMPLATE
 from xpl_cli.agents.review.harm import HARMS, harm
 from xpl_cli.agents.review.markdown import code
-from xpl_cli.audit.formats import Context
+from xpl_cli.audit.formats import ReportContext
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport
+from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, RuleResult, TargetReport
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.git.history import Repository
@@ -217,19 +217,19 @@ def test_every_requirement_has_a_place_in_the_order_of_harm() -> None:
 # --- The page ---------------------------------------------------------------------------------------------------------
 
 
-def finding(number: int, requirement: str, outcome: Outcome, message: str = "one is wrong") -> Result:
+def finding(number: int, requirement: str, outcome: Outcome, message: str = "one is wrong") -> RuleResult:
     """Return a result with a finding in each of two lines."""
     lines = tuple(Finding(message, "model.py", line) for line in (number, number + 1))
-    return Result(f"XPL{number}", f"rule-{number}", requirement, "must", outcome, lines)
+    return RuleResult(f"XPL{number}", f"rule-{number}", requirement, "must", outcome, lines)
 
 
-def of_results(*results: Result) -> review.Review:
+def of_results(*results: RuleResult) -> review.Review:
     """Return a review of one package with these results."""
     report = TargetReport("policy/Foo", "Foo", "policy", [GateReport(Gate.OFFLINE, list(results))])
-    context = Context(here=Path("/"))
-    remarks = tuple(review._remarks(review.listed([report], context), set(), frozenset()))
-    touched = Touched(Target(Path("/policy/Foo"), "policy", "policy/Foo"), "policy/Foo", 1, "added")
-    return review.Review(Change("main", "0" * 40, (touched,), (), ()), (report,), remarks, None, context)
+    context = ReportContext(here=Path("/"))
+    remarks = tuple(review._group_findings(review.listed_findings([report], context), set(), frozenset()))
+    touched = ChangedPackage(Target(Path("/policy/Foo"), "policy", "policy/Foo"), "policy/Foo", 1, "added")
+    return review.Review(BranchChange("main", "0" * 40, (touched,), (), ()), (report,), remarks, None, context)
 
 
 def test_ten_findings_are_told_in_order_of_harm() -> None:
@@ -239,13 +239,13 @@ def test_ten_findings_are_told_in_order_of_harm() -> None:
         finding(121, "XPL-EPI-1", Outcome.FAIL),
         finding(122, "XPL-ACT-4", Outcome.FAIL),
     )
-    assert [remark.first.result.code for remark in made.told] == [
+    assert [remark.first.result.code for remark in made.reported] == [
         *("XPL122", "XPL121"),
         *(f"XPL{100 + number}" for number in range(8)),
     ]
     told = page.render(made)
     assert len(re.findall(r"^\d+\. \*\*XPL", told, re.MULTILINE)) == review.MOST
-    assert "3 findings of less harm not told: XPL108, XPL109, XPL120." in told
+    assert "3 findings of less harm not listed: XPL108, XPL109, XPL120." in told
     assert "`policy/Foo/model.py:122`: sends a robot the wrong commands" in told
     assert "also `policy/Foo/model.py:123`" in told
 
@@ -259,7 +259,7 @@ def test_a_review_fits_into_a_comment_and_calls_nobody() -> None:
     told = page.render(made)
     assert "XPL104" in told
     assert len(told) < 65_536
-    assert len(page._bounded(["long"] * 20_000)) < 65_536
+    assert len(page._truncate(["long"] * 20_000)) < 65_536
     assert "@everyone" not in told
     assert "!\\[x\\]" in told
     assert "<b>" not in told
@@ -280,12 +280,12 @@ def test_the_form_is_complete_once_it_is_filled_in() -> None:
     asked = form.sections(FORM).values()
     places = sum(len(section.fields) + len(section.boxes) for section in asked)
     free = sum(not (section.fields or section.boxes) for section in asked)
-    assert len(list(form.open_places(FORM, FORM))) == places + free
-    assert list(form.open_places(filled(["XPL-FINISH"]), FORM)) == []
-    assert list(form.open_places(filled(["XPL-FINISH"]).replace("\n", "\r\n"), FORM)) == []
+    assert len(list(form.unfilled_fields(FORM, FORM))) == places + free
+    assert list(form.unfilled_fields(filled(["XPL-FINISH"]), FORM)) == []
+    assert list(form.unfilled_fields(filled(["XPL-FINISH"]).replace("\n", "\r\n"), FORM)) == []
     hidden = filled(["XPL-FINISH"]).replace("No robot has seen it.", "<!-- No robot has seen it. -->")
-    assert list(form.open_places(hidden, FORM)) == ["What was not proved: nothing is said"]
-    assert "is missing" in "".join(form.open_places("Please merge.", FORM))
+    assert list(form.unfilled_fields(hidden, FORM)) == ["What was not proved: the section is empty"]
+    assert "is missing" in "".join(form.unfilled_fields("Please merge.", FORM))
 
 
 @pytest.mark.slow
@@ -307,7 +307,7 @@ def test_a_policy_needs_a_description_that_belongs_to_its_files(repository: Path
     problems = reviewed(repository, *options)["description"]["problems"]
     assert problems == [
         "the offline gate ran without the model: run it where the weights are",
-        "the line XPL-FINISH of the mujoco gate is missing",
+        "the XPL-FINISH line of the mujoco gate is missing",
     ]
 
     spoil(package, "\n# changed after the audit\n")
@@ -336,7 +336,7 @@ def test_a_description_is_held_against_the_form_of_the_base(repository: Path) ->
     )
     assert done.returncode == ExitCode.FINDINGS
     assert "### Description" in done.stdout
-    assert "is gone" in done.stdout
+    assert "is missing" in done.stdout
 
 
 def test_a_small_change_needs_no_form(repository: Path) -> None:
@@ -345,7 +345,7 @@ def test_a_small_change_needs_no_form(repository: Path) -> None:
     text.write_text("Adds a note.\n", encoding="utf-8")
     found = reviewed(repository, *STATIC, "--description", str(text))
     assert (found["description"]["form"], found["description"]["problems"]) == (None, [])
-    assert "held against no form: the change adds no policy" in found["description"]["notes"][0]
+    assert "was not checked: the change adds no policy" in found["description"]["notes"][0]
     text.write_text(FORM, encoding="utf-8")
     assert reviewed(repository, *STATIC, "--description", str(text))["description"]["problems"]
 
@@ -375,12 +375,14 @@ def test_only_documents_leave_what_was_not_proved_before_open(repository: Path) 
     assert [touched.documents_only for touched in change.packages] == [True]
     path = change.packages[0].target.shown
     gates = [
-        GateReport(Gate.OFFLINE, results=[Result("XPL201", "serves", "XPL-SRV-1", "must", outcome, findings, "why")])
+        GateReport(
+            Gate.OFFLINE, results=[RuleResult("XPL201", "serves", "XPL-SRV-1", "must", outcome, findings, "why")]
+        )
         for outcome, findings in ((Outcome.FAIL, (Finding("it"),)), (Outcome.NOT_RUN, ()))
     ]
     report = TargetReport(path=path, name="Foo", kind="policy", gates=gates)
     for same, wanted in ((frozenset((path,)), Outcome.PASS), (frozenset[str](), None)):
-        (judged,) = judgement.brought([report], Context(here=repository), set(), same)
+        (judged,) = new_findings.without_old_findings([report], ReportContext(here=repository), set(), same)
         outcomes = [gate.outcome for gate in judged.gates]
         assert outcomes == ([wanted] * 2 if wanted else [Outcome.FAIL, Outcome.NOT_RUN])
     (repository / "policy/Foo/model.py").write_text("", encoding="utf-8")

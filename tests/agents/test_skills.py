@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import xpl
 from tests.support.places import ROOT
 from xpl_cli.agents.skills import bundle as bundles
-from xpl_cli.agents.skills import instructions, placing, specification
+from xpl_cli.agents.skills import installation, instructions, specification
 from xpl_cli.basics.errors import UserError
 from xpl_cli.main import app
 
@@ -92,7 +92,7 @@ def test_there_are_five_skills() -> None:
 
 
 @each_skill
-def test_a_skill_is_valid_of_this_version_and_reaches_its_references(skill: bundles.Bundle) -> None:
+def test_a_skill_is_valid_of_this_version_and_reaches_its_references(skill: bundles.SkillBundle) -> None:
     """An agent that reads a stale copy can tell; a file that nothing points to is never read."""
     assert specification.problems(skill.folder) == []
     assert skill.version == xpl.__version__
@@ -109,10 +109,10 @@ def test_a_skill_is_valid_of_this_version_and_reaches_its_references(skill: bund
         ("---\nname: [\n---\n", "no YAML"),
         ("---\n- name\n---\n", "must be a mapping"),
         ("---\ndescription: d\n---\n", "name is missing"),
-        ("---\nname: other\ndescription: d\n---\n", "not that of its folder"),
-        ("---\nname: My_Skill\ndescription: d\n---\n", "must be small letters"),
-        ("---\nname: my--skill\ndescription: d\n---\n", "must be small letters"),
-        ("---\nname: -my-skill\ndescription: d\n---\n", "must be small letters"),
+        ("---\nname: other\ndescription: d\n---\n", "differs from that of its folder"),
+        ("---\nname: My_Skill\ndescription: d\n---\n", "must be lower-case letters"),
+        ("---\nname: my--skill\ndescription: d\n---\n", "must be lower-case letters"),
+        ("---\nname: -my-skill\ndescription: d\n---\n", "must be lower-case letters"),
         ("---\nname: " + 65 * "a" + "\ndescription: d\n---\n", "65 characters, more than 64"),
         ("---\nname: my-skill\n---\n", "description is missing"),
         ("---\nname: my-skill\ndescription: ' '\n---\n", "description is missing"),
@@ -120,11 +120,14 @@ def test_a_skill_is_valid_of_this_version_and_reaches_its_references(skill: bund
         ("---\nname: my-skill\ndescription: a <b>\n---\n", "angle bracket"),
         ("---\nname: my-skill\ndescription: d\ntriggers: x\n---\n", "unknown key 'triggers'"),
         ("---\nname: my-skill\ndescription: d\ncompatibility: ''\n---\n", "compatibility must be"),
-        ("---\nname: my-skill\ndescription: d\nmetadata: {version: 1.0}\n---\n", "metadata must map texts to texts"),
-        ("---\nname: my-skill\ndescription: d\nlicense: [MIT]\n---\n", "license must be a text"),
-        ("---\nname: my-skill\ndescription: d\n---\n[x](../other/a.md)\n", "which is not in the skill"),
-        ("---\nname: my-skill\ndescription: d\n---\n[x](references/none.md)\n", "which is not there"),
-        ("---\nname: my-skill\ndescription: d\n---\n[x](references/deep/a.md)\n", "deeper than one folder"),
+        (
+            "---\nname: my-skill\ndescription: d\nmetadata: {version: 1.0}\n---\n",
+            "metadata must map strings to strings",
+        ),
+        ("---\nname: my-skill\ndescription: d\nlicense: [MIT]\n---\n", "license must be a string"),
+        ("---\nname: my-skill\ndescription: d\n---\n[x](../other/a.md)\n", "which is outside the skill"),
+        ("---\nname: my-skill\ndescription: d\n---\n[x](references/none.md)\n", "which does not exist"),
+        ("---\nname: my-skill\ndescription: d\n---\n[x](references/deep/a.md)\n", "more than one folder deep"),
     ],
 )
 def test_what_is_wrong_with_a_skill_is_said(tmp_path: Path, text: str, told: str) -> None:
@@ -242,7 +245,7 @@ def test_copies_where_links_do_not_work(project: Path, monkeypatch: pytest.Monke
         raise PermissionError(1, "Operation not permitted", str(self))
 
     monkeypatch.setattr(Path, "symlink_to", refuse)
-    done = placing.Installation(project, "project").put(bundles.bundles()[:1], ["claude"])
+    done = installation.Installation(project, "project").install(bundles.bundles()[:1], ["claude"])
     assert [item.state for item in done] == ["written", "copied"]
     assert bundles.read(project / ".claude/skills" / NAMES[0]).name == NAMES[0]
 
@@ -253,7 +256,7 @@ def _age(place: Path) -> None:
     path.write_text(path.read_text(encoding="utf-8") + "\nAn older text.\n", encoding="utf-8")
     stamped = place / bundles.STAMP
     noted = json.loads(stamped.read_text(encoding="utf-8"))
-    digests = placing._digests(bundles.contents(place))
+    digests = installation._digests(bundles.contents(place))
     stamped.write_text(json.dumps({**noted, "version": "0.0.9", "files": digests}), encoding="utf-8")
 
 
@@ -477,7 +480,7 @@ def test_a_skill_counts_once_in_an_agents_list(skills: Callable[..., Answer]) ->
 
 
 def test_this_repository_follows_its_own_rules(home: Path) -> None:
-    from xpl_cli.agents.skills.check import Check
+    from xpl_cli.agents.skills.check import SkillCheck
 
-    assert Check(ROOT, home).findings() == []
+    assert SkillCheck(ROOT, home).findings() == []
     assert (ROOT / ".claude/skills" / NAMES[0]).is_symlink()

@@ -9,21 +9,21 @@ import pytest
 
 from xpl import robots
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.engine.subjects import Subject, build, subjects
+from xpl_cli.audit.engine.fixtures import Fixture, build, fixtures
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.rules.retired import retired
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from xpl_cli.audit.rules.model import Result
+    from xpl_cli.audit.rules.model import RuleResult
     from xpl_cli.audit.rules.registry import Rule
 
 NAME = "Subject"
@@ -57,7 +57,7 @@ def _cases() -> Iterator[Any]:
     for rule in RULES:
         held_against = rule.folder.parent.name == "demonstrations"
         number, seen = next(served) if rule.gate is not Gate.STATIC and not held_against else 0, set()
-        for subject in subjects(rule):
+        for subject in fixtures(rule):
             is_quick = subject.good not in seen and number % (40 if subject.good else 16) == 0 and not held_against
             seen.add(subject.good)
             is_quick = (is_quick or rule.gate is Gate.STATIC) and rule.slug not in LONG
@@ -68,8 +68,8 @@ def _cases() -> Iterator[Any]:
 CASES = list(_cases())
 
 
-def _audit(rule: Rule, path: Path) -> Result:
-    report = engine.audit(path, rule.target, Options(gates=(rule.gate,), names=(rule.slug,), tasks=(TASK,)))
+def _audit(rule: Rule, path: Path) -> RuleResult:
+    report = engine.audit(path, rule.target, AuditOptions(gates=(rule.gate,), names=(rule.slug,), tasks=(TASK,)))
     (result,) = report.gates[0].results
     return result
 
@@ -93,7 +93,7 @@ def test_codes_have_no_gaps_and_tell_the_folder() -> None:
 
 
 @pytest.mark.parametrize("entry", registry.entries(), ids=lambda entry: entry.slug)
-def test_a_rule_is_what_its_place_says_documented_and_tried_both_ways(entry: registry.Entry) -> None:
+def test_a_rule_is_what_its_place_says_documented_and_tried_both_ways(entry: registry.RuleEntry) -> None:
     """Its file begins with its code, which decides whether it is imported for a gate.
 
     It proves a requirement, every heading of its docstring has text below, and it has a subject that it must catch and
@@ -107,13 +107,13 @@ def test_a_rule_is_what_its_place_says_documented_and_tried_both_ways(entry: reg
     assert title.strip().endswith(".")
     assert [section.partition("\n")[0] for section in sections] == list(HEADINGS)
     assert all(section.partition("\n")[2].strip() for section in sections)
-    found = list(subjects(rule))
+    found = list(fixtures(rule))
     assert {subject.good for subject in found} == {True, False}
     assert all(subject.message for subject in found if not subject.good)
 
 
 @pytest.mark.parametrize(("rule", "subject"), CASES)
-def test_a_rule_tells_its_subjects_apart(rule: Rule, subject: Subject, tmp_path: Path) -> None:
+def test_a_rule_tells_its_subjects_apart(rule: Rule, subject: Fixture, tmp_path: Path) -> None:
     """It catches a bad subject, and says what the subject's overlay asks for; it leaves a good one alone."""
     result = _audit(rule, build(subject, tmp_path / NAME))
     if subject.good:
@@ -131,9 +131,9 @@ def test_a_rule_tells_its_subjects_apart(rule: Rule, subject: Subject, tmp_path:
 @pytest.mark.parametrize("robot", sorted(robots.entries()))
 @pytest.mark.parametrize("action_type", ["joint", "ee"])
 def test_a_fresh_scaffold_has_no_static_finding(robot: str, action_type: str, tmp_path: Path) -> None:
-    answers = Answers(**{**adapter.defaults(), "name": NAME, "embodiment": robot, "action_type": action_type})
+    answers = AdapterAnswers(**{**adapter.defaults(), "name": NAME, "embodiment": robot, "action_type": action_type})
     adapter.write(adapter.render(answers), tmp_path / NAME)
-    report = engine.audit(tmp_path / NAME, "policy", Options(gates=(Gate.STATIC,)))
+    report = engine.audit(tmp_path / NAME, "policy", AuditOptions(gates=(Gate.STATIC,)))
     found = {result.slug: result.findings for result in report.gates[0].results if result.findings}
     assert set(found) == OPEN, found
     assert report.gates[0].outcome is Outcome.PASS

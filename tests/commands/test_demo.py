@@ -31,7 +31,7 @@ def test_the_route_leads_from_a_green_scaffold_to_a_caught_copy(tmp_path: Path) 
     demo = Brief(tmp_path, said.append, quiet=True)
     assert demo.run()
     assert [step.code for step in demo.steps] == [0, 0, 0, 1]
-    assert any("answered" in line for line in said)
+    assert any("returned" in line for line in said)
 
 
 @pytest.mark.slow

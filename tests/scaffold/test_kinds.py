@@ -28,7 +28,7 @@ from xpl.decoding import ensemble, within_limits
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.basics import content
 from xpl_cli.basics.errors import UserError
 from xpl_cli.scaffold import adapter as scaffold
@@ -37,7 +37,7 @@ from xpl_cli.serving.launch import running_server
 from xpl_cli.standard.validate import validate_yaml_file
 
 if TYPE_CHECKING:
-    from xpl_cli.scaffold.answers import Answers
+    from xpl_cli.scaffold.answers import AdapterAnswers
 
 PLACES = ("--workers", "4")
 """An audit starts the adapter more than once, and each time it is another client."""
@@ -81,7 +81,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 ROBOTS = (("arx_x5", "joint"), ("franka_single", "ee"), ("tianji_marvin_wuji", "joint"))
 
 
-def _answers(**chosen: Any) -> Answers:
+def _answers(**chosen: Any) -> AdapterAnswers:
     answers = scaffold.answers_of(**{"name": "Foo", **scaffold.defaults(), **chosen})
     scaffold.check(answers)
     return answers
@@ -94,7 +94,7 @@ def _written(folder: Path, **chosen: Any) -> Path:
 
 def _bad(folder: Path, *gates: Gate, **options: Any) -> list[str]:
     """Audit an adapter; return what failed or crashed, and what warned besides the open places."""
-    report = engine.audit(folder, "policy", Options(gates=gates, **options))
+    report = engine.audit(folder, "policy", AuditOptions(gates=gates, **options))
     assert [gate.name for gate in report.gates] == list(gates)
     return [
         f"{result.slug}: {result.findings or result.reason}"
@@ -119,7 +119,7 @@ def test_a_scaffold_is_valid_says_what_was_chosen_and_is_rendered_again(variant:
     folder, chosen = _written(tmp_path / "Foo", **VARIANTS[variant]), VARIANTS[variant]
     assert validate_yaml_file(folder / "policy.yml", "policy") == []
     assert validate_yaml_file(folder / "deploy.yml", "deploy") == []
-    (gate,) = engine.audit(folder, "policy", Options(gates=(Gate.STATIC,))).gates
+    (gate,) = engine.audit(folder, "policy", AuditOptions(gates=(Gate.STATIC,))).gates
     found = {result.slug for result in gate.results if result.findings or result.outcome is Outcome.ERROR}
     has_reference = chosen.get("reference", False)
     assert found == {"placeholders", *(["reference-sources"] if has_reference else [])}, gate.results
@@ -136,7 +136,7 @@ def test_a_scaffold_is_valid_says_what_was_chosen_and_is_rendered_again(variant:
 
     kept = lock.read(folder)
     assert kept is not None
-    assert scaffold.recorded(kept) == _answers(**chosen)
+    assert scaffold.recorded_answers(kept) == _answers(**chosen)
     assert update.plan(folder).changes == ()
 
 
@@ -209,7 +209,7 @@ def test_a_lock_from_before_there_were_kinds_has_their_defaults(tmp_path: Path) 
     kept = lock.read(folder)
     assert kept is not None
     assert "kind" not in kept.answers
-    assert scaffold.recorded(kept) == _answers()
+    assert scaffold.recorded_answers(kept) == _answers()
     assert {change.name for change in update.plan(folder).changes} == {lock.PATH}
 
 
@@ -223,7 +223,7 @@ def test_a_lock_from_before_there_were_kinds_has_their_defaults(tmp_path: Path) 
         ({"history": 0, "kind": "torch"}, "--history must be at least 1", None),
         ({"ensembling": -0.1}, "--ensembling takes a decay of 0 or more", None),
         ({"ensembling": float("nan")}, "--ensembling takes a decay of 0 or more", None),
-        ({"ensembling": 0.01, "chunk": 1}, "chunks of one step do not", "--chunk 16"),
+        ({"ensembling": 0.01, "chunk": 1}, "chunks of one action do not", "--chunk 16"),
         ({"kind": "torch", "cameras": ("cam_haed",)}, "arx_x5 has 2 arms", "did you mean cam_head"),
         ({"kind": "torch", "cameras": ("cam_wrist",)}, "arx_x5 has 2 arms", "cam_left_wrist|cam_right_wrist"),
         ({"kind": "torch", "cameras": ("cam_left_wrist",), "embodiment": "franka_single"}, "has 1 arm,", "cam_wrist"),

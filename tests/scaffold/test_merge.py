@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 
 from tests.support.examples import examples
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
-from xpl_cli.scaffold.merge import Labels, Merged, merge
+from xpl_cli.scaffold.answers import AdapterAnswers
+from xpl_cli.scaffold.merge import ConflictLabels, Merged, merge
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-LABELS = Labels("yours", "old", "new")
+LABELS = ConflictLabels("yours", "old", "new")
 GIT = shutil.which("git")
 LINES = st.lists(st.sampled_from([b"a\n", b"b\n", b"c\n", b"\n"]), max_size=8).map(b"".join)
 
@@ -134,7 +134,7 @@ def renders() -> list[adapter.Files]:
     """Return what the template makes of answers that differ."""
     defaults = {"name": "Foo", **adapter.defaults()}
     others = {"block": False, "chunk": 1, "embodiment": "franka_single", "history": 2}
-    return [adapter.render(Answers(**{**defaults, **changes})) for changes in ({}, others)]
+    return [adapter.render(AdapterAnswers(**{**defaults, **changes})) for changes in ({}, others)]
 
 
 @given(data=st.data())

@@ -21,8 +21,8 @@ from xpl.embodiment import get_embodiment
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.audit.rules.options import Options
-from xpl_cli.audit.rules.verdict import Word, judged
+from xpl_cli.audit.rules.options import AuditOptions
+from xpl_cli.audit.rules.verdict import VerdictStatus, verdict_of
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.packages import environments
 from xpl_cli.packages.targets import find_target
@@ -51,7 +51,7 @@ def _tree(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("robot", environment.movable())
+@pytest.mark.parametrize("robot", environment.simulated_robots())
 def test_every_robot_makes_an_environment_that_can_be_solved(robot: str, tmp_path: Path) -> None:
     adapter.write(environment.render_env(_answers(embodiment=robot, task="touch_it")), tmp_path / "Foo")
     assert validate_yaml_file(tmp_path / "Foo" / "env.yml", "env") == []
@@ -72,15 +72,15 @@ def test_every_robot_makes_an_environment_that_can_be_solved(robot: str, tmp_pat
 
 
 def test_a_fresh_environment_passes_its_audit(package: Path) -> None:
-    report = engine.audit(package, "env", Options(gates=(Gate.STATIC, Gate.OFFLINE)))
-    assert judged(report).word is Word.OPEN
+    report = engine.audit(package, "env", AuditOptions(gates=(Gate.STATIC, Gate.OFFLINE)))
+    assert verdict_of(report).status is VerdictStatus.OPEN
     (offline,) = report.gates[1:]
     assert {result.outcome for result in offline.results} == {Outcome.PASS}, offline.results
 
 
 @pytest.mark.slow
 def test_equal_audits_end_in_equal_finish_lines(package: Path) -> None:
-    options = Options((Gate.OFFLINE,), ("env-same-seed",), overrides={"action_type": "joint"})
+    options = AuditOptions((Gate.OFFLINE,), ("env-same-seed",), overrides={"action_type": "joint"})
     first, second = (engine.audit(package, "env", options).gates[0] for _ in range(2))
     assert first.finish == second.finish
     other = engine.audit(package, "env", replace(options, overrides={"action_type": "ee"})).gates[0]
@@ -94,9 +94,9 @@ def test_our_own_environments_pass_their_audit(name: str) -> None:
     """What we ask of others; those over the code of others are played where that is (tests/environments)."""
     gates = (Gate.STATIC,) if name in FOREIGN else (Gate.STATIC, Gate.OFFLINE)
     target = find_target(ROOT / "envs" / name)
-    report = engine.audit(target.path, target.kind, Options(gates=gates))
-    wanted = Word.PARTIAL if name in FOREIGN else Word.GREEN
-    assert judged(report).word is wanted, [result for result in report.results if result.findings]
+    report = engine.audit(target.path, target.kind, AuditOptions(gates=gates))
+    wanted = VerdictStatus.PARTIAL if name in FOREIGN else VerdictStatus.GREEN
+    assert verdict_of(report).status is wanted, [result for result in report.results if result.findings]
 
 
 def test_a_machine_without_the_libraries_says_so(tmp_path: Path) -> None:
@@ -115,8 +115,8 @@ def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(
 ) -> None:
     gates, names = (Gate.OFFLINE,), ("env-runs",)
     for options, said in (
-        (Options(gates, names, env="venv:nowhere"), "there is no interpreter at"),
-        (Options(gates, names, python=str(package / "env.yml")), "is no interpreter"),
+        (AuditOptions(gates, names, env="venv:nowhere"), "there is no interpreter at"),
+        (AuditOptions(gates, names, python=str(package / "env.yml")), "is no interpreter"),
     ):
         (result,) = engine.audit(package, "env", options).gates[0].results
         assert result.outcome is Outcome.NOT_RUN
@@ -124,18 +124,18 @@ def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(
     with monkeypatch.context() as patch:
         patch.setenv("PATH", str(tmp_path))
         with pytest.raises(UserError, match="isolation was asked for, and bubblewrap"):
-            engine.audit(package, "env", Options(gates, names, isolate=True))
+            engine.audit(package, "env", AuditOptions(gates, names, isolate=True))
     broken = shutil.copytree(package, tmp_path / "Foo")
     (broken / "env.yml").write_text("name: Foo", encoding="utf-8")
-    (result,) = engine.audit(broken, "env", Options(gates, names)).gates[0].results
+    (result,) = engine.audit(broken, "env", AuditOptions(gates, names)).gates[0].results
     assert (result.outcome, str(result.reason)[:25]) == (Outcome.NOT_RUN, "env.yml is not understood")
 
 
 def test_an_audit_can_be_narrowed(package: Path) -> None:
     gates, names = (Gate.OFFLINE,), ("env-runs",)
-    one = engine.audit(package, "env", Options(gates, names, overrides={"action_type": "ee"}))
+    one = engine.audit(package, "env", AuditOptions(gates, names, overrides={"action_type": "ee"}))
     assert one.gates[0].outcome is Outcome.PASS
-    none = engine.audit(package, "env", Options(gates, names, overrides={"task": "fly"}))
+    none = engine.audit(package, "env", AuditOptions(gates, names, overrides={"task": "fly"}))
     assert none.gates[0].outcome is Outcome.NOT_APPLICABLE
 
 
@@ -155,7 +155,7 @@ def test_an_environment_that_hangs_or_dies_is_a_finding(
     adapter.write(environment.render_env(_answers()), target)
     source = (target / "episode.py").read_text()
     (target / "episode.py").write_text(source.replace("        rng = np", f"        {line}\n        rng = np"))
-    report = engine.audit(target, "env", Options((Gate.OFFLINE,), ("env-runs",), overrides={"action_type": "ee"}))
+    report = engine.audit(target, "env", AuditOptions((Gate.OFFLINE,), ("env-runs",), overrides={"action_type": "ee"}))
     (result,) = report.gates[0].results
     assert result.outcome is Outcome.FAIL
     assert said in result.findings[0].message
@@ -174,7 +174,7 @@ def test_the_tests_that_come_with_it_pass(package: Path) -> None:
     [
         ({"name": "class"}, "keyword"),
         ({"name": "my-env"}, "my_env"),
-        ({"name": "numpy"}, "hide the Python module"),
+        ({"name": "numpy"}, "shadow the Python module"),
         ({"embodiment": "arx_x6"}, "did you mean arx_x5"),
         ({"embodiment": "tianji_marvin_wuji"}, "kinematics"),
         ({"task": "reach it"}, "--task must be"),

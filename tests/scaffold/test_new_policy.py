@@ -28,7 +28,7 @@ from xpl_cli.basics import atomic, content
 from xpl_cli.basics.errors import UserError
 from xpl_cli.scaffold import adapter as scaffold
 from xpl_cli.scaffold import environment, lock
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate_yaml_file
 
@@ -38,8 +38,8 @@ KEPT = {".xpl/lock.yml", ".xpl/rendered.json", ".xpl/deploy.schema.json", ".xpl/
 BASH = shutil.which("bash") or "bash"
 
 
-def _answers(**changes: Any) -> Answers:
-    return Answers(**{"name": "Foo", **scaffold.defaults(), **changes})
+def _answers(**changes: Any) -> AdapterAnswers:
+    return AdapterAnswers(**{"name": "Foo", **scaffold.defaults(), **changes})
 
 
 @pytest.fixture(scope="session")
@@ -138,7 +138,7 @@ def test_the_same_answers_give_the_same_bytes(adapter: Path) -> None:
     kept = lock.read(adapter)
     assert kept is not None
     assert kept.template == "policy"
-    assert scaffold.render(scaffold.recorded(kept)) == _tree(adapter)
+    assert scaffold.render(scaffold.recorded_answers(kept)) == _tree(adapter)
 
 
 @pytest.mark.parametrize("name", ["yes", "null", "NO", "_1", "e1"])
@@ -186,7 +186,7 @@ def test_scripts_of_our_own_policies_are_those_of_the_template(name: str) -> Non
         rendered = scaffold.render(scaffold.answers_of(**{**scaffold.defaults(), "name": name, "eval_only": True}))
         same = [file for file in rendered if file.endswith(".sh")] + ["deploy.py"]
     else:
-        rendered = scaffold.render(scaffold.recorded(kept))
+        rendered = scaffold.render(scaffold.recorded_answers(kept))
         same = [file for file in rendered if file in {*kept.generated, "deploy.py", ".gitignore", lock.PATH}]
     assert [file for file in same if (folder / file).read_bytes() != rendered[file]] == []
     assert {path.name for path in tracked(f"policy/{name}/*.sh")} == {file for file in same if file.endswith(".sh")}
@@ -346,7 +346,7 @@ NAMES = [
 def test_a_name_that_cannot_be_imported_is_refused_with_one_that_can(name: str) -> None:
     with pytest.raises(UserError) as caught:
         scaffold.check_name(name)
-    scaffold.check_name(str(caught.value.hint).removeprefix("a name that would do: "))
+    scaffold.check_name(str(caught.value.hint).removeprefix("a valid name: "))
 
 
 @given(st.text(max_size=200))

@@ -16,12 +16,12 @@ from tests.support.places import copy
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.basics.errors import UserError
 from xpl_cli.scaffold import adapter as scaffold
 from xpl_cli.scaffold import environment, lock, template
 from xpl_cli.scaffold import update as updating
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 
 GIT = shutil.which("git")
 
@@ -45,14 +45,14 @@ def adapter(tmp_path: Path) -> Path:
 
 
 def _render(**changes: Any) -> scaffold.Files:
-    return scaffold.render(Answers(**{"name": "Foo", **scaffold.defaults(), **changes}))
+    return scaffold.render(AdapterAnswers(**{"name": "Foo", **scaffold.defaults(), **changes}))
 
 
 def _tree(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def _apply(folder: Path) -> updating.Plan:
+def _apply(folder: Path) -> updating.UpdatePlan:
     plan = updating.plan(folder)
     updating.apply(plan)
     return plan
@@ -176,12 +176,12 @@ def test_a_link_is_left_alone(adapter: Path, templates: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "text", "told"),
     [
-        (lock.PATH, None, "nothing tells which template"),
-        (lock.PATH, "nothing: here\n", "is not what xpl wrote"),
+        (lock.PATH, None, "its template is unknown"),
+        (lock.PATH, "nothing: here\n", "is damaged"),
         (lock.PATH, "template: arm\nanswers: {}\n", "must be one of policy, env"),
         (lock.PATH, "template: policy\nanswers: {name: 3}\n", "answers are not those"),
-        (lock.RENDERED, None, "is not what xpl wrote"),
-        (lock.RENDERED, "[]", "is not what xpl wrote"),
+        (lock.RENDERED, None, "is damaged"),
+        (lock.RENDERED, "[]", "is damaged"),
     ],
 )
 def test_a_package_that_does_not_tell_what_it_came_from_is_refused(
@@ -208,7 +208,7 @@ def test_an_update_that_fails_leaves_the_package_as_it_was(
     (adapter / "install.sh").chmod(0o700)
     before, written = _tree(adapter), []
     _change(templates)
-    write = updating._put
+    write = updating._write_content
 
     def failing(path: Path, content: bytes | None, mode: int | None = None) -> None:
         written.append(path)
@@ -216,7 +216,7 @@ def test_an_update_that_fails_leaves_the_package_as_it_was(
             raise error
         write(path, content, mode)
 
-    monkeypatch.setattr(updating, "_put", failing)
+    monkeypatch.setattr(updating, "_write_content", failing)
     plan = updating.plan(adapter)
     assert len(plan.changes) == 7
     with pytest.raises(KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else UserError):
@@ -237,7 +237,7 @@ def test_an_update_that_was_killed_is_begun_again(adapter: Path, templates: Path
         folder = tmp_path / str(written) / "Foo"
         shutil.copytree(adapter, folder)
         for step in plan.changes[:written]:
-            updating._put(folder / step.name, step.after)
+            updating._write_content(folder / step.name, step.after)
         _apply(folder)
         assert _tree(folder) == _tree(whole)
 
@@ -318,7 +318,7 @@ def test_an_edited_generated_file_is_brought_back_by_the_fix(adapter: Path) -> N
     before = _tree(adapter)
     _edit(adapter / "eval.sh", "set -euo pipefail", "set -eu")
     (adapter / ".xpl" / "policy.schema.json").write_text("{}\n")
-    report = engine.audit(adapter, "policy", Options(gates=(Gate.STATIC,), names=("generated-files",)))
+    report = engine.audit(adapter, "policy", AuditOptions(gates=(Gate.STATIC,), names=("generated-files",)))
     assert report.gates[0].results[0].outcome is Outcome.WARN
     plan(adapter, report).apply()
     assert _tree(adapter) == before

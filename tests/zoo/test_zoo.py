@@ -16,8 +16,8 @@ from tests.support.commands import xpl
 from tests.support.places import ROOT
 from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport
-from xpl_cli.audit.rules.verdict import judged
+from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, RuleResult, TargetReport
+from xpl_cli.audit.rules.verdict import verdict_of
 from xpl_cli.basics.errors import UserError
 from xpl_cli.derived import zoo as pages
 from xpl_cli.evaluation.records import fingerprints, records
@@ -97,16 +97,16 @@ def test_each_fault_of_the_data_is_found(copied: Path) -> None:
 # -- levels -----------------------------------------------------------------------------------------------------------
 
 
-def _result(code: str, outcome: Outcome, reason: str | None = None) -> Result:
+def _result(code: str, outcome: Outcome, reason: str | None = None) -> RuleResult:
     findings = (Finding("it broke"),) if outcome is Outcome.FAIL else ()
-    return Result(code, "slug", "XPL-CON-1", "must", outcome, findings=findings, reason=reason)
+    return RuleResult(code, "slug", "XPL-CON-1", "must", outcome, findings=findings, reason=reason)
 
 
-def _level(**gates: list[Result]) -> tuple[int, str | None]:
+def _level(**gates: list[RuleResult]) -> tuple[int, str | None]:
     """Return the level of an audit whose gates came to these results."""
     reports = [GateReport(Gate(name), results, digest="0" * 16) for name, results in gates.items()]
     report = TargetReport("policy/Foo", "Foo", "policy", gates=reports)
-    return prove._level(report, judged(report), None)
+    return prove._level(report, verdict_of(report), None)
 
 
 PASSES = _result("XPL101", Outcome.PASS)
@@ -137,10 +137,10 @@ def test_parity_and_a_recorded_run_carry_further() -> None:
         GateReport(Gate.OFFLINE, [SERVED, parity, provenance], digest="0" * 16),
     ]
     report = TargetReport("policy/Foo", "Foo", "policy", gates=gates)
-    assert prove._level(report, judged(report), None) == (3, "no recorded run of its weights was given")
-    assert prove._level(report, judged(report), {"run": "it"}) == (4, None)
+    assert prove._level(report, verdict_of(report), None) == (3, "no recorded run of its weights was given")
+    assert prove._level(report, verdict_of(report), {"run": "it"}) == (4, None)
     gates[1].results.remove(parity)
-    assert prove._level(report, judged(report), {"run": "it"})[0] == 2
+    assert prove._level(report, verdict_of(report), {"run": "it"})[0] == 2
 
 
 def test_a_run_counts_that_is_of_this_adapter_s_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,15 +148,15 @@ def test_a_run_counts_that_is_of_this_adapter_s_weights(tmp_path: Path, monkeypa
     adapter = prove.adapter_in(policies.find("demo_policy"), ROOT)
     run = synthetic(tmp_path / "run", episodes=3, faults=Faults(0.0, 0.0, 0.0))
     with pytest.raises(UserError, match="other files"):
-        prove._evaluated(adapter, run)
+        prove._recorded_run(adapter, run)
     plan = records.read(run).plan
     monkeypatch.setattr(fingerprints, "package_digest", lambda folder: plan.policy.digest)
-    told = prove._evaluated(adapter, run)
+    told = prove._recorded_run(adapter, run)
     assert (told["environment"], told["episodes"]) == (plan.environment.name, 12)
     assert 0 <= told["successes"] <= 12
     part = synthetic(tmp_path / "part", episodes=3, played=5)
     with pytest.raises(UserError, match="not finished"):
-        prove._evaluated(adapter, part)
+        prove._recorded_run(adapter, part)
 
 
 def test_an_adapter_is_proven_and_stays_as_it_is(copied: Path, tmp_path: Path) -> None:
@@ -164,9 +164,9 @@ def test_an_adapter_is_proven_and_stays_as_it_is(copied: Path, tmp_path: Path) -
     shutil.copytree(OURS, tmp_path / "policy" / "demo_policy")
     before = {path: path.read_bytes() for path in (tmp_path / "policy").rglob("*") if path.is_file()}
     adapter = prove.adapter_in(policies.find("demo_policy"), tmp_path)
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
 
-    options = Options(gates=(Gate.STATIC,))
+    options = AuditOptions(gates=(Gate.STATIC,))
     found = prove.proof(adapter, options, {"embodiments": {"value": ["arx_x5"], "source": "policy.yml"}})
     assert found["level"] == 1
     assert prove.write(found) == copied / "proofs" / "demo_policy.json"

@@ -250,14 +250,14 @@ def _check_key(key: str) -> None:
 def _scripts(folder: Path, sections: Mapping[str, Tree]) -> dict[str, bytes]:
     """Return the scripts of the template that the adapter lacks."""
     from xpl_cli.scaffold import adapter
-    from xpl_cli.scaffold.answers import Answers
+    from xpl_cli.scaffold.answers import AdapterAnswers
 
     answers = adapter.defaults()
     for key, answer in (("embodiments", "embodiment"), ("action_types", sdk.Deploy.ACTION_TYPE)):
         if isinstance(fact := sections.get(key), Fact):
             answers[answer] = fact.value[0]
     answers["eval_only"] = bool(plain(sections.get("evaluation_only", True)))
-    rendered = adapter.render(Answers(name=folder.name, **answers))
+    rendered = adapter.render(AdapterAnswers(name=folder.name, **answers))
     names = spec.data("package")["scripts"].keys() | {sdk.File.INSTALL_SH}
     return {name: content for name, content in rendered.items() if name in names and not (folder / name).exists()}
 

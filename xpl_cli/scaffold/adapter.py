@@ -1,7 +1,7 @@
-"""Renders a package from a template and puts it in place in one step.
+"""Rendering of adapter packages and writing them atomically.
 
-A template gets everything it says from the spec. A render is a plain map from file names to contents: what `xpl
-new-policy` writes is what an update merges later.
+The template takes all facts from the spec. A render is a map from file names to contents: `xpl new-policy` writes it,
+and later updates merge it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from xpl_cli.basics.errors import UserError, one_of
 from xpl_cli.packages.package import POLICY
 from xpl_cli.scaffold import context, kinds, lock
 from xpl_cli.scaffold import template as templates
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 from xpl_cli.standard import schemas, spec
 
 if TYPE_CHECKING:
@@ -32,17 +32,17 @@ if TYPE_CHECKING:
     from xpl_cli.scaffold.template import Files
 
 _REFERENCE = spec.data("package")["files"]["reference"]
-"""The file that is written only where it was asked for."""
+"""The file that is written only on request."""
 
 State = Literal["written", "unchanged", "replaced"]
 
-# Whoever puts the folder above an adapter on `sys.path`, as launchers do, gets the adapter instead of these.
+# With the adapter's parent folder on `sys.path`, as launchers have it, an adapter would shadow these modules.
 _SHADOWED = frozenset((*sys.stdlib_module_names, "numpy", "xpl", "xpl_cli"))
 
 
 @dataclass(frozen=True)
 class Placeholder:
-    """A place in a rendered file that its author still has to fill in."""
+    """A placeholder in a rendered file, which the author has to fill in."""
 
     file: str
     line: int
@@ -50,7 +50,7 @@ class Placeholder:
 
 
 def defaults() -> dict[str, Any]:
-    """Return the default answers: those of the spec, and the template's own where the spec leaves the choice open."""
+    """Return the default answers: the spec's, else the template's."""
     questions = templates.questions(POLICY)
     temporal = spec.schema("policy")["properties"]["temporal"]["properties"]
     settings = spec.schema("deploy")["properties"] | temporal
@@ -59,7 +59,7 @@ def defaults() -> dict[str, Any]:
 
 
 def choices() -> dict[str, list[str]]:
-    """Return the answers that the spec allows, for the questions where it lists them."""
+    """Return the allowed answers of the questions for which the spec lists them."""
     return {
         "embodiment": list(robots.entries()),
         sdk.Deploy.ACTION_TYPE: list(spec.data("conventions")["action"]["types"]),
@@ -67,33 +67,33 @@ def choices() -> dict[str, list[str]]:
     }
 
 
-def check(answers: Answers) -> None:
+def check(answers: AdapterAnswers) -> None:
     """Check all answers.
 
     Raises:
-        UserError: with every answer that is not allowed, and the nearest ones that are.
+        UserError: with every invalid answer, and the nearest valid ones.
     """
-    found: list[UserError] = []
+    errors: list[UserError] = []
     for refuse in _checks(answers):
         try:
             refuse()
         except UserError as error:
-            found.append(error)
-    if len(found) > 1:
-        told = [f"{error} ({error.hint})" if error.hint else str(error) for error in found]
-        raise UserError("; ".join(told), hint="all of them at once: mend each and run it again")
-    if found:
-        raise found[0]
+            errors.append(error)
+    if len(errors) > 1:
+        messages = [f"{error} ({error.hint})" if error.hint else str(error) for error in errors]
+        raise UserError("; ".join(messages), hint="fix each of them and run the command again")
+    if errors:
+        raise errors[0]
 
 
-def _checks(answers: Answers) -> Iterator[Callable[[], None]]:
-    """Yield a check for each thing that may be wrong with answers."""
+def _checks(answers: AdapterAnswers) -> Iterator[Callable[[], None]]:
+    """Yield the checks of the answers."""
     yield partial(check_name, answers.name)
     for question, allowed in choices().items():
         yield partial(check_choice, _option(question), getattr(answers, question), allowed)
     yield partial(kinds.check_kind, answers.kind)
     if answers.kind in kinds.kinds():
-        for question in _chosen(answers):
+        for question in _non_default_options(answers):
             yield partial(kinds.check_fits, answers.kind, question)
     for question in ("chunk", "history"):
         yield partial(_check_count, question, getattr(answers, question))
@@ -103,108 +103,108 @@ def _checks(answers: Answers) -> Iterator[Callable[[], None]]:
     yield partial(kinds.check_python, answers.python)
 
 
-def _check_count(question: str, given: int) -> None:
-    if given < 1:
-        raise UserError(f"{_option(question)} must be at least 1, got {given}")
+def _check_count(question: str, value: int) -> None:
+    if value < 1:
+        raise UserError(f"{_option(question)} must be at least 1, got {value}")
 
 
 def _option(question: str) -> str:
     return f"--{question.replace('_', '-')}"
 
 
-def check_choice(option: str, given: str, allowed: Sequence[str]) -> None:
-    """Check that an answer is one of those allowed.
+def check_choice(option: str, answer: str, allowed: Sequence[str]) -> None:
+    """Check that an answer is one of the allowed ones.
 
     Raises:
         UnknownNameError: with the nearest one.
     """
-    one_of(option, given, allowed)
+    one_of(option, answer, allowed)
 
 
 def check_name(name: str) -> None:
-    """Check that a package of this name can be imported and hides no other.
+    """Check that a package of this name can be imported and shadows no other module.
 
     Raises:
-        UserError: with a name that would do.
+        UserError: with a valid name.
     """
     identifier = spec.schema("common")["$defs"]["identifier"]["pattern"]
     if re.fullmatch(identifier, name) is None:
-        why = "a name starts with a letter or underscore, and goes on with letters, digits and underscores (ASCII)"
+        why = "a name starts with a letter or underscore, followed by letters, digits and underscores (ASCII)"
     elif keyword.iskeyword(name):
         why = "it is a keyword of Python"
     elif name in _SHADOWED:
-        why = f"it would hide the Python module {name}"
+        why = f"it would shadow the Python module {name}"
     elif name.startswith("__"):
         why = "names with two leading underscores are Python's own"
     elif len(name) > 100:
         why = f"it has {len(name)} characters, and 100 are the most"
     else:
         return
-    raise UserError(f"{name!r} cannot name a package: {why}", hint=f"a name that would do: {suggest_name(name)}")
+    raise UserError(f"{name!r} cannot name a package: {why}", hint=f"a valid name: {suggest_name(name)}")
 
 
 def suggest_name(name: str) -> str:
     """Return the nearest name that `check_name` accepts."""
     ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
-    words = re.sub(r"\W+", "_", ascii_name).strip("_")[:90] or "my_policy"
-    if words[0].isdigit():
-        words = f"policy_{words}"
-    return f"{words}_policy" if keyword.iskeyword(words) or words in _SHADOWED else words
+    candidate = re.sub(r"\W+", "_", ascii_name).strip("_")[:90] or "my_policy"
+    if candidate[0].isdigit():
+        candidate = f"policy_{candidate}"
+    return f"{candidate}_policy" if keyword.iskeyword(candidate) or candidate in _SHADOWED else candidate
 
 
-def render(answers: Answers) -> Files:
-    """Render the template of adapters; the same answers always give the same bytes.
+def render(answers: AdapterAnswers) -> Files:
+    """Render the adapter template; deterministic in the answers.
 
     Returns:
-        file name, relative to the package, to content; sorted.
+        content by file name, relative to the package; sorted.
     """
     training = spec.data("package")["files"]["training"]
-    said = context.context(answers)
-    leave_out = [*(training if said["evaluation_only"] else ()), *([] if answers.reference else [_REFERENCE])]
-    files = templates.render(POLICY, said, leave_out, answers.kind)
-    return locked(files, POLICY, asdict(answers))
+    variables = context.context(answers)
+    leave_out = [*(training if variables["evaluation_only"] else ()), *([] if answers.reference else [_REFERENCE])]
+    files = templates.render(POLICY, variables, leave_out, answers.kind)
+    return with_lock(files, POLICY, asdict(answers))
 
 
-def locked(files: Files, template: str, answers: Mapping[str, Any]) -> Files:
-    """Return a render with what xpl keeps in the package: schemas for editors, the lock, and the render itself."""
+def with_lock(files: Files, template: str, answers: Mapping[str, Any]) -> Files:
+    """Add the files below `.xpl/` to a render: schemas for editors, the lockfile, and the rendered files."""
     roles = templates.roles(template)
     for_editors = {schemas.path(name): schemas.render(name) for name in roles["schemas"]}
-    whole = {**files, **for_editors}
-    generated = [name for name in whole if name in roles["generated"] or name in for_editors]
-    kept = lock.Lock(template, answers, {name: lock.digest(whole[name]) for name in generated})
-    whole |= {lock.PATH: kept.text().encode(), lock.RENDERED: lock.rendered_text(files)}
-    return dict(sorted(whole.items()))
+    contents = {**files, **for_editors}
+    generated = [name for name in contents if name in roles["generated"] or name in for_editors]
+    package_lock = lock.Lock(template, answers, {name: lock.digest(contents[name]) for name in generated})
+    contents |= {lock.PATH: package_lock.text().encode(), lock.RENDERED: lock.rendered_text(files)}
+    return dict(sorted(contents.items()))
 
 
-def answers_of(**given: Any) -> Answers:
-    """Return answers from what a lock or a command line holds."""
-    return Answers(**{**given, "cameras": tuple(given.get("cameras") or ())})
+def answers_of(**values: Any) -> AdapterAnswers:
+    """Return answers from the values of a lockfile or of the command line."""
+    return AdapterAnswers(**{**values, "cameras": tuple(values.get("cameras") or ())})
 
 
-def recorded(kept: lock.Lock) -> Answers:
-    """Return the answers of a package that was scaffolded; what its template did not ask then has the default.
+def recorded_answers(package_lock: lock.Lock) -> AdapterAnswers:
+    """Return the recorded answers of a scaffolded adapter; newer questions have their defaults.
 
     Raises:
-        UserError: if they are not answers.
+        UserError: the recorded answers are invalid.
     """
-    with reading_answers("a package"):
-        answers = answers_of(**given(kept, Answers, defaults()))
+    with answer_errors("a package"):
+        answers = answers_of(**merged_answers(package_lock, AdapterAnswers, defaults()))
         check(answers)
     return answers
 
 
-def given(kept: lock.Lock, form: type[Any], usual: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a lock says of the fields of a form, and the usual values of the others."""
+def merged_answers(package_lock: lock.Lock, form: type[Any], usual: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the lockfile's values for the fields of an answers class, with defaults for the others."""
     names = {field.name for field in fields(form)}
-    return {**usual, **{key: value for key, value in kept.answers.items() if key in names}}
+    return {**usual, **{key: value for key, value in package_lock.answers.items() if key in names}}
 
 
 @contextmanager
-def reading_answers(kind: str) -> Iterator[None]:
-    """Say that recorded answers are not those of a kind of package where they do not even have its types.
+def answer_errors(kind: str) -> Iterator[None]:
+    """Turn type errors of recorded answers into `UserError`.
 
     Raises:
-        UserError: if they have not.
+        UserError: the answers are not those of this kind of package.
     """
     try:
         yield
@@ -212,38 +212,38 @@ def reading_answers(kind: str) -> Iterator[None]:
         raise UserError(f"the recorded answers are not those of {kind}: {error}") from None
 
 
-def needs_environment(answers: Answers) -> bool:
+def needs_environment(answers: AdapterAnswers) -> bool:
     """Tell whether the package runs in a Python of its own."""
     return bool(kinds.kinds()[answers.kind].python(answers.python)["manager"] != kinds.TOOLS_OWN)
 
 
 def placeholders(files: Mapping[str, bytes]) -> list[Placeholder]:
-    """Return every place that is marked for the author, in the order of files and lines."""
+    """Return every placeholder, in the order of files and lines."""
     marker = re.compile(rf"{re.escape(spec.data('package')['placeholder'])}:\s*(.+)")
     return [
-        Placeholder(name, number, found.group(1).rstrip(" |"))
+        Placeholder(name, number, match.group(1).rstrip(" |"))
         for name, content in files.items()
         if not name.startswith(f"{schemas.FOLDER}/")
         for number, line in enumerate(content.decode().splitlines(), start=1)
-        if (found := marker.search(line))
+        if (match := marker.search(line))
     ]
 
 
 def differences(files: Mapping[str, bytes], target: Path) -> list[str]:
-    """Return the names of the rendered files that `target` lacks or holds otherwise."""
+    """Return the names of the rendered files that are missing in `target` or differ."""
     return [name for name, content in files.items() if not _is_file_with(target / name, content)]
 
 
 def write(files: Mapping[str, bytes], target: Path, *, overwrite: bool = False) -> State:
-    """Put a render in place: the whole package appears in one step, or nothing does.
+    """Write a render atomically: the whole package or nothing.
 
     Args:
         files: the render.
         target: folder of the package.
-        overwrite: replace files that differ. Files of the author's that the template does not know are kept.
+        overwrite: replace files that differ. The author's other files are kept.
 
     Raises:
-        UserError: if `target` holds something else and `overwrite` is false, or cannot be written.
+        UserError: `target` has other content and `overwrite` is false, or it cannot be written.
     """
     target = target.resolve()
     exists = target.exists()
@@ -252,10 +252,10 @@ def write(files: Mapping[str, bytes], target: Path, *, overwrite: bool = False) 
     changed = differences(files, target)
     if not changed:
         return "unchanged"
-    taken = exists and any(target.iterdir())
-    if taken and not overwrite:
+    is_occupied = exists and any(target.iterdir())
+    if is_occupied and not overwrite:
         raise UserError(
-            f"{target} is there already and differs from the template in {len(changed)} files: {', '.join(changed)}",
+            f"{target} exists and differs from the template in {len(changed)} files: {', '.join(changed)}",
             hint="choose another name, or replace these files with --overwrite (files of your own are kept)",
         )
     try:
@@ -265,16 +265,16 @@ def write(files: Mapping[str, bytes], target: Path, *, overwrite: bool = False) 
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
                 path.chmod(0o755 if path.suffix == ".sh" else 0o644)
-            if taken:
+            if is_occupied:
                 _keep_others(target, staging)
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         raise UserError(f"{target} cannot be written: {error.strerror or error}{where}") from None
-    return "replaced" if taken else "written"
+    return "replaced" if is_occupied else "written"
 
 
 def _keep_others(old: Path, new: Path) -> None:
-    """Carry what the author added from the old folder over to the new one."""
+    """Copy the author's own files from the old folder to the new one."""
     for entry in old.iterdir():
         destination = new / entry.name
         if entry.is_dir() and not entry.is_symlink() and destination.is_dir():
@@ -287,10 +287,10 @@ def _is_file_with(path: Path, content: bytes) -> bool:
     return path.is_file() and path.read_bytes() == content
 
 
-_OPTIONAL = {field.name: field.default for field in fields(Answers) if field.default is not MISSING}
-"""What an author may leave out, with what it is then."""
+_OPTIONAL = {field.name: field.default for field in fields(AdapterAnswers) if field.default is not MISSING}
+"""Optional answers, with their defaults."""
 
 
-def _chosen(answers: Answers) -> list[str]:
-    """Return the questions that may be left out, and that were answered with something of their own."""
+def _non_default_options(answers: AdapterAnswers) -> list[str]:
+    """Return the optional questions with an answer that is not the default."""
     return [name for name, default in _OPTIONAL.items() if getattr(answers, name) != default]

@@ -1,4 +1,4 @@
-"""What the author of an adapter chose."""
+"""The answers of an adapter's author."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from xpl_cli.scaffold import kinds
 
 
 @dataclass(frozen=True)
-class Answers:
-    """What an author chose; recorded in the package, so that the same render can be made again.
+class AdapterAnswers:
+    """The author's answers; recorded in the package for later updates.
 
     Attributes:
-        name: the package's name, which is its folder's.
-        embodiment: robot, by its name in the standard.
+        name: of the package and its folder.
+        embodiment: robot, by the standard's name.
         action_type: "joint" or "ee".
-        chunk: action steps that one call returns.
+        chunk: number of actions that one call returns.
         family: kind of policy.
         eval_only: leave out data processing and training.
-        python: version of the policy's own Python, path of an interpreter, or "" for what its kind needs.
-        kind: what the adapter is built on. This and what follows has the value here where a template does not ask.
+        python: version of the policy's own Python, path of an interpreter, or "" for the kind's default.
+        kind: the framework that the adapter is built on.
         history: observations kept per environment.
-        ensembling: decay of temporal ensembling, None for none.
+        ensembling: decay of temporal ensembling; None for none.
         cameras: cameras that the policy reads, as in `cam_head` or `cam_head:640x480`.
-        block: conversions are compiled from a model_io block in policy.yml, where the kind can have one.
-        reference: a reference.py, which answers through the authors' own code.
+        block: whether conversions are compiled from a model_io block in policy.yml, if the kind supports it.
+        reference: whether to add reference.py, which runs the authors' own code.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What the template of adapters may say: the author's answers, and the facts of the spec."""
+"""Variables of the adapter template: the author's answers, and facts of the spec."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 from xpl import _spec as sdk
 from xpl import robots
 from xpl.manifest import Manifest
-from xpl_cli.scaffold import block, kinds, reference
+from xpl_cli.scaffold import kinds, model_io_block, reference
 from xpl_cli.scaffold.template import as_yaml
 from xpl_cli.standard import spec
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from xpl.contract import Entry
-    from xpl_cli.scaffold.answers import Answers
+    from xpl_cli.scaffold.answers import AdapterAnswers
 
 _GRIPPER = "parallel_gripper"
 
 
-def context(answers: Answers) -> dict[str, Any]:
-    """Return all that the template may say: the author's answers, and the facts of the spec."""
+def context(answers: AdapterAnswers) -> dict[str, Any]:
+    """Return the template's variables: the author's answers, and facts of the spec."""
     conventions, package = spec.data("conventions"), spec.data("package")
     manifest = spec.schema("policy")["properties"]
     settings = _settings()
@@ -52,22 +52,22 @@ def context(answers: Answers) -> dict[str, Any]:
         "inputs": inputs,
         "has_gripper": _has_gripper(answers),
         "model_io": model_io and {name: list(map(_flow, entries)) for name, entries in model_io.items()},
-        "second": reference.said(_manifest(answers, inputs, model_io)) if answers.reference else {},
+        "reference_py": reference.reference_context(_manifest(answers, inputs, model_io)) if answers.reference else {},
         "gripper_commands": _gripper_commands(),
         "environment": environment,
         "environment_as_json": {key: json.dumps(value, ensure_ascii=False) for key, value in environment.items()},
         "scripts": scripts,
-        "usage": {name: " ".join([name, *(item["shown"] for item in items)]) for name, items in scripts.items()},
+        "usage": {name: " ".join([name, *(item["label"] for item in items)]) for name, items in scripts.items()},
     }
 
 
-def _model_io(answers: Answers) -> dict[str, list[Any]]:
+def _model_io(answers: AdapterAnswers) -> dict[str, list[Any]]:
     """Return the images and the parts of the model_io block."""
-    return {"images": block.images(answers), "parts": block.parts(answers)}
+    return {"images": model_io_block.images(answers), "parts": model_io_block.parts(answers)}
 
 
-def _manifest(answers: Answers, inputs: Mapping[str, Any], model_io: Entry | None) -> Manifest:
-    """Return what of the manifest reference.py has to agree with."""
+def _manifest(answers: AdapterAnswers, inputs: Mapping[str, Any], model_io: Entry | None) -> Manifest:
+    """Return the part of the manifest that reference.py has to match."""
     manifest: dict[str, Any] = {
         "name": answers.name,
         "inputs": inputs,
@@ -82,12 +82,12 @@ def _manifest(answers: Answers, inputs: Mapping[str, Any], model_io: Entry | Non
     return Manifest.parse(manifest)
 
 
-def _has_gripper(answers: Answers) -> bool:
+def _has_gripper(answers: AdapterAnswers) -> bool:
     return bool(robots.entries()[answers.embodiment]["end_effector"]["kind"] == _GRIPPER)
 
 
 def _flow(value: object) -> str:
-    """Return a value as YAML writes it on one line."""
+    """Return a value as YAML on one line."""
     import yaml
 
     text: str = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=math.inf)
@@ -100,10 +100,10 @@ def _settings() -> dict[str, Any]:
 
 
 class Argument(TypedDict):
-    """A positional argument of a script; `setting` tells how deploy.yml takes it, if it does."""
+    """A positional argument of a script; `setting` is how deploy.yml takes it: `text`, `value`, or None."""
 
     name: str
-    shown: str
+    label: str
     position: int
     optional: bool
     setting: str | None
@@ -111,41 +111,41 @@ class Argument(TypedDict):
 
 def _arguments(names: list[str], settings: Mapping[str, Any]) -> list[Argument]:
     result = []
-    for position, shown in enumerate(names, start=1):
-        name = shown.strip("[]")
+    for position, label in enumerate(names, start=1):
+        name = label.strip("[]")
         kind = None
         if name in settings:
             kind = "text" if _takes_text(settings[name]) else "value"
-        result.append(Argument(name=name, shown=shown, position=position, optional=shown != name, setting=kind))
+        result.append(Argument(name=name, label=label, position=position, optional=label != name, setting=kind))
     return result
 
 
 def _takes_text(entry: Entry) -> bool:
-    """Tell whether a setting is text, so that an argument such as `007` or `null` must not be read as YAML."""
-    types = entry.get("type", "string")  # what is not typed here refers to a definition or lists its words
+    """Tell whether a setting is text: then an argument such as `007` or `null` must not be parsed as YAML."""
+    types = entry.get("type", "string")  # an entry without a type refers to a definition or lists its values
     return "string" in ([types] if isinstance(types, str) else types)
 
 
-def _deploy_entries(answers: Answers, kind: kinds.Kind) -> list[dict[str, str]]:
-    """Return the lines of deploy.yml: required keys, those that find a checkpoint, and those of the kind."""
+def _deploy_entries(answers: AdapterAnswers, kind: kinds.AdapterKind) -> list[dict[str, str]]:
+    """Return the lines of deploy.yml: required keys, keys that locate a checkpoint, and keys of the kind."""
     settings = _settings()
-    chosen = {
+    answered = {
         sdk.Deploy.POLICY_NAME: answers.name,
         sdk.Deploy.ENV_CFG_TYPE: answers.embodiment,
         sdk.Deploy.ACTION_TYPE: answers.action_type,
     }
-    wanted = [key for key in settings if key in spec.schema("deploy")["required"]]
-    wanted += [key for key in spec.data("conventions")["checkpoint"]["run_name"] if key not in wanted]
-    told = {
-        key: kinds.Setting(chosen.get(key, settings[key].get("default")), settings[key]["description"])
-        for key in wanted
+    keys = [key for key in settings if key in spec.schema("deploy")["required"]]
+    keys += [key for key in spec.data("conventions")["checkpoint"]["run_name"] if key not in keys]
+    entries = {
+        key: kinds.DeploySetting(answered.get(key, settings[key].get("default")), settings[key]["description"])
+        for key in keys
     }
     return [
         {"key": key, "value": as_yaml(line.value), "description": line.description}
-        for key, line in {**told, **kind.settings}.items()
+        for key, line in {**entries, **kind.settings}.items()
     ]
 
 
 def _gripper_commands() -> list[str]:
-    """Return what a gripper's command may mean."""
+    """Return the possible meanings of a gripper command."""
     return list(spec.schema("policy")["$defs"]["gripper"]["properties"]["command"]["enum"])

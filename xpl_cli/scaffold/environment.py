@@ -1,4 +1,4 @@
-"""Renders an environment package from the template of the standard."""
+"""Rendering of environment packages from the template."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EnvAnswers:
-    """What an author chose; recorded in the package, so that the same render can be made again.
+    """The author's answers; recorded in the package for later updates.
 
     Attributes:
-        name: the package's name, which is its folder's.
-        embodiment: robot that stands in it, by its name in the standard.
+        name: of the package and its folder.
+        embodiment: its robot, by the standard's name.
         task: name of its first task.
     """
 
@@ -39,16 +39,16 @@ def env_defaults() -> dict[str, Any]:
     return {key: entry["default"] for key, entry in templates.questions(ENV).items() if "default" in entry}
 
 
-def movable() -> list[str]:
-    """Return the robots that the toy of the template can move: those whose kinematics the standard knows."""
+def simulated_robots() -> list[str]:
+    """Return the robots that the template's toy simulation can move: those with known kinematics."""
     return [name for name, entry in robots.entries().items() if has_frames(entry)]
 
 
 def check_names(answers: EnvAnswers) -> None:
-    """Check the names of the package and its task, and that there is such a robot.
+    """Check the names of package, task and robot.
 
     Raises:
-        UserError: with the first answer that is not allowed, and the nearest ones that are.
+        UserError: with the first invalid answer, and the nearest valid ones.
     """
     adapter.check_name(answers.name)
     adapter.check_choice("--embodiment", answers.embodiment, list(robots.entries()))
@@ -61,22 +61,22 @@ def check_env(answers: EnvAnswers) -> None:
     """Check all answers.
 
     Raises:
-        UserError: with the first answer that is not allowed, and the nearest ones that are.
+        UserError: with the first invalid answer, and the nearest valid ones.
     """
     check_names(answers)
-    if answers.embodiment in robots.entries() and answers.embodiment not in movable():
+    if answers.embodiment in robots.entries() and answers.embodiment not in simulated_robots():
         raise UserError(
-            f"the template's toy needs known kinematics, and the standard has none of {answers.embodiment}",
-            hint=f"start with another one ({', '.join(movable())}) and change env.yml when your simulator is in",
+            f"the template's toy simulation needs kinematics, which {answers.embodiment} does not have",
+            hint=f"start with another one ({', '.join(simulated_robots())}) and change env.yml later",
         )
-    adapter.check_choice("--embodiment", answers.embodiment, movable())
+    adapter.check_choice("--embodiment", answers.embodiment, simulated_robots())
 
 
 def render_env(answers: EnvAnswers) -> Files:
-    """Render the template of environments; the same answers always give the same bytes.
+    """Render the environment template; deterministic in the answers.
 
     Returns:
-        file name, relative to the package, to content; sorted.
+        content by file name, relative to the package; sorted.
     """
     conventions = spec.data("conventions")
     arms = len(robots.entries()[answers.embodiment]["arms"])
@@ -89,21 +89,21 @@ def render_env(answers: EnvAnswers) -> Files:
         "camera": conventions["cameras"]["by_arms"][arms][0],
         "class_name": class_name(answers.task),
     }
-    return adapter.locked(templates.render(ENV, context), ENV, asdict(answers))
+    return adapter.with_lock(templates.render(ENV, context), ENV, asdict(answers))
 
 
-def recorded_env(kept: Lock) -> EnvAnswers:
-    """Return the answers of an environment that was scaffolded; what its template did not ask then has the default.
+def recorded_env_answers(package_lock: Lock) -> EnvAnswers:
+    """Return the recorded answers of a scaffolded environment; newer questions have their defaults.
 
     Raises:
-        UserError: if they are not answers.
+        UserError: the recorded answers are invalid.
     """
-    with adapter.reading_answers("an environment"):
-        answers = EnvAnswers(**adapter.given(kept, EnvAnswers, env_defaults()))
+    with adapter.answer_errors("an environment"):
+        answers = EnvAnswers(**adapter.merged_answers(package_lock, EnvAnswers, env_defaults()))
         check_env(answers)
     return answers
 
 
 def class_name(task: str) -> str:
-    """Return the name of the class that plays a task."""
+    """Return the class name of a task."""
     return "".join(word.capitalize() for word in task.split("_")) or "Task"

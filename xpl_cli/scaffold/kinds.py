@@ -1,6 +1,6 @@
-"""Kinds of adapters: what one is built on, which options fit it, and which Python it needs.
+"""Kinds of adapters: the framework that one is built on, the options that fit, and the Python that it needs.
 
-A kind is data of the template: an entry of `kinds.yml`, and a folder with the files in which it differs from others.
+A kind is part of the template: an entry of `kinds.yml`, and a folder with its own files.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from xpl.contract import Entry
 
 DEFAULT = "minimal"
-"""The kind that is usual."""
+"""The default kind."""
 
 TOOLS_OWN = "none"
-"""Manager of packages that run in the Python of the tool."""
+"""Environment manager of packages that run in the Python of xpl."""
 
 _CAMERA = re.compile(r"(?P<name>[a-z_]+)(:(?P<width>[1-9]\d{0,4})x(?P<height>[1-9]\d{0,4}))?")
 _VERSION = re.compile(r"[<>=!~]{0,2}\s*3(\.\d+){0,2}(\s*,\s*[<>=!~]{1,2}\s*3(\.\d+){0,2})*")
@@ -34,13 +34,13 @@ _PATH, _UV = "path", "uv"
 
 
 @dataclass(frozen=True)
-class Needs:
-    """What a kind needs of its Python.
+class PythonRequirements:
+    """Requirements of a kind on its Python environment.
 
     Attributes:
         requirements: packages.
         python: version, None for any.
-        only_if_asked: whether the tool's own Python has them.
+        only_if_asked: whether xpl's own Python satisfies them.
     """
 
     requirements: Sequence[str] = ()
@@ -49,7 +49,7 @@ class Needs:
 
 
 @dataclass(frozen=True)
-class Setting:
+class DeploySetting:
     """A line of deploy.yml."""
 
     value: object
@@ -57,71 +57,73 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Kind:
+class AdapterKind:
     """One kind.
 
     Attributes:
         about: what the adapter is built on, in one line.
-        refuses: option that does not fit to the reason.
+        refuses: options that do not fit, with the reason.
         block: whether its conversions can be compiled from a model_io block.
         environment: of its own Python.
-        evaluation_only: nothing is trained here.
+        evaluation_only: whether it has no training scripts.
         optional: inputs besides those that the author names.
-        settings: lines of deploy.yml by key, over and above what the standard asks for.
+        settings: further lines of deploy.yml, by key.
     """
 
     about: str
     refuses: Mapping[str, str] = field(default_factory=dict)
     block: bool = False
-    environment: Needs = Needs()
+    environment: PythonRequirements = PythonRequirements()
     evaluation_only: bool = False
     optional: tuple[str, ...] = ()
-    settings: Mapping[str, Setting] = field(default_factory=dict)
+    settings: Mapping[str, DeploySetting] = field(default_factory=dict)
 
-    def python(self, given: str) -> dict[str, str | Sequence[str]]:
-        """Return the environment of the manifest.
+    def python(self, requested: str) -> dict[str, str | Sequence[str]]:
+        """Return the manifest's `environment`.
 
         Args:
-            given: version or path of the policy's own Python; "" leaves it to the kind.
+            requested: version or path of the policy's own Python; "" for the kind's default.
         """
-        if _is_path(given):
-            return {"manager": _PATH, "python": given}
+        if _is_path(requested):
+            return {"manager": _PATH, "python": requested}
         needs = self.environment
-        if not given and (not needs.requirements or needs.only_if_asked):
+        if not requested and (not needs.requirements or needs.only_if_asked):
             return {"manager": TOOLS_OWN}
-        found: dict[str, str | Sequence[str]] = {"manager": _UV}
-        if version := given or needs.python:
-            found["python"] = version
+        environment: dict[str, str | Sequence[str]] = {"manager": _UV}
+        if version := requested or needs.python:
+            environment["python"] = version
         if needs.requirements:
-            found["requirements"] = needs.requirements
-        return found
+            environment["requirements"] = needs.requirements
+        return environment
 
 
 @dataclass(frozen=True)
-class Camera:
-    """A camera that a policy reads, with the smallest image that will do, in pixels; None for any."""
+class CameraOption:
+    """A camera that a policy reads, with its least image size in pixels; None for any size."""
 
     name: str
     width: int | None = None
     height: int | None = None
 
 
-def kinds() -> dict[str, Kind]:
-    """Return the kinds of adapters that there are."""
+def kinds() -> dict[str, AdapterKind]:
+    """Return the kinds of adapters by name."""
     path = room("templates") / "policy" / "kinds.yml"
-    return {name: _parsed(told) for name, told in spec.read_yaml(path).items()}
+    return {name: _parse_kind(entry) for name, entry in spec.read_yaml(path).items()}
 
 
-def _parsed(told: Entry) -> Kind:
-    lines = {key: Setting(**line) for key, line in told.get("settings", {}).items()}
-    return Kind(**{**told, "environment": Needs(**told.get("environment", {})), "settings": lines})
+def _parse_kind(entry: Entry) -> AdapterKind:
+    lines = {key: DeploySetting(**line) for key, line in entry.get("settings", {}).items()}
+    return AdapterKind(
+        **{**entry, "environment": PythonRequirements(**entry.get("environment", {})), "settings": lines}
+    )
 
 
 def check_kind(kind: str) -> None:
-    """Check that there is such a kind.
+    """Check that a kind exists.
 
     Raises:
-        UnknownNameError: with the nearest one.
+        UnknownNameError: with the nearest name.
     """
     one_of("--kind", kind, kinds())
 
@@ -132,25 +134,25 @@ def check_fits(kind: str, option: str) -> None:
     Raises:
         UserError: with the reason, and the kinds that take the option.
     """
-    known = kinds()
-    reason = known[kind].refuses.get(option)
+    all_kinds = kinds()
+    reason = all_kinds[kind].refuses.get(option)
     if reason is not None:
-        takes = ", ".join(name for name, other in known.items() if option not in other.refuses)
+        takes = ", ".join(name for name, other in all_kinds.items() if option not in other.refuses)
         raise UserError(f"--{option} does not fit --kind {kind}: {reason}", hint=f"kinds that take --{option}: {takes}")
 
 
-def camera(text: str) -> Camera:
-    """Return a camera from its text: `cam_head`, or `cam_head:640x480`.
+def camera(text: str) -> CameraOption:
+    """Parse a camera: `cam_head`, or `cam_head:640x480`.
 
     Raises:
-        UserError: if it is neither.
+        UserError: the text is neither.
     """
-    found = _CAMERA.fullmatch(text)
-    if found is None:
+    match = _CAMERA.fullmatch(text)
+    if match is None:
         raise UserError(f"--cameras takes names such as cam_head, or cam_head:640x480 (width x height); got {text!r}")
-    if found["width"] is None:
-        return Camera(found["name"])
-    return Camera(found["name"], int(found["width"]), int(found["height"]))
+    if match["width"] is None:
+        return CameraOption(match["name"])
+    return CameraOption(match["name"], int(match["width"]), int(match["height"]))
 
 
 def check_cameras(texts: Sequence[str], embodiment: str) -> None:
@@ -161,33 +163,35 @@ def check_cameras(texts: Sequence[str], embodiment: str) -> None:
     """
     arms = len(robots.entries()[embodiment]["arms"])
     offered = _cameras()
-    known = [*offered["by_arms"][arms], *offered["optional"]]
+    allowed = [*offered["by_arms"][arms], *offered["optional"]]
     names = [camera(text).name for text in texts]
     for name in names:
-        if name not in known:
+        if name not in allowed:
             count = f"{arms} arm{'s' if arms > 1 else ''}"
-            told = f"--cameras: {embodiment} has {count}, so that its cameras are {', '.join(known)}; got {name!r}"
-            raise UnknownNameError(told, name, known)
+            message = f"--cameras: {embodiment} has {count}, and the cameras {', '.join(allowed)}; got {name!r}"
+            raise UnknownNameError(message, name, allowed)
     if len(set(names)) != len(names):
         raise UserError(f"--cameras names a camera twice: {', '.join(names)}")
 
 
 def check_ensembling(decay: float | None, chunk: int) -> None:
-    """Check a decay of temporal ensembling, and that there is something to average.
+    """Check the decay of temporal ensembling, and that chunks overlap.
 
     Raises:
-        UserError: if it is negative or no number, or no two chunks overlap.
+        UserError: the decay is negative or not finite, or chunks have one action.
     """
     if decay is None:
         return
     if not 0 <= decay < math.inf:
         raise UserError(f"--ensembling takes a decay of 0 or more, such as ACT's 0.01; got {decay}")
     if chunk == 1:
-        raise UserError("--ensembling averages chunks that overlap, and chunks of one step do not", hint="--chunk 16")
+        raise UserError(
+            "--ensembling averages overlapping chunks; chunks of one action do not overlap", hint="--chunk 16"
+        )
 
 
-def inputs(kind: Kind, texts: Sequence[str], embodiment: str, action_type: str) -> dict[str, list[str]]:
-    """Return what an adapter reads and ignores before its author has changed it: `required`, `optional`, `unused`."""
+def inputs(kind: AdapterKind, texts: Sequence[str], embodiment: str, action_type: str) -> dict[str, list[str]]:
+    """Return the scaffold's `inputs`: `required`, `optional`, `unused`."""
     states = spec.data("conventions")["action"]["types"][action_type]
     arms = len(robots.entries()[embodiment]["arms"])
     read = [f"{sdk.Obs.VISION}.{camera(text).name}" for text in texts]
@@ -200,10 +204,10 @@ def inputs(kind: Kind, texts: Sequence[str], embodiment: str, action_type: str) 
 
 
 def check_python(python: str) -> None:
-    """Check that an answer is a version of Python, or the path of an interpreter.
+    """Check that an answer is a Python version, or the path of an interpreter.
 
     Raises:
-        UserError: if it is neither.
+        UserError: the answer is neither.
     """
     if python and not _is_path(python) and not _VERSION.fullmatch(python):
         raise UserError(

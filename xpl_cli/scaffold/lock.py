@@ -1,7 +1,7 @@
-"""What a package keeps of how it was made, below `.xpl/`: the lock, and its files as they were rendered.
+"""The record of how a package was rendered, below `.xpl/`: the lockfile, and the rendered files.
 
-Generated files stay as they were rendered. All others are the author's, who started from what was rendered: an update
-merges into them what the template changed since. Free files are the author's alone.
+Generated files stay as rendered. All others belong to the author: an update merges the template's changes into them.
+Files listed under `free` are never changed.
 """
 
 from __future__ import annotations
@@ -25,13 +25,12 @@ if TYPE_CHECKING:
 
 PATH = f"{FOLDER}/lock.yml"
 RENDERED = f"{FOLDER}/rendered.json"
-"""The texts that the template gave, by file: what an author's file is compared with when the template has changed."""
+"""The rendered files: the base of the three-way merge when the template changes."""
 
 _TEXT = """\
-# Kept by xpl, which updates this package by it. Only `free` is yours to write: a file that is named there is never
-# touched.
+# Written by xpl, which updates this package with it. Edit only `free`: files listed there are never changed.
 {origin}
-generated: # as rendered; `xpl audit --fix` brings them back
+generated: # digests as rendered; `xpl audit --fix` restores the files
 {generated}
 {free}
 """
@@ -39,12 +38,12 @@ generated: # as rendered; `xpl audit --fix` brings them back
 
 @dataclass(frozen=True)
 class Lock:
-    """What a package was rendered from.
+    """The template and answers that a package was rendered from.
 
     Attributes:
         template: name of the template: the kind of package.
-        answers: what its author chose.
-        generated: file to digest of what was rendered.
+        answers: the author's choices.
+        generated: digest of each generated file.
         free: files that the author took over.
     """
 
@@ -54,78 +53,78 @@ class Lock:
     free: tuple[str, ...] = ()
 
     def text(self) -> str:
-        """Return the file's text."""
+        """Return the text of the lockfile."""
         return _TEXT.format(
             origin=as_yaml({"template": self.template, "answers": dict(self.answers)}),
-            generated="\n".join(f"  {as_yaml(name)}: {kept}" for name, kept in sorted(self.generated.items()))
+            generated="\n".join(f"  {as_yaml(name)}: {value}" for name, value in sorted(self.generated.items()))
             or "  {}",
             free=as_yaml({"free": list(self.free)}),
         )
 
 
 def digest(content: bytes) -> str:
-    """Return what the lock keeps of a file's content."""
+    """Return the digest of a file's content."""
     return hashlib.sha256(content).hexdigest()
 
 
 def read(folder: Path) -> Lock | None:
-    """Return the lock of a package, None if it was not scaffolded.
+    """Read the lockfile of a package; None if it was not scaffolded.
 
     Raises:
-        UserError: if it is not a lock any more.
+        UserError: the file is damaged.
     """
     path = folder / PATH
     return parse(path.read_bytes(), str(path)) if path.is_file() else None
 
 
 def parse(content: bytes | str, where: str) -> Lock:
-    """Return the lock that a text holds.
+    """Parse a lockfile.
 
     Raises:
-        UserError: if it does not tell template and answers; `where` names it.
+        UserError: it has no template and answers; `where` is its name in the message.
     """
     try:
-        told = spec.parse_yaml(content)
-        template, answers = told["template"], told["answers"]
-        generated = {str(name): str(kept) for name, kept in (told.get("generated") or {}).items()}
-        result = Lock(template, answers, generated, tuple(map(str, told.get("free") or ())))
+        document = spec.parse_yaml(content)
+        template, answers = document["template"], document["answers"]
+        generated = {str(name): str(value) for name, value in (document.get("generated") or {}).items()}
+        result = Lock(template, answers, generated, tuple(map(str, document.get("free") or ())))
     except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError):
-        raise _not_ours(where) from None
+        raise _damaged_lock(where) from None
     if not isinstance(template, str) or not isinstance(answers, Mapping):
         raise UserError(f"{where} does not name the template and the answers of the package")
     return result
 
 
 def read_rendered(folder: Path) -> dict[str, bytes]:
-    """Return the files of a package as they were rendered.
+    """Read the rendered files of a package.
 
     Raises:
-        UserError: if nothing tells any more how they were.
+        UserError: the record is missing or damaged.
     """
     path = folder / RENDERED
     try:
         return parse_rendered(path.read_bytes())
     except (OSError, ValueError, AttributeError):
-        raise _not_ours(str(path)) from None
+        raise _damaged_lock(str(path)) from None
 
 
 def parse_rendered(content: bytes | str) -> dict[str, bytes]:
-    """Return the files that a text of `rendered.json` holds.
+    """Parse `rendered.json`.
 
     Raises:
-        ValueError, AttributeError: if it is another document.
+        ValueError, AttributeError: it is another document.
     """
     return {str(name): text.encode() for name, text in json_text.parse(content).items()}
 
 
 def rendered_text(files: Mapping[str, bytes]) -> bytes:
-    """Return the text of `rendered.json` for files."""
+    """Return `rendered.json` for files."""
     texts = {name: content.decode() for name, content in sorted(files.items())}
     return f"{json.dumps(texts, indent=2, ensure_ascii=False)}\n".encode()
 
 
-def _not_ours(where: str) -> UserError:
+def _damaged_lock(where: str) -> UserError:
     return UserError(
-        f"{where} is not what xpl wrote there, so that nothing can be told of what the package came from",
-        hint="bring it back as it was, for example from version control",
+        f"{where} is damaged: the template of the package is unknown",
+        hint="restore it, for example from version control",
     )

@@ -1,8 +1,8 @@
-"""Three-way merge of text: what an author changed and what a template changed, both kept.
+"""Three-way merge of text: the author's changes and the template's changes.
 
-Lines that all three texts share hold the rest in place. Between them, the side that changed something wins over the one
-that did not; where both did, and not alike, both are shown between conflict markers, as git shows them. Texts that
-would take too long to compare share nothing: one conflict shows them whole.
+Lines that all three texts share align them. Between these, the side that changed something wins over the one that did
+not; where both changed it differently, both are shown between conflict markers, as in git. Texts that would take too
+long to compare become one conflict.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _BASE: Final = b"|||||||"
 _MIDDLE: Final = b"======="
 _THEIRS: Final = b">>>>>>>"
 _MOST_WORK: Final = 1 << 25
-"""Lines that difflib looks at, about: seconds. It searches once more for each run that it finds."""
+"""Limit on the estimated line comparisons of difflib, a few seconds; it searches again for each matching run."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Merged:
 
     Attributes:
         content: the merged text.
-        conflicts: how many places an author has to decide; they stand between conflict markers.
+        conflicts: number of conflicts, each between conflict markers.
     """
 
     content: bytes
@@ -35,24 +35,24 @@ class Merged:
 
 
 @dataclass(frozen=True)
-class Labels:
-    """What the three texts are called at conflict markers."""
+class ConflictLabels:
+    """Names of the three texts in conflict markers."""
 
     ours: str
     base: str
     theirs: str
 
 
-def merge(base: bytes, ours: bytes, theirs: bytes, labels: Labels) -> Merged:
-    """Merge what two sides made of one text; line ends are those of `ours`."""
+def merge(base: bytes, ours: bytes, theirs: bytes, labels: ConflictLabels) -> Merged:
+    """Merge two changes of one base; line ends are those of `ours`."""
     if b"\r\n" in ours and b"\r\n" not in theirs:
         merged = merge(base, ours.replace(b"\r\n", b"\n"), theirs, labels)
         return Merged(merged.content.replace(b"\n", b"\r\n"), merged.conflicts)
     texts = tuple(text.splitlines(keepends=True) for text in (base, ours, theirs))
     result: list[bytes] = []
-    conflicts, done = 0, (0, 0, 0)
+    conflicts, ends = 0, (0, 0, 0)
     for starts, length in _shared(*texts):
-        old, mine, new = (text[begin:end] for text, begin, end in zip(texts, done, starts, strict=True))
+        old, mine, new = (text[begin:end] for text, begin, end in zip(texts, ends, starts, strict=True))
         if mine in (old, new):
             result += new
         elif new == old:
@@ -61,14 +61,14 @@ def merge(base: bytes, ours: bytes, theirs: bytes, labels: Labels) -> Merged:
             conflicts += 1
             result += _conflict(old, mine, new, labels)
         result += texts[0][starts[0] : starts[0] + length]
-        done = tuple(start + length for start in starts)  # type: ignore[assignment]
+        ends = tuple(start + length for start in starts)  # type: ignore[assignment]
     return Merged(b"".join(result), conflicts)
 
 
 def _shared(
     base: Sequence[bytes], ours: Sequence[bytes], theirs: Sequence[bytes]
 ) -> Iterator[tuple[tuple[int, int, int], int]]:
-    """Yield the runs of lines that all three texts share, with where they begin and how long they are; the end last."""
+    """Yield the runs of lines that all three texts share: start in each, and length; the end as last one."""
     first, second = (_blocks(base, other) for other in (ours, theirs))
     one = other = 0
     while one < len(first) and other < len(second):
@@ -85,7 +85,7 @@ def _shared(
 
 
 def _blocks(base: Sequence[bytes], other: Sequence[bytes]) -> list[difflib.Match]:
-    """Return the runs of lines that two texts share, and their end; only that where they take too long to be found."""
+    """Return the matching blocks of two texts and their end; only the end where matching would take too long."""
     one, two = Counter(base), Counter(other)
     shared = sum((one & two).values())
     pairs = sum(count * two[line] for line, count in one.items())
@@ -94,8 +94,10 @@ def _blocks(base: Sequence[bytes], other: Sequence[bytes]) -> list[difflib.Match
     return difflib.SequenceMatcher(None, base, other, autojunk=False).get_matching_blocks()
 
 
-def _conflict(old: Sequence[bytes], mine: Sequence[bytes], new: Sequence[bytes], labels: Labels) -> Iterator[bytes]:
-    """Yield the lines that show a conflict."""
+def _conflict(
+    old: Sequence[bytes], mine: Sequence[bytes], new: Sequence[bytes], labels: ConflictLabels
+) -> Iterator[bytes]:
+    """Yield the lines of a conflict."""
     for mark, label, lines in ((_OURS, labels.ours, mine), (_BASE, labels.base, old), (_MIDDLE, "", new)):
         yield b" ".join(filter(None, (mark, label.encode()))) + b"\n"
         yield from (line if line.endswith(b"\n") else line + b"\n" for line in lines)

@@ -1,4 +1,4 @@
-"""The scaffold of reference.py: what the manifest says in the standard's words, and nothing of the model."""
+"""The scaffold of reference.py, from the manifest."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from xpl.manifest import Manifest
 
 
-def said(manifest: Manifest) -> dict[str, Any]:
-    """Return what the template says: conventions that apply, fields that are read, and the keys of an action step.
+def reference_context(manifest: Manifest) -> dict[str, Any]:
+    """Return the template's variables: applicable conventions, observation fields, and keys of an action step.
 
     Raises:
-        UnknownEmbodimentError: if the manifest names no robot that there is.
+        UnknownEmbodimentError: the manifest names no known robot.
     """
     robot = get_embodiment(next(iter(manifest.embodiments), ""))
     action = robot.dims(next(iter(manifest.action_types), sdk.DEPLOY_DEFAULTS[sdk.Deploy.ACTION_TYPE]))
-    words = spec.schema("model_io")["$defs"]["convention"]["oneOf"]
+    conventions = spec.schema("model_io")["$defs"]["convention"]["oneOf"]
     applies = applying(manifest)
     return {
         "name": manifest.name,
         "placeholder": spec.data("package")["placeholder"],
-        "conventions": {word["const"]: word["description"] for word in words if word["const"] in applies},
+        "conventions": {entry["const"]: entry["description"] for entry in conventions if entry["const"] in applies},
         "fields": list(_fields(manifest.read, robot)),
         "action": action,
         "chunk": manifest.temporal.chunk or 1,
@@ -42,7 +42,7 @@ def text(manifest: Manifest) -> str:
     """Return reference.py of a package, to be filled in.
 
     Raises:
-        UnknownEmbodimentError: as `said`.
+        UnknownEmbodimentError: the manifest names no known robot.
     """
     import jinja2
 
@@ -54,11 +54,13 @@ def text(manifest: Manifest) -> str:
         keep_trailing_newline=True,
         autoescape=False,  # noqa: S701 - Python, not HTML
     )
-    return environment.from_string(template.read_text(encoding="utf-8")).render(second=said(manifest))
+    return environment.from_string(template.read_text(encoding="utf-8")).render(
+        reference_py=reference_context(manifest)
+    )
 
 
 def _fields(read: Sequence[str], robot: Embodiment) -> Iterator[tuple[str, str, str]]:
-    """Yield the fields of an observation that a policy reads: a name, how it is read, and what it is."""
+    """Yield the observation fields that a policy reads: name, expression, and description."""
     state = sdk.Obs.STATE
     keys = [name.removeprefix(f"{state}.") for name in read if name.startswith(f"{state}.")]
     if keys:
@@ -72,12 +74,12 @@ def _fields(read: Sequence[str], robot: Embodiment) -> Iterator[tuple[str, str, 
 
 
 def _numbers(keys: Sequence[str], robot: Embodiment) -> Iterator[str]:
-    """Yield keys of the state without their arm, with their dimensions; and which arms they are of."""
-    dims = {held: width for kind in sdk.ACTION_TYPES for held, width in robot.dims(kind).items()}
+    """Yield keys of the state without arm prefix, with their dimensions; then the prefixes."""
+    dims = {name: width for kind in sdk.ACTION_TYPES for name, width in robot.dims(kind).items()}
     prefixes: dict[str, None] = {}
     for key in keys:
-        of_key = {held: width for held, width in dims.items() if held.endswith(key)}
-        prefixes |= dict.fromkeys(held.removesuffix(key) for held in of_key)
+        of_key = {name: width for name, width in dims.items() if name.endswith(key)}
+        prefixes |= dict.fromkeys(name.removesuffix(key) for name in of_key)
         yield f"{key} {' or '.join(f'({width},)' for width in dict.fromkeys(of_key.values()))}"
     if any(prefixes):
         yield f"each with {' and '.join(prefixes)}"

@@ -1,4 +1,4 @@
-"""Renders an environment package around a real robot. It is the author's from the first line on: no update merges."""
+"""Rendering of environment packages for real robots. `xpl update` does not apply to them."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
     from xpl_cli.scaffold.template import Files
 
 DRIVERS: Final = ("lerobot", "arx", "own")
-"""What a robot is driven by: LeRobot's surface, ARX's SDK, or a class of the author's."""
+"""The robot's driver: LeRobot, ARX's SDK, or the author's own class."""
 
 _TYPES: Final = {"so101": "so101_follower", "so101_dual": "bi_so101_follower"}
 _TRIALS: Final = "seeds"
 
 
 def check_robot(answers: EnvAnswers, driver: str) -> None:
-    """Check that there is such a driver, and that it drives the robot.
+    """Check that the driver exists and supports the robot.
 
     Raises:
-        UserError: with what there is.
+        UserError: with the supported ones.
     """
     one_of("--driver", driver, DRIVERS)
     entry = robots.entries()[answers.embodiment]
     if not entry["arm"]["joints"]:
         raise UserError(
-            f"{answers.embodiment} has no names and limits of joints, and an arm needs limits",
+            f"{answers.embodiment} has no joint names and limits, which an arm needs",
             hint="describe it in embodiments/NAME.yml",
         )
     if driver == "arx" and not answers.embodiment.startswith("arx_"):
@@ -44,7 +44,7 @@ def render_robot(answers: EnvAnswers, driver: str) -> Files:
     """Render the package.
 
     Returns:
-        file name, relative to the package, to content; sorted.
+        content by file name, relative to the package; sorted.
     """
     conventions = spec.data("conventions")
     arms = len(robots.entries()[answers.embodiment]["arms"])

@@ -1,4 +1,4 @@
-"""Templates of packages: where one lies, what it asks for, and how its files come out of it."""
+"""Templates of packages: location, questions and rendering."""
 
 from __future__ import annotations
 
@@ -17,58 +17,58 @@ if TYPE_CHECKING:
 Files = dict[str, bytes]
 
 
-def place(template: str) -> Path:
-    """Return the folder of a template; its name is the kind of package that it makes: `policy`, `env`."""
+def template_folder(template: str) -> Path:
+    """Return the folder of a template, named after its kind of package: `policy`, `env`."""
     return room("templates") / template
 
 
 def questions(template: str) -> dict[str, Any]:
-    """Return what a template asks for: name of the answer to its description."""
-    config = spec.read_yaml(place(template) / "copier.yml")
+    """Return the questions of a template: description by name of the answer."""
+    config = spec.read_yaml(template_folder(template) / "copier.yml")
     return {key: entry for key, entry in config.items() if not key.startswith("_")}
 
 
 def roles(template: str) -> dict[str, list[str]]:
-    """Return which files stay as they are rendered (`generated`), and which schemas go with them (`schemas`)."""
-    found: dict[str, list[str]] = spec.read_yaml(place(template) / "roles.yml")
-    return found
+    """Return which files must stay as rendered (`generated`), and which schemas are added (`schemas`)."""
+    content: dict[str, list[str]] = spec.read_yaml(template_folder(template) / "roles.yml")
+    return content
 
 
 def render(
     template: str, context: Mapping[str, Any], leave_out: Sequence[str] = (), variant: str | None = None
 ) -> Files:
-    """Render a template; the same context always gives the same bytes.
+    """Render a template; deterministic in the context.
 
     Args:
         template: its name.
-        context: all that it may say.
-        leave_out: names of files that are not wanted.
-        variant: folder in `kinds/` whose files take the place of the template's; None for none.
+        context: its variables.
+        leave_out: names of files to omit.
+        variant: folder in `kinds/` whose files replace the template's; None for none.
 
     Returns:
-        file name, relative to the package, to content; sorted.
+        content by file name, relative to the package; sorted.
     """
-    with _assembled(place(template), variant) as source:
+    with _assembled(template_folder(template), variant) as source:
         return render_folder(source, context, leave_out)
 
 
 def render_folder(source: Path, context: Mapping[str, Any], leave_out: Sequence[str] = ()) -> Files:
-    """Render the template in a folder; the same context always gives the same bytes.
+    """Render the template in a folder; deterministic in the context.
 
     Args:
         source: folder with a copier.yml.
-        context: all that it may say.
-        leave_out: names of files that are not wanted.
+        context: its variables.
+        leave_out: names of files to omit.
 
     Returns:
-        file name, relative to the package, to content; sorted.
+        content by file name, relative to the package; sorted.
     """
     import copier
     from plumbum import local
 
     with (
         tempfile.TemporaryDirectory(prefix="xpl-render-") as folder,
-        # Copier would ask git about each file that it writes, and what is rendered here lies in no repository.
+        # Copier would call git for each file that it writes; the rendered files are in no repository.
         local.env(PATH=""),
     ):
         copier.run_copy(
@@ -87,7 +87,7 @@ def render_folder(source: Path, context: Mapping[str, Any], leave_out: Sequence[
 
 
 def as_yaml(value: object) -> str:
-    """Return a value as it is written in YAML."""
+    """Return a value as YAML."""
     import yaml
 
     text: str = yaml.safe_dump(value, sort_keys=False, allow_unicode=True)
@@ -96,7 +96,7 @@ def as_yaml(value: object) -> str:
 
 @contextmanager
 def _assembled(template: Path, variant: str | None) -> Iterator[Path]:
-    """Give the folder of a template with the files of a variant in it."""
+    """Yield the folder of a template with the files of a variant copied over it."""
     over = template / "kinds" / (variant or "")
     if variant is None or not over.is_dir():
         yield template

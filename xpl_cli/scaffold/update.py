@@ -1,7 +1,7 @@
-"""Brings a package to what its template is today, and keeps what its author made of it.
+"""Update of a package to the current template, with the author's changes kept.
 
-`.xpl/` keeps the answers that the package was rendered by, and what came out. The template is rendered again with these
-answers; the difference between the two renders is what the author's files get.
+`.xpl/` records the answers and the rendered files. The template is rendered again with these answers, and the
+difference between the two renders is merged into the author's files.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
 
 Action = Literal["added", "updated", "merged", "removed", "conflict", "kept"]
 
-_LABELS = merge.Labels("yours", "as rendered", "template")
+_LABELS = merge.ConflictLabels("yours", "as rendered", "template")
 _SCRIPT, _PLAIN = 0o755, 0o644
 
 
 @dataclass(frozen=True)
-class Step:
-    """What an update does to one file.
+class FileUpdate:
+    """The update of one file.
 
     Attributes:
         name: the file.
-        action: `added`, `updated` (the author had not touched it), `merged`, `removed`, `conflict`, or `kept` where the
-            template changed and the file was left alone.
-        before, after: its content, None for none.
-        conflicts: places that the author has to decide.
-        note: what the author should know.
+        action: `added`, `updated` (without changes by the author), `merged`, `removed`, `conflict`, or `kept` where the
+            template changed and the file is left unchanged.
+        before, after: its content; None for no file.
+        conflicts: number of conflicts.
+        note: for the author.
     """
 
     name: str
@@ -49,60 +49,62 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What an update does to a package; `steps` leaves out files that stay as they are."""
+class UpdatePlan:
+    """The update of a package; `steps` omits files that do not change."""
 
     folder: Path
-    steps: tuple[Step, ...]
+    steps: tuple[FileUpdate, ...]
 
     @property
-    def conflicts(self) -> tuple[Step, ...]:
-        """The steps that leave something to decide."""
+    def conflicts(self) -> tuple[FileUpdate, ...]:
+        """The files with conflicts."""
         return tuple(step for step in self.steps if step.action == "conflict")
 
     @property
-    def changes(self) -> tuple[Step, ...]:
-        """The steps that write or remove a file."""
+    def changes(self) -> tuple[FileUpdate, ...]:
+        """The files that are written or removed."""
         return tuple(step for step in self.steps if step.before != step.after)
 
 
-def plan(folder: Path) -> Plan:
-    """Return what it takes to bring a package to today's template. Nothing is written.
+def plan(folder: Path) -> UpdatePlan:
+    """Plan the update of a package to the current template. Nothing is written.
 
     Raises:
-        UserError: if the package does not tell what it came from.
+        UserError: the package has no record of its template.
     """
-    kept = lock.read(folder)
-    if kept is None:
+    package_lock = lock.read(folder)
+    if package_lock is None:
         raise UserError(
-            f"{folder} has no {lock.PATH}: nothing tells which template it came from",
-            hint="only what `xpl new-policy` and `xpl new-env` wrote can be updated",
+            f"{folder} has no {lock.PATH}: its template is unknown",
+            hint="only packages of `xpl new-policy` and `xpl new-env` can be updated",
         )
     base = lock.read_rendered(folder)
-    theirs = _rendered(kept)
-    steps = [_file(folder, name, base.get(name), theirs.get(name)) for name in _merged_names(kept, base, theirs)]
-    found = [step for step in steps if step is not None]
-    return Plan(folder, (*found, *_own(folder, kept, base, theirs)))
+    theirs = _render_current(package_lock)
+    steps = [
+        _file(folder, name, base.get(name), theirs.get(name)) for name in _merged_names(package_lock, base, theirs)
+    ]
+    updates = [step for step in steps if step is not None]
+    return UpdatePlan(folder, (*updates, *_bookkeeping_updates(folder, package_lock, base, theirs)))
 
 
-def apply(plan: Plan) -> None:
-    """Write what a plan says, all of it or nothing.
+def apply(plan: UpdatePlan) -> None:
+    """Apply a plan completely or not at all.
 
     Raises:
-        UserError: if a file changed since, or cannot be written; then all are as they were.
+        UserError: a file changed meanwhile, or cannot be written; then all files are restored.
     """
     for step in plan.changes:
         if _content(plan.folder / step.name) != step.before:
             raise UserError(f"{plan.folder / step.name} changed meanwhile: nothing was written", hint="run again")
     modes = {step.name: _mode(plan.folder / step.name) for step in plan.changes}
-    done: list[Step] = []
+    applied: list[FileUpdate] = []
     try:
         for step in plan.changes:
-            _put(plan.folder / step.name, step.after, modes[step.name])
-            done.append(step)
+            _write_content(plan.folder / step.name, step.after, modes[step.name])
+            applied.append(step)
     except BaseException as error:
-        for step in done:
-            _put(plan.folder / step.name, step.before, modes[step.name])
+        for step in applied:
+            _write_content(plan.folder / step.name, step.before, modes[step.name])
         if not isinstance(error, OSError):
             raise
         raise UserError(
@@ -110,56 +112,56 @@ def apply(plan: Plan) -> None:
         ) from None
 
 
-def _rendered(kept: lock.Lock) -> Files:
-    """Render what the package would come from now; what its template did not ask then has the default."""
-    one_of("template", kept.template, (package.POLICY, package.ENV))
-    if kept.template == package.ENV:
-        return environment.render_env(environment.recorded_env(kept))
-    return adapter.render(adapter.recorded(kept))
+def _render_current(package_lock: lock.Lock) -> Files:
+    """Render the current template with the recorded answers; newer questions have their defaults."""
+    one_of("template", package_lock.template, (package.POLICY, package.ENV))
+    if package_lock.template == package.ENV:
+        return environment.render_env(environment.recorded_env_answers(package_lock))
+    return adapter.render(adapter.recorded_answers(package_lock))
 
 
-def _merged_names(kept: lock.Lock, base: Files, theirs: Files) -> list[str]:
-    names = {*base, *theirs} - set(kept.free)
+def _merged_names(package_lock: lock.Lock, base: Files, theirs: Files) -> list[str]:
+    names = {*base, *theirs} - set(package_lock.free)
     return sorted(name for name in names if not name.startswith(f"{FOLDER}/"))
 
 
-def _file(folder: Path, name: str, base: bytes | None, theirs: bytes | None) -> Step | None:
-    """Return the step for a file, None where it stays as it is."""
+def _file(folder: Path, name: str, base: bytes | None, theirs: bytes | None) -> FileUpdate | None:
+    """Return the update of a file; None if it does not change."""
     path = folder / name
     ours = _content(path)
     if theirs in (base, ours):
         return None
     if path.is_symlink() or (path.exists() and not path.is_file()):
-        return Step(name, "kept", None, None, note="it is a link or a folder: left alone")
+        return FileUpdate(name, "kept", None, None, note="it is a link or a folder: left unchanged")
     if ours == base:
-        return Step(name, "added" if ours is None else "removed" if theirs is None else "updated", ours, theirs)
+        return FileUpdate(name, "added" if ours is None else "removed" if theirs is None else "updated", ours, theirs)
     if ours is None:
-        return Step(name, "kept", None, None, note="you removed it, and the template changed it: left out")
+        return FileUpdate(name, "kept", None, None, note="you removed it, and the template changed it: not written")
     if theirs is None:
-        return Step(name, "kept", ours, ours, note="the template has it no more: it is yours now")
+        return FileUpdate(name, "kept", ours, ours, note="the template no longer has it: it is yours now")
     merged = merge.merge(base or b"", ours, theirs, _LABELS)
-    return Step(name, "conflict" if merged.conflicts else "merged", ours, merged.content, merged.conflicts)
+    return FileUpdate(name, "conflict" if merged.conflicts else "merged", ours, merged.content, merged.conflicts)
 
 
-def _own(folder: Path, kept: lock.Lock, base: Files, theirs: Files) -> Iterator[Step]:
-    """Yield the steps for what xpl keeps in the package.
+def _bookkeeping_updates(folder: Path, package_lock: lock.Lock, base: Files, theirs: Files) -> Iterator[FileUpdate]:
+    """Yield the updates of the files below `.xpl/`.
 
-    The record of the render comes last: an update that was cut off is begun again from where it was.
+    Lockfile and rendered files come last, so that an interrupted update starts again from the old record.
     """
     new = lock.parse(theirs[lock.PATH], lock.PATH)
-    generated = {name: value for name, value in new.generated.items() if name not in kept.free}
+    generated = {name: value for name, value in new.generated.items() if name not in package_lock.free}
     texts = lock.parse_rendered(theirs[lock.RENDERED])
-    taken_over = {name: base[name] for name in kept.free if name in base}
+    taken_over = {name: base[name] for name in package_lock.free if name in base}
     files = {name: content for name, content in theirs.items() if name.startswith(f"{FOLDER}/")}
-    files[lock.PATH] = replace(new, generated=generated, free=kept.free).text().encode()
+    files[lock.PATH] = replace(new, generated=generated, free=package_lock.free).text().encode()
     files[lock.RENDERED] = lock.rendered_text({**texts, **taken_over})
     for name in sorted(files, key=lambda name: (name in (lock.PATH, lock.RENDERED), name)):
         before = _content(folder / name)
         if before != files[name]:
-            yield Step(name, "added" if before is None else "updated", before, files[name])
+            yield FileUpdate(name, "added" if before is None else "updated", before, files[name])
 
 
-def _put(path: Path, content: bytes | None, mode: int | None = None) -> None:
+def _write_content(path: Path, content: bytes | None, mode: int | None = None) -> None:
     if content is None:
         path.unlink(missing_ok=True)
         return

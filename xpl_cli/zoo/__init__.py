@@ -1,1 +1,1 @@
-"""The zoo at work: it lists the field's policies, and proves how far each of them runs here."""
+"""The policy zoo: listing of published policies, and proofs of how far each runs here."""

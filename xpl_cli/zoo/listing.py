@@ -1,4 +1,4 @@
-"""The policies of the zoo as a list, and each by itself, for people and for programs."""
+"""Listing and description of the zoo's policies, as text and as JSON values."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from xpl_cli.standard.zoo.policies import Policy
 
 UNKNOWN: Final = "-"
-"""How a table shows what is not known."""
+"""Unknown values in a table."""
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """Which policies are listed.
+class PolicyFilter:
+    """A filter of policies.
 
     Attributes:
         family: of this family; None for any.
@@ -32,7 +32,7 @@ class Wanted:
     level: int = 0
 
     def fits(self, policy: Policy) -> bool:
-        """Tell whether a policy is listed; one of which the robots are not known is for none."""
+        """Tell whether a policy matches; a policy without known robots matches no robot."""
         return (
             self.family in (None, policy.family)
             and (self.robot is None or self.robot in (policy.facts["robots"].value or ()))
@@ -40,24 +40,23 @@ class Wanted:
         )
 
 
-def listed(wanted: Wanted) -> list[Policy]:
-    """Return the policies that are wanted.
+def filter_policies(policy_filter: PolicyFilter) -> list[Policy]:
+    """Return the matching policies.
 
     Raises:
-        UnknownNameError: if there is no such family.
-        UserError: if there is no such robot.
+        UnknownNameError: the family or robot does not exist.
     """
-    if wanted.family is not None:
-        one_of("--family", wanted.family, policies.families())
-    if wanted.robot is not None:
+    if policy_filter.family is not None:
+        one_of("--family", policy_filter.family, policies.families())
+    if policy_filter.robot is not None:
         from xpl import robots
 
-        one_of("--robot", wanted.robot, robots.entries())
-    return [policy for policy in policies.policies() if wanted.fits(policy)]
+        one_of("--robot", policy_filter.robot, robots.entries())
+    return [policy for policy in policies.policies() if policy_filter.fits(policy)]
 
 
 def as_json(policy: Policy) -> dict[str, Any]:
-    """Return all that is known of a policy."""
+    """Return all facts of a policy as JSON values."""
     return {
         "name": policy.name,
         "title": policy.title,
@@ -70,13 +69,13 @@ def as_json(policy: Policy) -> dict[str, Any]:
     }
 
 
-def table(found: Sequence[Policy]) -> str:
-    """Return a line for each policy, in columns, and how many there are of each level."""
+def table(selected: Sequence[Policy]) -> str:
+    """Return a table with one line per policy, and the number of policies of each level."""
     rows = [["policy", "family", "level", "proven", "verdict", "robots", "chunk", "license"]]
-    rows += [list(_row(policy)) for policy in found]
+    rows += [list(_row(policy)) for policy in selected]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return "\n".join([*lines, "", *_sums(found)])
+    return "\n".join([*lines, "", *_level_counts(selected)])
 
 
 def _row(policy: Policy) -> Iterator[str]:
@@ -91,18 +90,24 @@ def _row(policy: Policy) -> Iterator[str]:
     yield facts["license"].value or UNKNOWN
 
 
-def _sums(found: Sequence[Policy]) -> Iterator[str]:
-    counts = {level: sum(policy.level == level for policy in found) for level in policies.levels()}
-    told = ", ".join(f"{count} at level {level.number} ({level.word})" for level, count in counts.items() if count)
-    yield f"{len(found)} {'policy' if len(found) == 1 else 'policies'}: {told}" if found else "no policy fits"
+def _level_counts(selected: Sequence[Policy]) -> Iterator[str]:
+    counts = {level: sum(policy.level == level for policy in selected) for level in policies.levels()}
+    counts_text = ", ".join(
+        f"{count} at level {level.number} ({level.word})" for level, count in counts.items() if count
+    )
+    yield (
+        f"{len(selected)} {'policy' if len(selected) == 1 else 'policies'}: {counts_text}"
+        if selected
+        else "no policy fits"
+    )
 
 
-def told(policy: Policy) -> str:
-    """Return everything that is known of one policy."""
-    return "\n".join(_told(policy))
+def describe(policy: Policy) -> str:
+    """Return all facts of one policy as text."""
+    return "\n".join(_description_lines(policy))
 
 
-def _told(policy: Policy) -> Iterator[str]:
+def _description_lines(policy: Policy) -> Iterator[str]:
     level, proof = policy.level, policy.proof
     paper = "" if policy.in_paper else ", not in the table of the paper"
     yield f"{policy.name}: {policy.title}{paper}"
@@ -132,7 +137,7 @@ def _line(name: str, text: str) -> str:
 
 
 def _plain(value: object) -> str:
-    """Return a fact's value for people."""
+    """Return a fact's value as text."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, dict):

@@ -1,7 +1,7 @@
-"""Proves how far a policy runs here: an audit of its adapter in a checkout, written down with its digests.
+"""Proof of how far a policy runs here: an audit of its adapter in a checkout, recorded with its digests.
 
-No level is typed by a person. It follows from which gates ran to their end, and from nothing else: whether an adapter
-is right is what the verdict says, which stands beside the level.
+The level follows only from which gates ran to their end. Whether the adapter is correct is the verdict, which is
+recorded beside the level.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import xpl_cli
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome, count_outcomes
 from xpl_cli.audit.rules.profiles import Profile
-from xpl_cli.audit.rules.verdict import PARITY, judged
+from xpl_cli.audit.rules.verdict import PARITY, verdict_of
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
@@ -44,14 +44,14 @@ _ELSEWHERE: Final = re.compile(r"(?<![\w.:/])/(?:[\w.+-]+/)+([\w.+-]+)")
 
 
 @dataclass(frozen=True)
-class Adapter:
+class AdapterCheckout:
     """An adapter in a checkout.
 
     Attributes:
-        policy: whose.
+        policy: its policy.
         path: its folder.
-        folder: the same within the checkout.
-        commit: the checkout's; None where there is no git.
+        folder: the same, relative to the checkout.
+        commit: of the checkout; None without git.
     """
 
     policy: Policy
@@ -60,23 +60,23 @@ class Adapter:
     commit: str | None
 
 
-def adapter_in(policy: Policy, checkout: Path) -> Adapter:
-    """Return the adapter of a policy in a checkout, or in a folder that is the adapter itself.
+def adapter_in(policy: Policy, checkout: Path) -> AdapterCheckout:
+    """Find the adapter of a policy in a checkout, or in a folder that is the adapter itself.
 
     Raises:
-        NotFoundError: if there is none.
+        NotFoundError: there is none.
     """
-    told = policy.facts["adapter"].value
-    folder = told["folder"] if told is not None else f"policy/{policy.name}"
+    location = policy.facts["adapter"].value
+    folder = location["folder"] if location is not None else f"policy/{policy.name}"
     candidates = [checkout / folder, *([checkout] if checkout.resolve().name == policy.name else [])]
     path = next((one for one in candidates if any((one / mark).is_file() for mark in package.MARKS)), None)
     if path is None:
-        raise NotFoundError(f"{checkout} has no adapter in {folder}", hint="give the checkout that holds it")
-    return Adapter(policy, path.resolve(), folder, _commit(path))
+        raise NotFoundError(f"{checkout} has no adapter in {folder}", hint="give the checkout that contains it")
+    return AdapterCheckout(policy, path.resolve(), folder, _commit(path))
 
 
 def _commit(path: Path) -> str | None:
-    """Return the commit that is checked out where a folder is."""
+    """Return the commit of the work tree that contains a folder."""
     git = place.work_tree(path)
     try:
         return None if git is None else git.text("rev-parse", "HEAD").strip()
@@ -85,42 +85,42 @@ def _commit(path: Path) -> str | None:
 
 
 def _own_commit() -> str | None:
-    """Return the commit of the checkout that this tool runs from; None for an installed one."""
+    """Return the commit of the checkout that xpl runs from; None for an installed xpl."""
     root = policies.folder().parents[1]
     return _commit(root) if (root / ".git").exists() else None
 
 
 def proof(
-    adapter: Adapter,
+    adapter: AdapterCheckout,
     options: AuditOptions,
     manifest: Mapping[str, Read],
     arguments: Sequence[str] = (),
     run: Path | None = None,
 ) -> Proof:
-    """Audit an adapter, and return how far it runs.
+    """Audit an adapter and return the proof of how far it runs.
 
     Args:
         adapter: what to run.
-        options: of the audit; its gates are carried on with, whatever an earlier one finds, and serve no shadow: a
-            level is of the adapter with its own libraries.
-        manifest: what its manifest says, by key.
-        arguments: options of the command, by which it is repeated.
+        options: of the audit; later gates run whatever an earlier one finds, and without shadow: a level is that of the
+            adapter with its own libraries.
+        manifest: facts of its manifest, by key.
+        arguments: options of the command, for repeating it.
         run: a recorded run of its weights.
 
     Raises:
-        UserError: if the static gate could not judge it, or the run is not one of this adapter's weights.
+        UserError: the static gate could not judge it, or the run is not one of this adapter with weights.
     """
     from xpl_cli.audit.engine.engine import audit
 
     options = replace(options, profile=Profile.FULL)
-    report = audit(adapter.path, package.POLICY, options, shown=adapter.folder)
-    verdict = judged(report)
-    evaluated = None if run is None else _evaluated(adapter, run)
+    report = audit(adapter.path, package.POLICY, options, display_path=adapter.folder)
+    verdict = verdict_of(report)
+    evaluated = None if run is None else _recorded_run(adapter, run)
     level, following = _level(report, verdict, evaluated)
     if not level:
         raise UserError(f"{adapter.folder} was not judged by the static gate: {following}", code=ExitCode.NOT_RUN)
     name = adapter.policy.name
-    found: Proof = {
+    result: Proof = {
         "name": name,
         "level": level,
         "date": dt.datetime.now(dt.UTC).date().isoformat(),
@@ -128,35 +128,35 @@ def proof(
         "command": shlex.join(["xpl", "zoo", "prove", name, "CHECKOUT", *arguments]),
         "adapter": {"folder": adapter.folder, "commit": adapter.commit, "files": Source(adapter.path).record()},
         "spec": spec.VERSION,
-        "verdict": verdict.word.value,
+        "verdict": verdict.status.value,
         "statement": _short(str(verdict)),
         "gates": [_gate(gate) for gate in report.gates],
         "read": dict(manifest),
         "next": following,
     }
     if evaluated is not None and level == _WEIGHTS:
-        found["run"] = evaluated
+        result["run"] = evaluated
     root = adapter.path.parents[1] if adapter.path.as_posix().endswith(f"/{adapter.folder}") else adapter.path
-    proven: Proof = _portable(found, str(root))
+    proven: Proof = _portable(result, str(root))
     return proven
 
 
-def write(found: Proof) -> Path:
-    """Put a proof where the zoo keeps it, in place of an older one, and return its path."""
-    path = policies.proof_path(found["name"])
+def write(result: Proof) -> Path:
+    """Write a proof into the zoo, replacing an older one; return its path."""
+    path = policies.proof_path(result["name"])
     path.parent.mkdir(exist_ok=True)
-    atomic.write_file(path, f"{json.dumps(found, indent=2, ensure_ascii=False)}\n".encode())
+    atomic.write_file(path, f"{json.dumps(result, indent=2, ensure_ascii=False)}\n".encode())
     policies.policies.cache_clear()
     return path
 
 
 def _level(report: TargetReport, verdict: Verdict, evaluated: Played | None) -> tuple[int, str | None]:
-    """Return the level, and why it is not the next one."""
+    """Return the level, and why the next one was not reached."""
     gates = {gate.name: gate for gate in report.gates}
     for level, gate in enumerate((Gate.STATIC, Gate.OFFLINE)):
         if gate not in gates:
             return level, f"the {gate} gate was not asked for"
-        if (reason := _missed(gates[gate])) is not None:
+        if (reason := _gate_obstacle(gates[gate])) is not None:
             return level, reason
     parity = next((item for item in verdict.unproven if item.claim is PARITY), None)
     if parity is not None:
@@ -164,10 +164,10 @@ def _level(report: TargetReport, verdict: Verdict, evaluated: Played | None) -> 
     return (_PARITY, "no recorded run of its weights was given") if evaluated is None else (_WEIGHTS, None)
 
 
-def _missed(gate: GateReport) -> str | None:
+def _gate_obstacle(gate: GateReport) -> str | None:
     """Return why a gate did not judge a package; None if it did.
 
-    A few rules may lack what judges: a value that only the model has, or an earlier rule that holds.
+    A few rules may not run, because a value of the model is missing or an earlier rule failed.
     """
     counts = count_outcomes(gate.results)
     served = next((item for item in gate.results if item.code == _SERVES), None)
@@ -197,37 +197,37 @@ def _gate(gate: GateReport) -> GateProof:
     }
 
 
-def _evaluated(adapter: Adapter, path: Path) -> Played:
-    """Return what a recorded run says of the weights of an adapter.
+def _recorded_run(adapter: AdapterCheckout, path: Path) -> Played:
+    """Return the result of a recorded run of an adapter with weights.
 
     Raises:
-        UserError: if it is of other files, loaded no weights, or is not finished.
+        UserError: the run is of other files, loaded no weights, or is not finished.
     """
     from xpl_cli.evaluation.records import records
     from xpl_cli.evaluation.records.cells import cells
     from xpl_cli.evaluation.records.fingerprints import package_digest
 
     run = records.read(path)
-    played, found = run.plan.policy, cells(run)
-    unplayed = sum(cell.remaining for cell in found)
-    if played.digest != package_digest(adapter.path):
-        raise UserError(f"{path} is a run of other files than {adapter.folder}: expected one of this very adapter")
-    if played.checkpoint is None:
-        raise UserError(f"{path} is a run without weights: its configuration leads to no checkpoint")
-    outcomes = [outcome for cell in found for outcome in cell.outcomes]
+    plan, run_cells = run.plan.policy, cells(run)
+    unplayed = sum(cell.remaining for cell in run_cells)
+    if plan.digest != package_digest(adapter.path):
+        raise UserError(f"{path} is a run of other files than {adapter.folder}: expected a run of this adapter")
+    if plan.checkpoint is None:
+        raise UserError(f"{path} is a run without weights: its configuration has no checkpoint")
+    outcomes = [outcome for cell in run_cells for outcome in cell.outcomes]
     if unplayed or not outcomes:
-        raise UserError(f"{path} is not finished: {unplayed} episodes are still to come", hint="xpl eval --resume")
+        raise UserError(f"{path} is not finished: {unplayed} episodes are missing", hint="xpl eval --resume")
     return {
         "run": run.plan.run,
         "environment": run.plan.environment.name,
-        "checkpoint": played.checkpoint.digest,
+        "checkpoint": plan.checkpoint.digest,
         "episodes": len(outcomes),
         "successes": sum(outcomes),
     }
 
 
 def _portable(value: object, root: str) -> Any:
-    """Return a JSON value whose texts name the checkout and no other folder of this machine."""
+    """Return a JSON value with absolute paths of this machine removed."""
     if isinstance(value, str):
         return _ELSEWHERE.sub(r".../\1", value.replace(root, "CHECKOUT"))
     if isinstance(value, dict):

@@ -35,7 +35,7 @@ def refused(folder: Path, told: str) -> None:
 
 
 def test_a_folder_of_nobody_s_is_told_whose_there_are(tmp_path: Path) -> None:
-    refused(tmp_path, "expected one of LeRobot, openpi")
+    refused(tmp_path, "expected LeRobot, openpi")
     refused(trained.put(tmp_path, "weights.pt", "x"), "is a file: expected the folder that training wrote")
     with pytest.raises(NotFoundError, match="there is no"):
         registry.read([tmp_path / "nothing"])

@@ -17,22 +17,22 @@ from xpl import get_embodiment
 from xpl.kinematics import Chain
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import as_json, render
-from xpl_cli.audit.formats.listing import Context
-from xpl_cli.audit.physics.conventions import mistakes
-from xpl_cli.audit.physics.loop import Query
-from xpl_cli.audit.physics.mirrors import CAMERAS, COLOURS, World, pictured
+from xpl_cli.audit.formats.listing import ReportContext
+from xpl_cli.audit.physics.conventions import mismatches
+from xpl_cli.audit.physics.rollout import Inference
 from xpl_cli.audit.physics.simulation import Simulation
-from xpl_cli.audit.rules.figures import Course
+from xpl_cli.audit.physics.swaps import CAMERAS, COLOURS, Swap, image_swaps
 from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.measurements import RolloutSetup
 from xpl_cli.audit.rules.model import NotApplicable, Outcome
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.served.probe import Probe
 from xpl_cli.basics import content
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.packages import environments
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.audit.rules.model import GateReport
 
-OPTIONS = Options(gates=(Gate.MUJOCO,))
+OPTIONS = AuditOptions(gates=(Gate.MUJOCO,))
 WRITTEN = dict[str, Any]
 
 
@@ -50,7 +50,7 @@ def package(tmp_path: Path) -> Callable[..., Path]:
 
     def write(edits: dict[str, str] | None = None, end: str = "", **answers: Any) -> Path:
         folder = tmp_path / "Subject"
-        filled = Answers(**{**adapter.defaults(), "block": False, "name": folder.name, **answers})
+        filled = AdapterAnswers(**{**adapter.defaults(), "block": False, "name": folder.name, **answers})
         adapter.write(adapter.render(filled), folder)
         manifest = folder / sdk.File.POLICY_YML
         text = manifest.read_text()
@@ -69,10 +69,10 @@ def gate(folder: Path, *names: str, **options: Any) -> GateReport:
     return report
 
 
-def courses(folder: Path, options: Options = OPTIONS) -> tuple[Course, ...]:
+def courses(folder: Path, options: AuditOptions = OPTIONS) -> tuple[RolloutSetup, ...]:
     """Return what would be driven, without serving anything."""
     with Probe.start(folder, options) as probe:
-        return Simulation(probe).courses
+        return Simulation(probe).setups
 
 
 # -- what is driven ----------------------------------------------------------------------------------------------------
@@ -121,7 +121,7 @@ def test_a_robot_that_is_told_to_be_where_it_is_stays_there(package: Callable[..
     """The environment keeps the convention that it holds policies to: the flange of a held pose moves by under 2 mm."""
     with Probe.start(package(action_type="ee"), replace(OPTIONS, tasks=("lift_cube",))) as probe:
         (played,) = Simulation(probe).sound_rollouts()
-    places = [query.state["left_ee_pose"] for query in played.queries[0]]
+    places = [query.state["left_ee_pose"] for query in played.inferences[0]]
     assert np.linalg.norm(places[-1][:3] - places[0][:3]) < 0.002
     assert not any(played.corrections[0])
 
@@ -132,10 +132,10 @@ def test_success_is_reported_with_its_interval(package: Callable[..., Path]) -> 
     report = engine.audit(package(), "policy", replace(OPTIONS, names=("claimed-success",), episodes=2))
     (found,) = report.gates
     assert found.outcome is Outcome.NOT_APPLICABLE
-    (figure,) = found.figures
+    (figure,) = found.measurements
     assert (figure.successes, figure.episodes) == (0, 2)
-    assert str(figure) in render("text", [report], Context())
-    document = as_json([report], Context())
+    assert str(figure) in render("text", [report], ReportContext())
+    document = as_json([report], ReportContext())
     assert validate(document, "audit") == []
     (entry,) = document["targets"][0]["gates"][0]["figures"]
     assert entry["success_interval"] == pytest.approx([0, 0.6576], abs=1e-4)
@@ -152,8 +152,8 @@ def test_a_claim_is_measured_as_it_says(package: Callable[..., Path]) -> None:
     folder = package(declared, end=f"claims:\n  - {claim}success_rate: 0.9, episodes: 4}}\n")
     found = gate(folder, "claimed-success")
     assert found.outcome is Outcome.FAIL
-    assert found.figures[0].course == Course("push_block", "piper", "ee", "randomized")
-    assert found.figures[0].episodes == 4
+    assert found.measurements[0].setup == RolloutSetup("push_block", "piper", "ee", "randomized")
+    assert found.measurements[0].episodes == 4
 
 
 @pytest.mark.slow
@@ -168,7 +168,7 @@ def test_a_shadow_is_held_to_what_any_model_has_to_do(package: Callable[..., Pat
         "evaluation-loop-runs",
     }
     assert report.outcome is Outcome.PASS
-    assert report.figures == ()
+    assert report.measurements == ()
 
 
 def test_an_adapter_that_dies_in_the_loop_is_a_finding(package: Callable[..., Path]) -> None:
@@ -242,9 +242,9 @@ def test_a_fresh_scaffold_is_green_in_physics(arms: int, package: Callable[..., 
 # -- what it is made of ------------------------------------------------------------------------------------------------
 
 
-def queries(action: Callable[[int], np.ndarray], state: WRITTEN) -> list[Query]:
+def queries(action: Callable[[int], np.ndarray], state: WRITTEN) -> list[Inference]:
     """Return four questions at one state, answered by chunks of one step."""
-    return [Query(step, state, action(step)[None].astype(np.float32), 0.0) for step in range(4)]
+    return [Inference(step, state, action(step)[None].astype(np.float32), 0.0) for step in range(4)]
 
 
 @pytest.fixture
@@ -262,18 +262,18 @@ def test_one_answer_in_another_convention_is_no_mistake(arm_state: WRITTEN) -> N
     """Only what explains every answer is: a policy may pass any place once."""
     robot = get_embodiment("franka_single")
     there, here = (np.append(arm_state[key], 1.0) for key in ("tcp_pose", "ee_pose"))
-    assert [found.what for found in mistakes(robot, "ee", queries(lambda _: there, arm_state))] == [
-        "the point between the fingertips"
+    assert [found.what for found in mismatches(robot, "ee", queries(lambda _: there, arm_state))] == [
+        "the TCP between the fingertips"
     ]
-    assert not list(mistakes(robot, "ee", queries(lambda step: here if step == 2 else there, arm_state)))
-    assert not list(mistakes(robot, "ee", queries(lambda _: here, arm_state)[:1]))
+    assert not list(mismatches(robot, "ee", queries(lambda step: here if step == 2 else there, arm_state)))
+    assert not list(mismatches(robot, "ee", queries(lambda _: here, arm_state)[:1]))
 
 
 @pytest.mark.parametrize(
     ("said", "what"),
     [
         (lambda state: np.degrees(state["left_arm_joint_state"]), "joint angles in degrees"),
-        (lambda state: state["right_arm_joint_state"], "where the other arm is"),
+        (lambda state: state["right_arm_joint_state"], "the pose of the other arm"),
     ],
 )
 def test_joints_in_another_convention_are_told(said: Callable[[WRITTEN], np.ndarray], what: str) -> None:
@@ -284,7 +284,7 @@ def test_joints_in_another_convention_are_told(said: Callable[[WRITTEN], np.ndar
         "right_arm_joint_state": np.array([-0.4, 0.9, 1.2, -0.5, 0.0, 0.1]),
     }
     action = np.concatenate([said(state), [1.0], state["right_arm_joint_state"], [1.0]])
-    (found,) = mistakes(robot, "joint", queries(lambda _: action, state))
+    (found,) = mismatches(robot, "joint", queries(lambda _: action, state))
     assert (found.key, found.what) == ("left_arm_joint_state", what)
 
 
@@ -295,12 +295,12 @@ def test_a_mirrored_world_exchanges_pictures_and_nothing_else() -> None:
     env.reset([1])
     (real,) = env.get_obs_batch([0])
     cameras = list(real["vision"])
-    colours, wrists, *_ = pictured(cameras)
-    assert (colours, wrists) == (World(COLOURS), World(CAMERAS, ("cam_left_wrist", "cam_right_wrist")))
-    (seen,) = colours.around(env, robot).get_obs_batch([0])
+    colours, wrists, *_ = image_swaps(cameras)
+    assert (colours, wrists) == (Swap(COLOURS), Swap(CAMERAS, ("cam_left_wrist", "cam_right_wrist")))
+    (seen,) = colours.apply_to(env, robot).get_obs_batch([0])
     for name in cameras:
         assert np.array_equal(seen["vision"][name]["color"], real["vision"][name]["color"][..., ::-1])
-    (seen,) = wrists.around(env, robot).get_obs_batch([0])
+    (seen,) = wrists.apply_to(env, robot).get_obs_batch([0])
     came_from = {"cam_left_wrist": "cam_right_wrist", "cam_right_wrist": "cam_left_wrist", "cam_head": "cam_head"}
     for name, other in came_from.items():
         assert np.array_equal(seen["vision"][name]["color"], real["vision"][other]["color"])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -175,7 +175,7 @@ def made(
         changes: keys of policy.yml.
     """
     answers = {**adapter.defaults(), "name": folder.name, "embodiment": "franka_single", "action_type": "joint"}
-    adapter.write(adapter.render(Answers(**answers)), folder, overwrite=True)
+    adapter.write(adapter.render(AdapterAnswers(**answers)), folder, overwrite=True)
     (folder / "policy.yml").write_text(yaml.safe_dump(manifest(folder.name, model_io, **changes), sort_keys=False))
     (folder / "network.py").write_text(NETWORK)
     (folder / "model.py").write_text(model)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl.registry import Entry as Registered
+from xpl.registry import RegisteredEntry as Registered
 from xpl_cli.audit.rules import registry
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 
 if TYPE_CHECKING:
     import pytest
@@ -48,9 +48,9 @@ class Room:
         )
         return path
 
-    def entries(self) -> tuple[registry.Entry, ...]:
+    def entries(self) -> tuple[registry.RuleEntry, ...]:
         """Return its rules in order of code; one whose code is not ours is an installed package's."""
-        found = map(registry.Entry.at, self.folder.glob("*/*/rule.py"))
+        found = map(registry.RuleEntry.at, self.folder.glob("*/*/rule.py"))
         source = Registered("xpl.rules", "theirs", "theirs.rules", "theirs 1.0")
         each = (item if item.code.startswith("XPL") else replace(item, source=source) for item in found)
         return tuple(sorted(each, key=lambda entry: entry.code))
@@ -66,5 +66,5 @@ def made_room(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Room:
 
 def made_adapter(folder: Path, **answers: Any) -> Path:
     """Write a fresh scaffold and return its folder."""
-    adapter.write(adapter.render(Answers(**{**adapter.defaults(), "name": folder.name, **answers})), folder)
+    adapter.write(adapter.render(AdapterAnswers(**{**adapter.defaults(), "name": folder.name, **answers})), folder)
     return folder

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from xpl_cli.scaffold import adapter
-from xpl_cli.scaffold.answers import Answers
+from xpl_cli.scaffold.answers import AdapterAnswers
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -75,7 +75,7 @@ def block(**changes: Any) -> dict[str, Any]:
 def made(folder: Path, model_io: dict[str, Any] | None, model: str = MODEL) -> Path:
     """Write an adapter for two arms into a folder and return it."""
     answers = {**adapter.defaults(), "name": folder.name, "embodiment": "arx_x5", "action_type": "joint"}
-    adapter.write(adapter.render(Answers(**answers)), folder)
+    adapter.write(adapter.render(AdapterAnswers(**answers)), folder)
     manifest = yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8"))
     manifest.update({"spec": "v1", "temporal": {"kind": "chunk", "chunk": 4}})
     manifest.pop("model_io", None)

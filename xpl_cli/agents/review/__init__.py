@@ -1,1 +1,1 @@
-"""Reviews of changes: what a branch does to the packages of a repository, in the order in which it matters."""
+"""Review of a branch: its effect on the packages of a repository, worst findings first."""

@@ -1,4 +1,4 @@
-"""What a branch changes: packages that came, changed or went, and files that belong to none."""
+"""The changes of a branch: packages added, changed or removed, and files outside packages."""
 
 from __future__ import annotations
 
@@ -25,77 +25,77 @@ _MANIFESTS = frozenset((sdk.File.POLICY_YML, f"{package.ENV}.yml"))
 
 
 @dataclass(frozen=True)
-class Touched:
-    """A package that a change touches.
+class ChangedPackage:
+    """A package that a branch changes.
 
     Attributes:
-        target: what is audited.
-        place: its folder from the top of the repository.
-        files: how many of its files differ.
+        target: the audit target.
+        path: its folder, relative to the repository's root.
+        files: number of changed files.
         change: `added` or `changed`.
-        documents_only: whether no file differs that may run or configure.
+        documents_only: whether only documents changed, and neither code nor configuration.
     """
 
     target: Target
-    place: str
+    path: str
     files: int
     change: str
     documents_only: bool = False
 
 
 @dataclass(frozen=True)
-class Change:
+class BranchChange:
     """The difference between a commit and the work tree.
 
     Attributes:
-        ref: what the commit was called.
-        base: the commit where the two parted.
-        packages: what there is to audit, by place.
-        removed: places of packages that are gone.
-        elsewhere: files of no package, from the top of the repository.
+        ref: name of the commit.
+        base: the merge base.
+        packages: to audit, ordered by path.
+        removed: paths of removed packages.
+        elsewhere: changed files outside packages, relative to the repository's root.
     """
 
     ref: str
     base: str
-    packages: tuple[Touched, ...]
+    packages: tuple[ChangedPackage, ...]
     removed: tuple[str, ...]
     elsewhere: tuple[str, ...]
 
 
-def change_since(ref: str, repository: Repository) -> Change:
-    """Return what the work tree changes since it left a commit's history.
+def change_since(ref: str, repository: Repository) -> BranchChange:
+    """Return the changes of the work tree since its merge base with a commit.
 
     Args:
         ref: a branch, tag or commit.
         repository: the work tree.
 
     Raises:
-        UserError: if there is no such commit, or a package is a repository of its own inside this one.
+        UserError: the commit does not exist, or a package is a nested repository.
     """
     base = repository.base(ref)
-    held: dict[Path, list[Path]] = {}
+    files_by_folder: dict[Path, list[Path]] = {}
     removed, elsewhere = set(), []
     for path in sorted(repository.changed(base)):
         folder = holding(path)
         if is_package(path):
             raise nested(path, path, repository.root)
         if folder is not None and folder.is_relative_to(repository.root):
-            held.setdefault(folder, []).append(path)
+            files_by_folder.setdefault(folder, []).append(path)
             continue
         name = path.relative_to(repository.root)
         elsewhere.append(name.as_posix())
         if name.name in _MANIFESTS and not path.is_file():
             removed.add(name.parent.as_posix())
-    inside = tuple(name for name in elsewhere if not any(name.startswith(f"{place}/") for place in removed))
-    for folder in held:
+    inside = tuple(name for name in elsewhere if not any(name.startswith(f"{package}/") for package in removed))
+    for folder in files_by_folder:
         Repository.of_package(folder, Path.cwd())
-    packages = tuple(_touched(folder, held[folder], base, repository) for folder in sorted(held))
-    return Change(ref, base, packages, tuple(sorted(removed)), inside)
+    packages = tuple(_touched(folder, files_by_folder[folder], base, repository) for folder in sorted(files_by_folder))
+    return BranchChange(ref, base, packages, tuple(sorted(removed)), inside)
 
 
-def _touched(folder: Path, files: list[Path], base: str, repository: Repository) -> Touched:
-    place = folder.relative_to(repository.root).as_posix()
-    was_there = repository.has(base, place)
+def _touched(folder: Path, files: list[Path], base: str, repository: Repository) -> ChangedPackage:
+    package_path = folder.relative_to(repository.root).as_posix()
+    was_there = repository.has(base, package_path)
     documents_only = was_there and all(path.suffix in _DOCUMENTS or path.name in _NOTICES for path in files)
     change = CHANGED if was_there else ADDED
-    return Touched(find_target(folder), place, len(files), change, documents_only)
+    return ChangedPackage(find_target(folder), package_path, len(files), change, documents_only)

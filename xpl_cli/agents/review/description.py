@@ -1,4 +1,4 @@
-"""The description of a pull request, held against the form for submissions and against what the audit finds here."""
+"""Check of a pull request's description against the submission template and against the audit's results."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from xpl_cli.packages import package
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.agents.review.change import Change
+    from xpl_cli.agents.review.change import BranchChange
     from xpl_cli.audit.rules.model import TargetReport
     from xpl_cli.basics.git.history import Repository
 
 TEMPLATE: Final = ".github/PULL_REQUEST_TEMPLATE/policy.md"
-"""The form, from the top of a repository."""
+"""The template, relative to the repository's root."""
 
 _FINISH = re.compile(
     r"XPL-FINISH gate=(?P<gate>\w+) (?P<outcome>\w+) .*?digest=(?P<digest>\w+) fingerprint=(?P<fingerprint>\w+)"
@@ -32,12 +32,12 @@ _FINISH = re.compile(
 
 @dataclass(frozen=True)
 class Description:
-    """What a description leaves open.
+    """The check of a description.
 
     Attributes:
-        form: the form that it was held against; None if the change brings no policy, or the repository has no form.
-        problems: sentences on what is to be mended.
-        notes: sentences on what could not be compared.
+        form: the template that it was checked against; None if no policy is added, or the repository has no template.
+        problems: what has to be fixed, one sentence each.
+        notes: what could not be compared, one sentence each.
     """
 
     form: str | None
@@ -45,15 +45,15 @@ class Description:
     notes: tuple[str, ...]
 
 
-def read(text: str, change: Change, reports: Sequence[TargetReport], repository: Repository) -> Description:
-    """Read a description.
+def read(text: str, change: BranchChange, reports: Sequence[TargetReport], repository: Repository) -> Description:
+    """Check a description.
 
-    It has to follow the form if the change adds a policy, or if it was begun with the form. The form is that of the
-    base, so that no change softens what it is held to; a repository that gets its first one has it in the work tree.
+    It has to follow the template if the branch adds a policy, or if it has one of the template's headings. The template
+    is taken from the merge base, so that a branch cannot weaken it; a repository's first one from the work tree.
 
     Args:
         text: the description.
-        change: what it describes.
+        change: of the branch.
         reports: the audits of this review.
         repository: the work tree.
     """
@@ -62,7 +62,9 @@ def read(text: str, change: Change, reports: Sequence[TargetReport], repository:
     is_held = template is not None and (adds or form.uses(text, template))
     claims = [match.groupdict() for match in _FINISH.finditer(text)]
     gates = [gate for report in reports if report.kind == package.POLICY for gate in report.gates]
-    problems = [*form.open_places(text, template), *_unproved(claims)] if is_held and template is not None else []
+    problems = (
+        [*form.unfilled_fields(text, template), *_unproved_claims(claims)] if is_held and template is not None else []
+    )
     notes = [] if is_held else [_why_not_held(template)]
     for claim in claims:
         alike = [gate for gate in gates if _is_comparable(claim, gate)]
@@ -71,30 +73,30 @@ def read(text: str, change: Change, reports: Sequence[TargetReport], repository:
                 f"the {claim['gate']} gate was run on another machine or version: its digest proves nothing here"
             )
         elif all(gate.digest != claim["digest"] for gate in alike):
-            found = " or ".join(dict.fromkeys(str(gate.digest) for gate in alike))
+            expected = " or ".join(dict.fromkeys(str(gate.digest) for gate in alike))
             problems.append(
                 f"the {claim['gate']} gate of the description is not that of these files: "
-                f"expected digest {found}, got {claim['digest']}"
+                f"expected digest {expected}, got {claim['digest']}"
             )
     return Description(TEMPLATE if is_held else None, tuple(dict.fromkeys(problems)), tuple(dict.fromkeys(notes)))
 
 
 def _why_not_held(template: str | None) -> str:
     if template is None:
-        return f"the description was held against no form: there is no {TEMPLATE} in this repository"
-    return f"the description was held against no form: the change adds no policy, and it was not begun with {TEMPLATE}"
+        return f"the description was not checked: there is no {TEMPLATE} in this repository"
+    return f"the description was not checked: the change adds no policy, and has no heading of {TEMPLATE}"
 
 
-def _unproved(claims: list[dict[str, str | None]]) -> Iterator[str]:
-    """Yield what finish lines that were pasted do not prove."""
+def _unproved_claims(claims: list[dict[str, str | None]]) -> Iterator[str]:
+    """Yield what the pasted finish lines do not prove."""
     if not claims:
-        yield "no line XPL-FINISH is given: what was audited, nobody can tell"
+        yield "it has no XPL-FINISH line, so it does not prove any audit"
         return
     for gate in Gate:
-        found = [claim for claim in claims if claim["gate"] == gate]
-        if not found:
-            yield f"the line XPL-FINISH of the {gate} gate is missing"
-        for claim in found:
+        matching = [claim for claim in claims if claim["gate"] == gate]
+        if not matching:
+            yield f"the XPL-FINISH line of the {gate} gate is missing"
+        for claim in matching:
             if claim["outcome"] != Outcome.PASS:
                 yield f"the {gate} gate did not pass: its line says {claim['outcome']}"
             if claim["profile"] == Profile.SHADOW:

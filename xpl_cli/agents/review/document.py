@@ -1,4 +1,4 @@
-"""A review for machines: `xpl.review/1`."""
+"""A review as JSON: `xpl.review/1`."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli import __version__
 from xpl_cli.audit.formats import document
-from xpl_cli.audit.formats.steps import next_commands
-from xpl_cli.audit.rules.verdict import judged
+from xpl_cli.audit.formats.next_steps import next_commands
+from xpl_cli.audit.rules.verdict import verdict_of
 from xpl_cli.basics.untrusted import command
 
 if TYPE_CHECKING:
-    from xpl_cli.agents.review.review import Remark, Review
+    from xpl_cli.agents.review.review import Review, ReviewFinding
 
 SCHEMA: Final = "xpl.review/1"
 
 
 def as_json(review: Review) -> dict[str, Any]:
-    """Return the review as a map; `audit` in it is the whole audit, `findings` are those that the review tells."""
+    """Return the review as JSON values; `audit` is the complete audit, `findings` are those that the review reports."""
     change, description = review.change, review.description
     return {
         "schema": SCHEMA,
@@ -31,14 +31,14 @@ def as_json(review: Review) -> dict[str, Any]:
                 "kind": report.kind,
                 "change": touched.change,
                 "files": touched.files,
-                **judged(report).as_json(),
+                **verdict_of(report).as_json(),
             }
             for touched, report in zip(change.packages, review.reports, strict=True)
         ],
         "removed": list(change.removed),
         "elsewhere": len(change.elsewhere),
-        "findings": [_remark(remark) for remark in review.told],
-        "left_out": len(review.remarks) - len(review.told),
+        "findings": [_finding_as_json(remark) for remark in review.reported],
+        "left_out": len(review.remarks) - len(review.reported),
         "description": None
         if description is None
         else {"form": description.form, "problems": list(description.problems), "notes": list(description.notes)},
@@ -49,13 +49,13 @@ def as_json(review: Review) -> dict[str, Any]:
 
 
 def following(review: Review) -> list[str]:
-    """Return the commands that come next: those of the audit, and what audits what was not told."""
+    """Return the next commands: those of the audit, and an audit of packages with unreported findings."""
     commands = next_commands(review.reports, review.context) if review.reports else []
-    hidden = dict.fromkeys(remark.first.target.path for remark in review.remarks[len(review.told) :])
+    hidden = dict.fromkeys(remark.first.target.path for remark in review.remarks[len(review.reported) :])
     return [*commands, *([command(["xpl", "audit", *hidden])] if hidden and not commands else [])]
 
 
-def _remark(remark: Remark) -> dict[str, Any]:
+def _finding_as_json(remark: ReviewFinding) -> dict[str, Any]:
     first = remark.first
     return {
         "code": first.result.code,
@@ -66,6 +66,6 @@ def _remark(remark: Remark) -> dict[str, Any]:
         "outcome": first.result.outcome.value,
         "harm": remark.harm.name,
         "was_there_before": remark.is_old,
-        **document.described(first.finding, first.result, first.folder, first.fingerprint),
+        **document.finding_as_json(first.finding, first.result, first.folder, first.fingerprint),
         "also": [{"path": entry.path, "line": entry.finding.line} for entry in remark.others],
     }

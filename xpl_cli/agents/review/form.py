@@ -1,7 +1,7 @@
-"""Forms: what a pull-request template asks for, and what of it a text leaves open.
+"""Pull-request templates: their fields, and those that a description leaves empty.
 
-A form says by its own Markdown what it wants: a heading with words below it, `- Name:` with words behind it, a box that
-is ticked, a block of code that is filled in. So whoever edits the form needs to change no code.
+A template defines its fields in Markdown: a heading with text below it, `- Name:` with text after it, a checkbox, a
+code block. Editing the template needs no change of code.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ _FENCE = re.compile(r"(`{3,}|~{3,})")
 
 
 @dataclass
-class Section:
-    """What stands below one heading.
+class FormSection:
+    """The content below one heading.
 
     Attributes:
-        fields: names and what follows them.
-        boxes: sentences, and whether they are ticked.
-        blocks: blocks of code, without the blanks around them.
-        words: everything else that is no blank line.
+        fields: text after `- Name:`, by name.
+        boxes: whether each checkbox is ticked, by its sentence.
+        blocks: code blocks, stripped.
+        words: all other lines that are not blank.
     """
 
     fields: dict[str, str] = field(default_factory=dict)
@@ -34,59 +34,59 @@ class Section:
     words: list[str] = field(default_factory=list)
 
 
-def sections(text: str) -> dict[str, Section]:
-    """Return the sections of a Markdown text by their headings; comments count as nothing."""
-    found: dict[str, Section] = {}
-    section = Section()  # what stands before the first heading is nobody's
+def sections(text: str) -> dict[str, FormSection]:
+    """Return the sections of a Markdown text by heading, without comments."""
+    by_heading: dict[str, FormSection] = {}
+    section = FormSection()  # text before the first heading is ignored
     lines = iter(_COMMENT.sub("", text.replace("\r\n", "\n")).split("\n"))
     for line in lines:
-        told = " ".join(line.split())
-        if heading := _HEADING.fullmatch(told):
-            section = found.setdefault(heading.group(1), Section())
-        elif fence := _FENCE.match(told):
+        text_line = " ".join(line.split())
+        if heading := _HEADING.fullmatch(text_line):
+            section = by_heading.setdefault(heading.group(1), FormSection())
+        elif fence := _FENCE.match(text_line):
             section.blocks.append("\n".join(_fenced(lines, fence.group(1))).strip())
-        elif box := _BOX.fullmatch(told):
+        elif box := _BOX.fullmatch(text_line):
             section.boxes[box.group(2)] = box.group(1) != " "
-        elif named := _FIELD.fullmatch(told):
-            section.fields[named.group(1)] = named.group(2)
-        elif told:
-            section.words.append(told)
-    return found
+        elif entry := _FIELD.fullmatch(text_line):
+            section.fields[entry.group(1)] = entry.group(2)
+        elif text_line:
+            section.words.append(text_line)
+    return by_heading
 
 
 def uses(text: str, form: str) -> bool:
-    """Tell whether a text was begun with a form: it has one of its headings."""
+    """Tell whether a text has one of a template's headings."""
     return bool(sections(text).keys() & sections(form).keys())
 
 
-def open_places(text: str, form: str) -> Iterator[str]:
-    """Yield what a text leaves open of a form, a sentence each."""
+def unfilled_fields(text: str, form: str) -> Iterator[str]:
+    """Yield the fields of a template that a text leaves empty, one sentence each."""
     answers = sections(text)
-    for heading, asked in sections(form).items():
+    for heading, template in sections(form).items():
         if heading not in answers:
             yield f"the section {heading!r} is missing"
             continue
-        yield from _open(heading, asked, answers[heading])
+        yield from _unfilled_of_section(heading, template, answers[heading])
 
 
-def _open(heading: str, asked: Section, given: Section) -> Iterator[str]:
-    for name in asked.fields:
-        if not given.fields.get(name):
+def _unfilled_of_section(heading: str, template: FormSection, answer: FormSection) -> Iterator[str]:
+    for name in template.fields:
+        if not answer.fields.get(name):
             yield f"{heading}: {name!r} is not filled in"
-    for sentence in asked.boxes:
-        if sentence not in given.boxes:
-            yield f"{heading}: the box {sentence!r} is gone"
-        elif not given.boxes[sentence]:
+    for sentence in template.boxes:
+        if sentence not in answer.boxes:
+            yield f"{heading}: the box {sentence!r} is missing"
+        elif not answer.boxes[sentence]:
             yield f"{heading}: the box {sentence!r} is not ticked"
-    if asked.blocks and not any(given.blocks):
+    if template.blocks and not any(answer.blocks):
         yield f"{heading}: the block of code is empty"
-    is_free = not (asked.fields or asked.boxes or asked.blocks)
-    if is_free and not (given.words or given.fields or given.boxes or given.blocks):
-        yield f"{heading}: nothing is said"
+    is_free = not (template.fields or template.boxes or template.blocks)
+    if is_free and not (answer.words or answer.fields or answer.boxes or answer.blocks):
+        yield f"{heading}: the section is empty"
 
 
 def _fenced(lines: Iterator[str], fence: str) -> Iterator[str]:
-    """Yield the lines up to the end of a block of code."""
+    """Yield the lines up to the end of a code block."""
     for line in lines:
         if line.strip().startswith(fence) and not line.strip().strip(fence[0]):
             return

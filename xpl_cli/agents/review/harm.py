@@ -1,6 +1,6 @@
-"""What a fault does, worst first: the order in which a review tells findings.
+"""The consequences of violated requirements, worst first: the order of findings in a review.
 
-A requirement says what holds; which of two broken ones is worse is a judgement, and it stands here.
+The requirements have no order; this judgement is made here.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ class Harm:
     """A kind of consequence.
 
     Attributes:
-        name: for machines.
-        sentence: for people.
-        requirements: ids, or families of ids, of the standard.
+        name: in JSON.
+        sentence: in text.
+        requirements: ids, or prefixes of ids, of the standard.
     """
 
     name: str
@@ -51,17 +51,17 @@ HARMS: Final = (
     ),
     Harm("costs", "makes the package harder to keep", ("XPL-PKG", "XPL-AUD", "XPL-ADV")),
 )
-"""Every kind, worst first. Of the names that fit an id, the longest counts."""
+"""All kinds, worst first. The longest matching prefix of an id counts."""
 
 
 def harm(requirement: str) -> tuple[int, Harm]:
-    """Return what breaking a requirement does, and its place among the kinds, 0 for the worst."""
+    """Return the rank (0 is worst) and kind of harm of violating a requirement."""
     fits = [
-        (len(name), -place)
-        for place, kind in enumerate(HARMS)
+        (len(name), -rank)
+        for rank, kind in enumerate(HARMS)
         for name in kind.requirements
         if requirement == name or requirement.startswith(f"{name}-")
     ]
-    # A requirement that nobody has judged yet is told last, not left out.
-    place = -max(fits)[1] if fits else len(HARMS) - 1
-    return place, HARMS[place]
+    # A requirement without a kind is reported last, not omitted.
+    rank = -max(fits)[1] if fits else len(HARMS) - 1
+    return rank, HARMS[rank]

@@ -5,22 +5,22 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.formats.listing import Context, Listed, notes, shortened, unproved
-from xpl_cli.audit.formats.steps import next_commands
-from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, TargetReport, counted
-from xpl_cli.audit.rules.verdict import Verdict, Word
+from xpl_cli.audit.formats.listing import ListedFinding, ReportContext, notes, shortened, unproven_rules
+from xpl_cli.audit.formats.next_steps import next_commands
+from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, TargetReport, count_outcomes
+from xpl_cli.audit.rules.verdict import Verdict, VerdictStatus
 from xpl_cli.basics.untrusted import in_markdown, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 _MARKS = {
-    Word.GREEN: "🟢",
-    Word.PARTIAL: "🔵",
-    Word.SHADOW: "🟡",
-    Word.OPEN: "🟡",
-    Word.INCOMPLETE: "🟣",
-    Word.RED: "🔴",
+    VerdictStatus.GREEN: "🟢",
+    VerdictStatus.PARTIAL: "🔵",
+    VerdictStatus.SHADOW: "🟡",
+    VerdictStatus.OPEN: "🟡",
+    VerdictStatus.INCOMPLETE: "🟣",
+    VerdictStatus.RED: "🔴",
 }
 
 _WORDS = {
@@ -33,10 +33,10 @@ _WORDS = {
 }
 
 
-def besides(reports: Sequence[TargetReport], context: Context) -> list[str]:
-    """Return what follows the findings: what was not proved, what was not real, what was measured, what to run next."""
+def closing_sections(reports: Sequence[TargetReport], context: ReportContext) -> list[str]:
+    """Return the sections after the findings: unproven rules, shadow runs, measurements, next commands."""
     lines: list[str] = []
-    open_ends = list(unproved(reports, context))
+    open_ends = list(unproven_rules(reports, context))
     if open_ends:
         lines += ["", "### Not proved", ""]
         lines += [f"- {code(item.path)}, {item.gate.name} gate: {in_markdown(item.text)}" for item in open_ends]
@@ -48,7 +48,7 @@ def besides(reports: Sequence[TargetReport], context: Context) -> list[str]:
             "",
             *(f"- {code(path)}, {in_markdown(note)}" for path, _, note in missing),
         ]
-    measured = [(report.path, figure) for report in reports for gate in report.gates for figure in gate.figures]
+    measured = [(report.path, figure) for report in reports for gate in report.gates for figure in gate.measurements]
     if measured:
         lines += ["", "### Measured", "", *(f"- {code(path)}, {in_markdown(str(figure))}" for path, figure in measured)]
     commands = next_commands(reports, context)
@@ -57,27 +57,27 @@ def besides(reports: Sequence[TargetReport], context: Context) -> list[str]:
     return lines
 
 
-def marked(verdict: Verdict) -> str:
-    """Return a verdict with a colour."""
-    return f"{_MARKS[verdict.word]} {in_markdown(str(verdict))}"
+def verdict_with_icon(verdict: Verdict) -> str:
+    """Return a verdict with its colour icon."""
+    return f"{_MARKS[verdict.status]} {in_markdown(str(verdict))}"
 
 
-def ended(gate: GateReport) -> str:
-    """Return how many rules of a gate ended how, or why it did not begin."""
+def gate_summary(gate: GateReport) -> str:
+    """Return the number of rules of a gate by outcome, or why the gate did not run."""
     if gate.reason is not None:
         return in_markdown(gate.reason)
-    counts = counted(gate.results)
+    counts = count_outcomes(gate.results)
     return ", ".join(f"{counts[outcome]} {_WORDS[outcome]}" for outcome in Outcome if counts[outcome])
 
 
-def place(entry: Listed) -> str:
-    """Return where a finding is."""
+def location(entry: ListedFinding) -> str:
+    """Return path and line of a finding."""
     line = "" if entry.finding.line is None else f":{entry.finding.line}"
     return code(f"{entry.path}{line}")
 
 
-def told(finding: Finding) -> Iterator[str]:
-    """Yield what a finding says: the message, then a list of what belongs to it."""
+def finding_lines(finding: Finding) -> Iterator[str]:
+    """Yield the message of a finding, then a list of its details."""
     yield in_markdown(finding.message)
     if finding.expected is not None:
         yield f"- expected {in_markdown(finding.expected)}"
@@ -91,12 +91,12 @@ def told(finding: Finding) -> Iterator[str]:
 
 
 def code(text: str) -> str:
-    """Return a text as a code span; its fence is longer than every run of backticks in it."""
+    """Return a text as a code span; its fence is longer than any run of backticks in it."""
     text = one_line(text)
     fence = "`" * (1 + max((len(run) for run in re.findall("`+", text)), default=0))
     return f"{fence} {text} {fence}" if text.strip("`") != text or not text else f"{fence}{text}{fence}"
 
 
 def cell(text: str) -> str:
-    """Return a text as a code span in a table, where a bar ends the cell wherever it stands."""
+    """Return a text as a code span for a table cell, escaped if it has a `|`."""
     return code(text) if "|" not in text else in_markdown(text)

@@ -1,4 +1,4 @@
-"""One review: the audits of what a change touches, its findings in order of harm, and what its description lacks."""
+"""A review: the audits of changed packages, their findings in order of harm, and the check of the description."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.agents.review.change import CHANGED, change_since
 from xpl_cli.agents.review.harm import Harm, harm
-from xpl_cli.agents.review.judgement import brought, is_old, unchanged
+from xpl_cli.agents.review.new_findings import is_old, packages_without_code_changes, without_old_findings
 from xpl_cli.audit.engine.engine import audit_all
-from xpl_cli.audit.formats.listing import Context, Listed, listed
+from xpl_cli.audit.formats.listing import ListedFinding, ReportContext, listed_findings
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome, exit_code
-from xpl_cli.audit.rules.verdict import Word, judged, weakest
+from xpl_cli.audit.rules.verdict import VerdictStatus, verdict_of, weakest
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.progress import Progress
@@ -24,156 +24,162 @@ from xpl_cli.packages.targets import Target
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from xpl_cli.agents.review.change import Change
+    from xpl_cli.agents.review.change import BranchChange
     from xpl_cli.agents.review.description import Description
     from xpl_cli.audit.rules.model import TargetReport
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.basics.git.history import Repository
 
 MOST: Final = 10
-"""Findings that a review tells: more are not read."""
+"""Most findings that a review reports."""
 
 _SIMILAR = 5
 
 
 @dataclass(frozen=True)
-class Remark:
-    """What one rule found in one package.
+class ReviewFinding:
+    """The findings of one rule in one package.
 
     Attributes:
-        first: the finding that is told.
-        others: the rule's other findings there.
-        harm: what such a fault does.
-        is_old: whether the base has all of them already; None where nobody can tell without running the base's code.
+        first: the finding that is reported.
+        others: the rule's other findings in the package.
+        harm: kind of consequence.
+        is_old: whether the base has all of them already; None if that is unknown without running the base's code.
     """
 
-    first: Listed
-    others: tuple[Listed, ...]
+    first: ListedFinding
+    others: tuple[ListedFinding, ...]
     harm: Harm
     is_old: bool | None
 
     @property
-    def similar(self) -> tuple[Listed, ...]:
-        """The others that are named by their place."""
+    def similar(self) -> tuple[ListedFinding, ...]:
+        """The other findings that are listed by location."""
         return self.others[:_SIMILAR]
 
 
 @dataclass(frozen=True)
 class Review:
-    """What is said of a change.
+    """The review of a branch.
 
     Attributes:
-        change: what it touches.
+        change: of the branch.
         reports: the audits of its packages, in their order.
-        remarks: all of them, in order of harm.
-        description: what its description lacks; None where none was given.
-        context: what reports refer to.
-        brought: the audits without what was there before.
-        counts_all: whether what was there before counts, too.
+        remarks: all findings, in order of harm.
+        description: the check of its description; None without one.
+        context: of the reports.
+        new_reports: the audits without findings that the base has already.
+        counts_all: whether old findings count, too.
     """
 
-    change: Change
+    change: BranchChange
     reports: tuple[TargetReport, ...]
-    remarks: tuple[Remark, ...]
+    remarks: tuple[ReviewFinding, ...]
     description: Description | None
-    context: Context
-    brought: tuple[TargetReport, ...] = ()
+    context: ReportContext
+    new_reports: tuple[TargetReport, ...] = ()
     counts_all: bool = False
 
     @property
-    def told(self) -> tuple[Remark, ...]:
-        """The remarks that are told."""
+    def reported(self) -> tuple[ReviewFinding, ...]:
+        """The findings that are reported."""
         return self.remarks[:MOST]
 
     @property
     def code(self) -> ExitCode:
-        """The exit code: that of the audits, and findings where the description lacks something."""
+        """The exit code: that of the audits, or 1 if the description has problems."""
         if self.description is not None and self.description.problems:
             return ExitCode.FINDINGS
-        return exit_code(self.reports if self.counts_all else self.brought, self.context.fail_on)
+        return exit_code(self.reports if self.counts_all else self.new_reports, self.context.fail_on)
 
     @property
     def forgives(self) -> bool:
-        """Whether findings were left out of the verdict because they were there before."""
+        """Whether the verdict ignores findings because the base has them already."""
         fail_on = self.context.fail_on
-        return not self.counts_all and exit_code(self.brought, fail_on) != exit_code(self.reports, fail_on)
+        return not self.counts_all and exit_code(self.new_reports, fail_on) != exit_code(self.reports, fail_on)
 
     @property
-    def verdict(self) -> Word:
-        """`red` where something has to be mended, `incomplete` where something could not be checked.
+    def verdict(self) -> VerdictStatus:
+        """`red` if something has to be fixed, `incomplete` if something could not be checked.
 
-        Else what the package comes to of which least can be said, and green where the change touches none.
+        Else the weakest verdict of the packages, and green without packages.
         """
         if self.code is not ExitCode.CLEAN:
-            return Word.RED if self.code is ExitCode.FINDINGS else Word.INCOMPLETE
-        return weakest(judged(report).word for report in (self.reports if self.counts_all else self.brought))
+            return VerdictStatus.RED if self.code is ExitCode.FINDINGS else VerdictStatus.INCOMPLETE
+        return weakest(verdict_of(report).status for report in (self.reports if self.counts_all else self.new_reports))
 
 
 def review(
     ref: str,
     repository: Repository,
-    options: Options,
+    options: AuditOptions,
     *,
-    context: Context,
+    context: ReportContext,
     description: str | None = None,
 ) -> Review:
-    """Review what the work tree changes since it left a commit's history.
+    """Review the changes of the work tree since its merge base with a commit.
 
     Args:
         ref: a branch, tag or commit.
         repository: the work tree.
-        options: how the packages are audited.
-        context: what reports refer to.
+        options: of the audits.
+        context: of the reports.
         description: text of the pull request.
 
     Raises:
-        UserError: if there is no such commit.
+        UserError: the commit does not exist.
     """
     from xpl_cli.agents.review import description as texts
 
     change = change_since(ref, repository)
     reports = audit_all([touched.target for touched in change.packages], options)
-    known = _known_before(change, repository, options)
+    base_fingerprints = _known_before(change, repository, options)
     read = None if description is None else texts.read(description, change, reports, repository)
-    same = unchanged(change)
-    remarks = _remarks(listed(reports, context), known, same)
-    new = brought(reports, context, known, same)
+    same = packages_without_code_changes(change)
+    remarks = _group_findings(listed_findings(reports, context), base_fingerprints, same)
+    new = without_old_findings(reports, context, base_fingerprints, same)
     return Review(change, tuple(reports), tuple(remarks), read, context, tuple(new))
 
 
-def _remarks(entries: Iterable[Listed], known: set[str], same: frozenset[str]) -> list[Remark]:
-    """Return findings, those of one rule in one package together: what fails, what is worse, what is new, first."""
+def _group_findings(
+    entries: Iterable[ListedFinding], base_fingerprints: set[str], same: frozenset[str]
+) -> list[ReviewFinding]:
+    """Group findings by rule and package; sort by outcome, harm, and whether they are new."""
     by_rule = groupby(entries, lambda entry: (entry.target.path, entry.result.code))  # reports are in this order
     remarks = []
-    for _, found in by_rule:
-        new_first = sorted(found, key=lambda entry: entry.fingerprint in known)
+    for _, group in by_rule:
+        new_first = sorted(group, key=lambda entry: entry.fingerprint in base_fingerprints)
         first, *others = new_first
-        remarks.append(Remark(first, tuple(others), harm(first.result.requirement)[1], is_old(first, known, same)))
+        remarks.append(
+            ReviewFinding(
+                first, tuple(others), harm(first.result.requirement)[1], is_old(first, base_fingerprints, same)
+            )
+        )
     return sorted(remarks, key=_order)
 
 
-def _order(remark: Remark) -> tuple[bool, int, bool]:
+def _order(remark: ReviewFinding) -> tuple[bool, int, bool]:
     first = remark.first
     return first.result.outcome is not Outcome.FAIL, harm(first.result.requirement)[0], bool(remark.is_old)
 
 
-def _known_before(change: Change, repository: Repository, options: Options) -> set[str]:
-    """Return what the static gate finds in the packages as the base has them; no other gate, which would run them."""
+def _known_before(change: BranchChange, repository: Repository, options: AuditOptions) -> set[str]:
+    """Return the fingerprints of the static gate's findings in the base; other gates would run the base's code."""
     changed = [touched for touched in change.packages if touched.change == CHANGED]
     if not changed or Gate.STATIC not in options.gates:
         return set()
     with tempfile.TemporaryDirectory(prefix="xpl-review-") as folder:
-        top = Path(folder).resolve() / repository.root.name  # a package at the top has its name from there
+        top = Path(folder).resolve() / repository.root.name  # names a package that is the repository's root
         top.mkdir()
-        (top / ".git").touch()  # marks the top, from which findings count their paths
+        (top / ".git").touch()  # marks the root, to which findings' paths are relative
         before = [
-            Target(top / touched.place, touched.target.kind, touched.place)
+            Target(top / touched.path, touched.target.kind, touched.path)
             for touched in changed
-            if repository.export(change.base, touched.place, top, largest=SIZE_LIMIT)
+            if repository.export(change.base, touched.path, top, largest=SIZE_LIMIT)
         ]
         static = replace(options, gates=(Gate.STATIC,), progress=Progress())
-        return _fingerprints(audit_all(before, static), Context(here=top))
+        return _fingerprints(audit_all(before, static), ReportContext(here=top))
 
 
-def _fingerprints(reports: Sequence[TargetReport], context: Context) -> set[str]:
-    return {entry.fingerprint for entry in listed(reports, context)}
+def _fingerprints(reports: Sequence[TargetReport], context: ReportContext) -> set[str]:
+    return {entry.fingerprint for entry in listed_findings(reports, context)}

@@ -1,1 +1,1 @@
-"""Agent skills: what they are, where coding agents look for them, and whether they still fit this version."""
+"""Agent skills: format, installation for coding agents, and checks of installed copies."""

@@ -1,4 +1,4 @@
-"""Whether agents find the skills of this version: stale copies, broken links, skills that are left out unseen."""
+"""Check of installed skills: stale copies, broken links, and skills that agents silently ignore."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from pathlib import Path
 from typing import Final
 
 from xpl_cli import __version__
-from xpl_cli.agents.skills import instructions, places, specification
-from xpl_cli.agents.skills.bundle import FILE, Bundle, bundles, read
-from xpl_cli.agents.skills.placing import Condition, condition, stamp
+from xpl_cli.agents.skills import instructions, locations, specification
+from xpl_cli.agents.skills.bundle import FILE, SkillBundle, bundles, read
+from xpl_cli.agents.skills.installation import Condition, condition, stamp
 
 _FRAME: Final = 8
-"""Characters around a name and a description in an agent's list."""
+"""Characters that an agent's list adds to a name and a description."""
 
 
 @dataclass(frozen=True)
-class Finding:
-    """What keeps a skill from an agent, or gives it another one.
+class SkillFinding:
+    """A problem that keeps a skill from an agent, or gives it another version.
 
     Attributes:
         kind: `stale`, `edited`, `foreign`, `broken`, `unlinked`, `dropped`, `invalid`, `rules` or `budget`.
-        path: where.
+        path: of the skill or file.
         message: one sentence.
-        fix: what to do; a command where one does it.
-        fails: whether it counts: what is said of other people's skills, and what may be meant so, is told only.
+        fix: what to do, or the command that does it.
+        fails: whether it makes the check fail; problems of third-party skills do not.
     """
 
     kind: str
@@ -36,14 +36,14 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Listing:
-    """What an agent's list of skills takes of its context.
+class SkillListing:
+    """The length of an agent's list of skills.
 
     Attributes:
         agent: name of the agent.
-        skills: how many it finds.
+        skills: number of skills that it finds.
         characters: length of its list.
-        budget: length up to which it shows all of it; None if it does not say.
+        budget: longest list that it shows completely; None if undocumented.
     """
 
     agent: str
@@ -53,128 +53,128 @@ class Listing:
 
 
 @dataclass(frozen=True)
-class _Site:
-    """The places of one scope."""
+class _InstallScope:
+    """The skill folders of one scope."""
 
-    scope: places.Scope
+    scope: locations.Scope
     base: Path
 
     @property
     def renew(self) -> str:
-        """The command that puts things right here."""
+        """The command that repairs this scope."""
         return "xpl skills install" + (" --user" if self.scope == "user" else "")
 
-    def place(self, folder: str) -> Path:
-        """Return where a folder of skills is, or would be."""
-        return places.place(self.base, folder, self.scope)
+    def folder_path(self, folder: str) -> Path:
+        """Return the path of a skill folder, which may not exist."""
+        return locations.skills_folder(self.base, folder, self.scope)
 
     def entries(self, folder: str) -> list[Path]:
-        """Return what lies in a folder of skills; what begins with a dot is none."""
-        path = self.place(folder)
+        """Return the entries of a skill folder, without hidden ones."""
+        path = self.folder_path(folder)
         return sorted(entry for entry in path.iterdir() if entry.name[0] != ".") if path.is_dir() else []
 
 
-class Check:
-    """Looks at a project and at the user's own skills.
+class SkillCheck:
+    """Checks a project's and the user's skills.
 
     Args:
-        project: top of the project.
+        project: root folder of the project.
         home: the user's home.
     """
 
     def __init__(self, project: Path, home: Path) -> None:
         self._project = project
-        self._sites = (_Site("project", project), _Site("user", home))
+        self._sites = (_InstallScope("project", project), _InstallScope("user", home))
         self._bundles = {bundle.name: bundle for bundle in bundles()}
 
     def installed(self) -> bool:
-        """Tell whether any skill of ours is in any of the places."""
+        """Tell whether any skill of xpl is installed."""
         return any(self._has_ours(site) for site in self._sites)
 
-    def findings(self) -> list[Finding]:
-        """Return all that is wrong; what fails comes first."""
-        found = [finding for site in self._sites for finding in self._in(site)]
+    def findings(self) -> list[SkillFinding]:
+        """Return all findings; those that fail come first."""
+        findings = [finding for site in self._sites for finding in self._in(site)]
         if self._has_ours(self._sites[0]):
-            found += _instructions(self._project)
-        found += _over_budget(self.listings(), self._project)
-        return sorted(found, key=lambda finding: not finding.fails)
+            findings += _instructions(self._project)
+        findings += _over_budget(self.listings(), self._project)
+        return sorted(findings, key=lambda finding: not finding.fails)
 
-    def listings(self) -> list[Listing]:
-        """Return how long the list of skills is that each agent shows."""
-        return [_listing(agent, self._sites) for agent in places.AGENTS]
+    def listings(self) -> list[SkillListing]:
+        """Return the length of each agent's list of skills."""
+        return [_listing(agent, self._sites) for agent in locations.AGENTS]
 
-    def _has_ours(self, site: _Site) -> bool:
-        return any(entry.name in self._bundles for folder in places.FOLDERS for entry in site.entries(folder))
+    def _has_ours(self, site: _InstallScope) -> bool:
+        return any(entry.name in self._bundles for folder in locations.FOLDERS for entry in site.entries(folder))
 
-    def _in(self, site: _Site) -> Iterator[Finding]:
-        for folder in places.FOLDERS:
+    def _in(self, site: _InstallScope) -> Iterator[SkillFinding]:
+        for folder in locations.FOLDERS:
             for entry in site.entries(folder):
                 bundle = self._bundles.get(entry.name)
                 if not entry.exists():
-                    fix = f"remove it, then {site.renew}" if bundle else f"remove it, or mend {entry.readlink()}"
-                    yield Finding("broken", entry, "the link leads nowhere", fix, fails=bundle is not None)
+                    fix = f"remove it, then {site.renew}" if bundle else f"remove it, or fix {entry.readlink()}"
+                    yield SkillFinding("broken", entry, "the link leads nowhere", fix, fails=bundle is not None)
                     continue
-                # What a link to the store shows is judged there.
-                if bundle and entry.resolve() != _resolved(site.place(places.STORE) / entry.name, entry):
-                    written = folder in {places.STORE, places.CLAUDE}
-                    yield from _compared(entry, bundle, site.renew if written else f"remove it, then {site.renew}")
+                # The target of a link to the store is checked there.
+                if bundle and entry.resolve() != _resolved(site.folder_path(locations.STORE) / entry.name, entry):
+                    written = folder in {locations.STORE, locations.CLAUDE}
+                    yield from _compare(entry, bundle, site.renew if written else f"remove it, then {site.renew}")
                 if entry.is_dir():
                     yield from _against_specification(entry, ours=bundle is not None)
         yield from self._unlinked(site)
 
-    def _unlinked(self, site: _Site) -> Iterator[Finding]:
-        """Yield skills that Claude Code does not find although it has others of ours."""
-        stored = {entry.name for entry in site.entries(places.STORE)} & self._bundles.keys()
-        linked = {entry.name for entry in site.entries(places.CLAUDE)} & self._bundles.keys()
+    def _unlinked(self, site: _InstallScope) -> Iterator[SkillFinding]:
+        """Yield skills that Claude Code does not find although it finds other skills of xpl."""
+        stored = {entry.name for entry in site.entries(locations.STORE)} & self._bundles.keys()
+        linked = {entry.name for entry in site.entries(locations.CLAUDE)} & self._bundles.keys()
         for name in sorted(stored - linked) if linked else []:
-            told = "Claude Code has other skills of xpl here, and not this one"
-            yield Finding("unlinked", site.place(places.CLAUDE) / name, told, f"{site.renew} {name}")
+            message = "Claude Code has other skills of xpl here, and not this one"
+            yield SkillFinding("unlinked", site.folder_path(locations.CLAUDE) / name, message, f"{site.renew} {name}")
 
 
 def _resolved(store: Path, entry: Path) -> Path | None:
-    """Return where the store has a skill, unless `entry` is that place itself."""
+    """Return the resolved path of a skill in the store; None if `entry` is that path."""
     return None if entry == store else store.resolve()
 
 
-def _compared(entry: Path, bundle: Bundle, renew: str) -> Iterator[Finding]:
-    """Yield how an entry with the name of a skill of ours differs from the skill."""
+def _compare(entry: Path, bundle: SkillBundle, renew: str) -> Iterator[SkillFinding]:
+    """Yield a finding if an installed skill of xpl differs from the current one."""
     match condition(entry, bundle):
         case Condition.STALE:
             version = (stamp(entry) or {}).get("version")
-            told = f"it belongs to xpl {version}, and this is {__version__}"
-            yield Finding("stale", entry, told if version != __version__ else "it is an older text", renew)
+            message = f"it belongs to xpl {version}, and this is {__version__}"
+            yield SkillFinding("stale", entry, message if version != __version__ else "it is an older text", renew)
         case Condition.EDITED:
-            yield Finding("edited", entry, "it was edited after installation", f"{renew} --overwrite replaces it")
+            yield SkillFinding("edited", entry, "it was edited after installation", f"{renew} --overwrite replaces it")
         case Condition.FOREIGN:
-            told = "it has the name of a skill of xpl, and neither its text nor the stamp of `xpl skills install`"
-            yield Finding("foreign", entry, told, f"move it away, then {renew}")
+            message = "it has the name of a skill of xpl, and neither its text nor the stamp of `xpl skills install`"
+            yield SkillFinding("foreign", entry, message, f"move it away, then {renew}")
 
 
-def _against_specification(entry: Path, *, ours: bool) -> Iterator[Finding]:
+def _against_specification(entry: Path, *, ours: bool) -> Iterator[SkillFinding]:
     for problem in specification.problems(entry):
         kind = "dropped" if problem.dropped else "invalid"
-        fix = "mend it: agents leave such a skill out and do not say so" if problem.dropped else "mend it"
-        yield Finding(kind, entry / FILE, problem.message, fix, fails=ours)
+        fix = "fix it: agents ignore such a skill silently" if problem.dropped else "fix it"
+        yield SkillFinding(kind, entry / FILE, problem.message, fix, fails=ours)
 
 
-def _instructions(project: Path) -> Iterator[Finding]:
+def _instructions(project: Path) -> Iterator[SkillFinding]:
     path = project / instructions.FILE
     match instructions.condition(project):
         case Condition.STALE:
-            yield Finding("rules", path, "its block for xpl is that of another version", "xpl skills install")
+            yield SkillFinding("rules", path, "its block for xpl belongs to another version", "xpl skills install")
         case Condition.ABSENT:
-            yield Finding("rules", path, "it has no block for xpl", "xpl skills install", fails=False)
+            yield SkillFinding("rules", path, "it has no block for xpl", "xpl skills install", fails=False)
     if path.is_file() and not instructions.is_imported(project):
-        told = f"it does not import {instructions.FILE}, so that Claude Code does not read the rules"
+        message = f"it does not import {instructions.FILE}, so that Claude Code does not read the rules"
         fix = f"add the line {instructions.IMPORT}"
-        yield Finding("rules", project / instructions.CLAUDE_FILE, told, fix, fails=False)
-    if path.is_file() and path.stat().st_size > places.INSTRUCTIONS_LIMIT:
-        told = f"it has {path.stat().st_size} bytes, of which Codex reads {places.INSTRUCTIONS_LIMIT}"
-        yield Finding("budget", path, told, "shorten it", fails=False)
+        yield SkillFinding("rules", project / instructions.CLAUDE_FILE, message, fix, fails=False)
+    if path.is_file() and path.stat().st_size > locations.INSTRUCTIONS_LIMIT:
+        message = f"it has {path.stat().st_size} bytes, of which Codex reads {locations.INSTRUCTIONS_LIMIT}"
+        yield SkillFinding("budget", path, message, "shorten it", fails=False)
 
 
-def _listing(agent: places.Agent, sites: Sequence[_Site]) -> Listing:
-    found: dict[Path, int] = {}
+def _listing(agent: locations.Agent, sites: Sequence[_InstallScope]) -> SkillListing:
+    lengths: dict[Path, int] = {}
     for site in sites:
         for folder in agent.folders(site.scope):
             for entry in site.entries(folder):
@@ -182,16 +182,16 @@ def _listing(agent: places.Agent, sites: Sequence[_Site]) -> Listing:
                     bundle = read(entry)
                 except (OSError, ValueError):
                     continue
-                shown = min(len(bundle.description), agent.shown)
-                found[entry.resolve()] = len(bundle.name) + shown + _FRAME
-    return Listing(agent.name, len(found), sum(found.values()), agent.listing)
+                description_length = min(len(bundle.description), agent.description_limit)
+                lengths[entry.resolve()] = len(bundle.name) + description_length + _FRAME
+    return SkillListing(agent.name, len(lengths), sum(lengths.values()), agent.listing)
 
 
-def _over_budget(listings: Sequence[Listing], project: Path) -> Iterator[Finding]:
+def _over_budget(listings: Sequence[SkillListing], project: Path) -> Iterator[SkillFinding]:
     for listing in listings:
         if listing.budget is not None and listing.characters > listing.budget:
-            told = (
+            message = (
                 f"{listing.agent} finds {listing.skills} skills; its list of them has {listing.characters} characters, "
-                f"and it shows about {listing.budget}: descriptions are cut, or skills left out"
+                f"and it shows about {listing.budget}: descriptions are truncated, or skills omitted"
             )
-            yield Finding("budget", project, told, "remove skills that you do not use", fails=False)
+            yield SkillFinding("budget", project, message, "remove skills that you do not use", fails=False)

@@ -1,6 +1,6 @@
-"""Whether a skill is what the Agent Skills specification says, and whether agents take it.
+"""Validation of skills against the Agent Skills specification.
 
-Agents do not report a skill that they cannot use, or only in a log: it is simply not there. What leads to that is
+Agents do not report a skill that they cannot use, or only in a log. Problems that make an agent ignore a skill are
 marked as `dropped`.
 """
 
@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from xpl_cli.agents.skills.bundle import FILE, Bundle, HeadError, read
+from xpl_cli.agents.skills.bundle import FILE, FrontMatterError, SkillBundle, read
 
 KEYS: Final = ("name", "description", "license", "compatibility", "metadata", "allowed-tools")
-"""The keys of the specification. Agents know more, each its own; a skill for all of them uses these."""
+"""The keys of the specification. Agents have further keys of their own; a skill for all agents uses only these."""
 
 NAME_LENGTH: Final = 64
 DESCRIPTION_LENGTH: Final = 1024
@@ -26,75 +26,75 @@ _ADDRESS: Final = re.compile(r"[a-z][a-z0-9+.-]*:")
 
 
 @dataclass(frozen=True)
-class Problem:
-    """What is wrong with a skill.
+class SkillProblem:
+    """A problem of a skill.
 
     Attributes:
         message: one sentence.
-        dropped: whether an agent leaves the skill out because of it.
+        dropped: whether agents ignore the skill because of it.
     """
 
     message: str
     dropped: bool = False
 
 
-def problems(folder: Path) -> list[Problem]:
-    """Return what is wrong with the skill in a folder."""
+def problems(folder: Path) -> list[SkillProblem]:
+    """Return the problems of the skill in a folder."""
     if not folder.is_dir():
-        return [Problem(f"{folder} is no folder", dropped=True)]
+        return [SkillProblem(f"{folder} is no folder", dropped=True)]
     if FILE not in {path.name for path in folder.iterdir()}:
-        return [Problem(f"there is no {FILE}, spelt like this", dropped=True)]
+        return [SkillProblem(f"there is no {FILE} (in this spelling)", dropped=True)]
     try:
         bundle = read(folder)
-    except (HeadError, UnicodeDecodeError) as error:
-        return [Problem(str(error), dropped=True)]
-    return [*_head(bundle.head, folder.name), *_links(bundle)]
+    except (FrontMatterError, UnicodeDecodeError) as error:
+        return [SkillProblem(str(error), dropped=True)]
+    return [*_front_matter_problems(bundle.front_matter, folder.name), *_link_problems(bundle)]
 
 
-def _head(head: dict[str, Any], folder: str) -> list[Problem]:
-    found = [Problem(f"unknown key {key!r}; there are: {', '.join(KEYS)}") for key in head if key not in KEYS]
-    found += _name(head.get("name"), folder)
-    found += _description(head.get("description"))
+def _front_matter_problems(head: dict[str, Any], folder: str) -> list[SkillProblem]:
+    result = [SkillProblem(f"unknown key {key!r}; there are: {', '.join(KEYS)}") for key in head if key not in KEYS]
+    result += _name_problems(head.get("name"), folder)
+    result += _description_problems(head.get("description"))
     compatibility = head.get("compatibility", "any")
     if not isinstance(compatibility, str) or not 0 < len(compatibility) <= COMPATIBILITY_LENGTH:
-        found.append(Problem(f"compatibility must be a text of 1 to {COMPATIBILITY_LENGTH} characters"))
+        result.append(SkillProblem(f"compatibility must be a string of 1 to {COMPATIBILITY_LENGTH} characters"))
     texts = ("license", "allowed-tools")
-    found += [Problem(f"{key} must be a text") for key in texts if not isinstance(head.get(key, ""), str)]
+    result += [SkillProblem(f"{key} must be a string") for key in texts if not isinstance(head.get(key, ""), str)]
     metadata = head.get("metadata", {})
     if not isinstance(metadata, dict) or not all(isinstance(item, str) for pair in metadata.items() for item in pair):
-        found.append(Problem("metadata must map texts to texts; put numbers into quotes"))
-    return found
+        result.append(SkillProblem("metadata must map strings to strings; quote numbers"))
+    return result
 
 
-def _name(name: Any, folder: str) -> list[Problem]:
+def _name_problems(name: Any, folder: str) -> list[SkillProblem]:
     if not isinstance(name, str) or not name:
-        return [Problem("name is missing, or no text", dropped=True)]
-    found = []
+        return [SkillProblem("name is missing, or no string", dropped=True)]
+    result = []
     if len(name) > NAME_LENGTH:
-        found.append(Problem(f"name has {len(name)} characters, more than {NAME_LENGTH}", dropped=True))
+        result.append(SkillProblem(f"name has {len(name)} characters, more than {NAME_LENGTH}", dropped=True))
     if not _NAME.fullmatch(name):
-        told = f"name {name!r} must be small letters and digits, with single hyphens between"
-        found.append(Problem(told, dropped=True))
+        message = f"name {name!r} must be lower-case letters and digits, separated by single hyphens"
+        result.append(SkillProblem(message, dropped=True))
     if name != folder:
-        found.append(Problem(f"name {name!r} is not that of its folder, {folder!r}", dropped=True))
-    return found
+        result.append(SkillProblem(f"name {name!r} differs from that of its folder, {folder!r}", dropped=True))
+    return result
 
 
-def _description(description: Any) -> list[Problem]:
+def _description_problems(description: Any) -> list[SkillProblem]:
     if not isinstance(description, str) or not description.strip():
-        return [Problem("description is missing, or no text", dropped=True)]
-    found = []
+        return [SkillProblem("description is missing, or no string", dropped=True)]
+    result = []
     if len(description) > DESCRIPTION_LENGTH:
-        told = f"description has {len(description)} characters, more than {DESCRIPTION_LENGTH}"
-        found.append(Problem(told, dropped=True))
+        message = f"description has {len(description)} characters, more than {DESCRIPTION_LENGTH}"
+        result.append(SkillProblem(message, dropped=True))
     if "<" in description or ">" in description:
-        found.append(Problem("description holds an angle bracket, which some agents refuse", dropped=True))
-    return found
+        result.append(SkillProblem("description has an angle bracket, which some agents reject", dropped=True))
+    return result
 
 
-def _links(bundle: Bundle) -> list[Problem]:
-    """Check that links lead to files of the skill, at most one folder down."""
-    found = []
+def _link_problems(bundle: SkillBundle) -> list[SkillProblem]:
+    """Check that links lead to files of the skill, at most one folder deep."""
+    result = []
     for path in [bundle.folder / FILE, *bundle.references]:
         for target in _LINK.findall(path.read_text(encoding="utf-8")):
             if _ADDRESS.match(target):
@@ -102,9 +102,9 @@ def _links(bundle: Bundle) -> list[Problem]:
             at = f"{path.relative_to(bundle.folder)} links to {target}"
             reached = (path.parent / target).resolve()
             if not reached.is_relative_to(bundle.folder.resolve()):
-                found.append(Problem(f"{at}, which is not in the skill"))
+                result.append(SkillProblem(f"{at}, which is outside the skill"))
             elif not reached.exists():
-                found.append(Problem(f"{at}, which is not there"))
+                result.append(SkillProblem(f"{at}, which does not exist"))
             elif len(reached.relative_to(bundle.folder.resolve()).parts) > 2:
-                found.append(Problem(f"{at}, which lies deeper than one folder"))
-    return found
+                result.append(SkillProblem(f"{at}, which is more than one folder deep"))
+    return result
