@@ -137,7 +137,7 @@ def _stick(robot: Embodiment, chain: Chain, base: np.ndarray, fields: State, pre
     if key not in fields:
         return []
     joints = np.asarray(fields[key], np.float64)
-    links = np.concatenate([np.zeros((1, 3)), chain.places(joints)])
+    links = np.concatenate([np.zeros((1, 3)), chain.points(joints)])
     lines = [poses.transform(base, links)]
     flange = poses.compose(base, chain.flange(joints))
     opening = fields.get(prefix + sdk.State.EE_JOINT_STATE)

@@ -41,7 +41,7 @@ class DemonstrationScorer(SearchRuler):
         self._metric, self._answers, self._refused = metric, answers, refused
         self._own: dict[tuple[int, ...], ActionErrors] = {}
         self._few = select_few(metric.session.question_steps)
-        self.everything = list(range(len(answers)))
+        self.all_questions = list(range(len(answers)))
         self.first_round: list[tuple[str, str, float]] = []
         self.count = 0
 
@@ -80,7 +80,7 @@ class DemonstrationScorer(SearchRuler):
 
     def hardly_moves(self, answers: Chunks) -> bool:
         """Tell whether answers lead arms less far than it would take to say anything."""
-        return self._metric.motion_share(answers, self.everything) < _HARDLY
+        return self._metric.motion_share(answers, self.all_questions) < _HARDLY
 
     @cache  # noqa: B019 - lives as long as one search
     def _declared(self, questions: tuple[int, ...]) -> ActionErrors:

@@ -133,7 +133,7 @@ class ConventionSearch:
             changes = [*(by_block or ()), *self._search_outer_changes(adapter, all_of_them=by_block is None)]
         with self._perturb_server(once=False) as adapter:
             unread = tuple(self._find_unread(adapter))
-        better = [one for one in changes if one.given and one.margin.is_better]
+        better = [one for one in changes if one.answers and one.margin.is_better]
         best = _best_and_ties([one for one in better if self._is_near(one)])
         first_round = self._scorer.first_round
         determined = {convention for _, convention, share in first_round if not 1 / _TOLD < share < _TOLD}
@@ -249,15 +249,15 @@ class ConventionSearch:
         self._complete = self._complete and len(ranking.first_round) == len(family.mistakes)
         changes = []
         for _, one in ranking.final_round:
-            margin = self._scorer.margin(one, self._scorer.everything)
+            margin = self._scorer.margin(one, self._scorer.all_questions)
             if margin is not None and one.answers is not None and not self._scorer.hardly_moves(one.answers):
                 changes.append(ScoredChange(one.words, one.convention, in_block, margin, one.answers))
         return changes
 
     def _is_near(self, change: ScoredChange) -> bool:
         """Tell whether a change brings the policy about as near as holding the pose, or nearer."""
-        errors = self._metric.errors(change.answers, self._scorer.everything)
-        still = self._metric.errors(self._metric.hold_pose(), self._scorer.everything)
+        errors = self._metric.errors(change.answers, self._scorer.all_questions)
+        still = self._metric.errors(self._metric.hold_pose(), self._scorer.all_questions)
         is_known = errors.known & still.known
         return bool(errors.steps[is_known].mean() <= _FAR * still.steps[is_known].mean())
 

@@ -40,7 +40,7 @@ class GoldenPairScorer(Scorer):
     def __init__(self, replay: SessionReplay, judgement: Judgement, among: Sequence[int]) -> None:
         self._replay = replay
         self._judgement = judgement
-        self.everything = among
+        self.all_questions = among
         self.before = self.remaining({number: judgement.answers[number] for number in among})
 
     @property
@@ -82,10 +82,10 @@ class GoldenPairScorer(Scorer):
         """One question, then a few: one that tells much, one that is right, another one."""
         judgement = self._judgement
         largest_by_question = {
-            number: max(self.remaining({number: judgement.answers[number]}).values()) for number in self.everything
+            number: max(self.remaining({number: judgement.answers[number]}).values()) for number in self.all_questions
         }
-        wrong = [number for number in self.everything if judgement.differs[number]]
-        right = [number for number in self.everything if not judgement.differs[number]]
+        wrong = [number for number in self.all_questions if judgement.differs[number]]
+        right = [number for number in self.all_questions if not judgement.differs[number]]
         largest = max(largest_by_question[number] for number in wrong)
         informative = [number for number in wrong if largest_by_question[number] >= _PROMISING * largest]
         chosen = list(dict.fromkeys([informative[0], *right[:1], *informative[1:], *wrong]))[:_FEW]

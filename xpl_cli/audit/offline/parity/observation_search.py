@@ -129,7 +129,7 @@ class ObservationSearch:
         """Return what explains the difference by two mistakes: of what is shown, and another one."""
         families.halve_time()
         for slot in scorer.improving(ranking.first_round, _FIRSTS):
-            answers = adapter.answers(mistakes[slot], scorer.everything) if families.seconds_left > 0 else None
+            answers = adapter.answers(mistakes[slot], scorer.all_questions) if families.seconds_left > 0 else None
             if answers is None:
                 continue
             first = ranking.first_round[slot]

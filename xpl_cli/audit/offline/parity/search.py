@@ -270,7 +270,9 @@ class ParitySearch:
         key = (id(family), slot)
         if key not in self._undone_answers:
             first = (
-                next(family.answers([slot], self._scorer.everything), None) if self._families.seconds_left > 0 else None
+                next(family.answers([slot], self._scorer.all_questions), None)
+                if self._families.seconds_left > 0
+                else None
             )
             is_known = first is not None and first.answers is not None and _is_known(first.answers)
             self._undone_answers[key] = first if is_known else None

@@ -42,7 +42,7 @@ class Scorer(ABC):
     """Says how good the answers under a mistake are.
 
     Attributes:
-        everything: the numbers of all questions.
+        all_questions: the numbers of all questions.
     """
 
     all_questions: Sequence[int]
