@@ -13,8 +13,8 @@ from xpl_cli.audit.engine import cache, engine
 from xpl_cli.audit.engine.fixes import plan_all
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Outcome, Result
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.model import Outcome, RuleResult
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.static import advice
 from xpl_cli.audit.static.source import Source
 from xpl_cli.packages.targets import asked
@@ -34,9 +34,9 @@ def append(file: Path, text: str) -> None:
         stream.write(text)
 
 
-def results(adapter: Path, *names: str, kept: Path | None = None) -> dict[str, Result]:
+def results(adapter: Path, *names: str, kept: Path | None = None) -> dict[str, RuleResult]:
     """Run the static gate and return the results by code."""
-    report = engine.audit(adapter, "policy", Options(gates=(Gate.STATIC,), names=names, cache=kept))
+    report = engine.audit(adapter, "policy", AuditOptions(gates=(Gate.STATIC,), names=names, cache=kept))
     return {result.code: result for gate in report.gates for result in gate.results}
 
 
@@ -99,7 +99,7 @@ def test_edits_that_ruff_calls_safe_are_offered(adapter: Path, ending: str) -> N
     file = adapter / "model.py"
     text = file.read_text().replace("import annotations\n", "import annotations\n\nimport json\n", 1)
     file.write_bytes(text.replace("\n", ending).encode())
-    options = Options(gates=(Gate.STATIC,), names=("XPL601",))
+    options = AuditOptions(gates=(Gate.STATIC,), names=("XPL601",))
     plan_all(asked([adapter]), options, unsafe=False).apply()
     assert b"import json" not in file.read_bytes()
     assert results(adapter, "XPL601")["XPL601"].outcome is Outcome.PASS

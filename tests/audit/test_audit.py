@@ -13,7 +13,7 @@ from xpl_cli.audit.demonstrations import catalogue
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import GateReport, Outcome, Result, TargetReport, exit_code
+from xpl_cli.audit.rules.model import GateReport, Outcome, RuleResult, TargetReport, exit_code
 from xpl_cli.basics.errors import ExitCode, UserError
 
 if TYPE_CHECKING:
@@ -147,7 +147,9 @@ def test_rules_lists_every_rule(workspace: Path) -> None:
 
 
 def _gate(name: Gate, *outcomes: Outcome) -> GateReport:
-    results = [Result(f"XPL{100 + place}", "slug", "XPL-PKG-1", "must", item) for place, item in enumerate(outcomes)]
+    results = [
+        RuleResult(f"XPL{100 + place}", "slug", "XPL-PKG-1", "must", item) for place, item in enumerate(outcomes)
+    ]
     return GateReport(name=name, results=results)
 
 

@@ -16,7 +16,7 @@ from tests.support.adapters.rules import Room, made_adapter, made_room
 from xpl_cli.audit.engine import cache, engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def ran(name: str, trace: Path) -> str:
 
 def audit(adapter: Path, folder: Path | None) -> GateReport:
     """Run the static gate."""
-    return engine.audit(adapter, "policy", Options(gates=(Gate.STATIC,), cache=folder)).gates[0]
+    return engine.audit(adapter, "policy", AuditOptions(gates=(Gate.STATIC,), cache=folder)).gates[0]
 
 
 def again(adapter: Path, tmp_path: Path, trace: Path) -> list[str]:

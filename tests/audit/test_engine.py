@@ -13,13 +13,13 @@ from tests.support.adapters.rules import Room, made_adapter, made_room
 from tests.support.peer import xpl
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.engine.changed import select_changed
-from xpl_cli.audit.engine.waivers import Waiver, waive
+from xpl_cli.audit.engine.waivers import RuleWaiver, waive
 from xpl_cli.audit.formats import document
-from xpl_cli.audit.formats.listing import Context
+from xpl_cli.audit.formats.listing import ReportContext
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Finding, Outcome, Result, outcome_of
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.model import Finding, Outcome, RuleResult, outcome_of
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.rules.registry import RegistryError
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.packages.targets import Target
@@ -27,7 +27,7 @@ from xpl_cli.packages.targets import Target
 if TYPE_CHECKING:
     from pathlib import Path
 
-STATIC = Options(gates=(Gate.STATIC,))
+STATIC = AuditOptions(gates=(Gate.STATIC,))
 NAMES = ("Bar", "Baz", "Foo")
 
 
@@ -59,7 +59,7 @@ def said(word: str, folder: Path) -> str:
     return f"with open({str(folder / 'trace')!r}, 'a') as trace: trace.write({word!r})"
 
 
-def outcomes(path: Path, options: Options = STATIC) -> dict[str, Outcome]:
+def outcomes(path: Path, options: AuditOptions = STATIC) -> dict[str, Outcome]:
     """Return the outcome of each rule of the static gate, in the order of the report."""
     return {result.slug: result.outcome for result in engine.audit(path, "policy", options).results}
 
@@ -70,7 +70,7 @@ def outcomes(path: Path, options: Options = STATIC) -> dict[str, Outcome]:
 def _digests(adapter: Path) -> list[str | None]:
     """Return the digest of the static and of the offline gate."""
     gates = (Gate.STATIC, Gate.OFFLINE)
-    return [gate.digest for gate in engine.audit(adapter, "policy", Options(gates=gates)).gates]
+    return [gate.digest for gate in engine.audit(adapter, "policy", AuditOptions(gates=gates)).gates]
 
 
 def test_documents_are_no_part_of_what_an_adapter_does(room: Room, adapter: Path) -> None:
@@ -90,10 +90,10 @@ def test_documents_are_no_part_of_what_an_adapter_does(room: Room, adapter: Path
 def test_what_only_a_rule_of_a_package_asks_is_no_part_of_the_digest(room: Room, adapter: Path) -> None:
     """Others, who have not installed it, get the same digest; the rule runs, although its code comes first."""
     room.rule("ours", "yield from ()", code="XPL201", folder="offline")
-    alone = engine.audit(adapter, "policy", Options(gates=(Gate.OFFLINE,))).gates[0]
+    alone = engine.audit(adapter, "policy", AuditOptions(gates=(Gate.OFFLINE,))).gates[0]
     ask = "with probe.session() as policy:\n    policy.act(probe.observation(0, 3))\nyield from ()"
     room.rule("theirs", ask, code="THEIRS201", folder="offline", facts="probe, motions")
-    both = engine.audit(adapter, "policy", Options(gates=(Gate.OFFLINE,))).gates[0]
+    both = engine.audit(adapter, "policy", AuditOptions(gates=(Gate.OFFLINE,))).gates[0]
     assert [result.outcome for result in both.results] == [Outcome.PASS, Outcome.PASS]
     assert (both.digest, both.fingerprint) == (alone.digest, alone.fingerprint)
 
@@ -164,7 +164,7 @@ def test_a_rule_whose_ground_does_not_hold_is_not_run(room: Room, adapter: Path,
     holds = outcome in {Outcome.NOT_APPLICABLE, Outcome.WARN}
     found = outcomes(adapter)
     assert found == {"ground": outcome, "upper": Outcome.PASS if holds else Outcome.NOT_RUN, "other": Outcome.PASS}
-    alone = engine.audit(adapter, "policy", Options(gates=(Gate.STATIC,), names=("upper",))).results
+    alone = engine.audit(adapter, "policy", AuditOptions(gates=(Gate.STATIC,), names=("upper",))).results
     assert [(result.slug, result.outcome) for result in alone] == [("upper", found["upper"])]
     assert holds or "XPL101 ground" in str(alone[0].reason)
 
@@ -175,7 +175,7 @@ def test_a_rule_may_say_what_it_proved(room: Room, adapter: Path) -> None:
     room.rule("finds", f"{proof}\nyield Finding('wrong')", code="XPL102")
     report = engine.audit(adapter, "policy", STATIC)
     assert [(result.proof, len(result.findings)) for result in report.results] == [({"pairs": 3}, 0), (None, 1)]
-    told = document.as_json([report], Context(fail_on=Outcome.FAIL))["targets"][0]["gates"][0]["results"]
+    told = document.as_json([report], ReportContext(fail_on=Outcome.FAIL))["targets"][0]["gates"][0]["results"]
     assert [result.get("proof") for result in told] == [{"pairs": 3}, None]
 
 
@@ -225,7 +225,7 @@ def targets(workspace: Path) -> list[Target]:
 def test_many_packages_at_once_give_what_each_gives_alone(workspace: Path) -> None:
     asked = targets(workspace)[::-1]
     together = engine.audit_all(asked, STATIC)
-    alone = [engine.audit(target.path, target.kind, STATIC, shown=target.shown) for target in asked]
+    alone = [engine.audit(target.path, target.kind, STATIC, display_path=target.shown) for target in asked]
     assert [report.path for report in together] == [target.shown for target in asked]
     assert [report.results for report in together] == [report.results for report in alone]
     assert [report.gates[0].finish for report in together] == [report.gates[0].finish for report in alone]
@@ -350,6 +350,7 @@ def test_a_finding_may_be_milder_or_graver_than_its_rule_until_it_is_waived(must
     findings = (Finding("mild"), Finding("grave", must=must))
     assert outcome_of(findings, "should") is outcome
     waived = waive(
-        Result("XPL237", "first", "XPL-ACT-8", "should", outcome, findings), [Waiver("first", "so it is", "grave", 0)]
+        RuleResult("XPL237", "first", "XPL-ACT-8", "should", outcome, findings),
+        [RuleWaiver("first", "so it is", "grave", 0)],
     )
     assert (waived.outcome, waived.findings) == (Outcome.WARN, findings[:1])

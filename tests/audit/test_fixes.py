@@ -13,11 +13,11 @@ import pytest
 from tests.support.adapters.rules import made_adapter, made_room
 from tests.support.peer import xpl
 from xpl_cli.audit.engine import engine, fixes
-from xpl_cli.audit.engine.subjects import Subject, build, subjects
+from xpl_cli.audit.engine.fixtures import Fixture, build, fixtures
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, Result, TargetReport
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, RuleResult, TargetReport
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.packages.targets import Target
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.audit.rules.registry import Rule
 
-STATIC = Options(gates=(Gate.STATIC,))
+STATIC = AuditOptions(gates=(Gate.STATIC,))
 
 
 SHOWS = {("file-order", "number-as-text")}
@@ -35,20 +35,20 @@ SUBJECTS = [
     pytest.param(rule, subject, id=f"{rule.slug}-{subject.folder.name}")
     for rule in registry.rules()
     if rule.gate is Gate.STATIC
-    for subject in subjects(rule)
+    for subject in fixtures(rule)
     if not subject.good
 ]
 
 
 @pytest.mark.sampled(40)
 @pytest.mark.parametrize(("rule", "subject"), SUBJECTS)
-def test_a_fix_that_is_called_safe_can_be_carried_out_and_cures(rule: Rule, subject: Subject, tmp_path: Path) -> None:
+def test_a_fix_that_is_called_safe_can_be_carried_out_and_cures(rule: Rule, subject: Fixture, tmp_path: Path) -> None:
     """It has edits; each alone makes its finding go away, no file stops parsing, and the rule finds nothing new.
 
     All fixes of the gate together leave none of its findings that carried edits, and no rule finds more than before.
     """
     adapter = build(subject, tmp_path / "audited" / "Subject")
-    options = Options(gates=(Gate.STATIC,), names=(rule.slug,))
+    options = AuditOptions(gates=(Gate.STATIC,), names=(rule.slug,))
     before = engine.audit(adapter, rule.target, options)
     assert _findings(before, rule.slug)
     for number, finding in enumerate(_findings(before, rule.slug)):
@@ -103,7 +103,7 @@ def edit(line: int, column: int, end_line: int, end_column: int, text: str, *, n
     return Edit(name, line, column, end_line, end_column, text)
 
 
-def planned(folder: Path, *wanted: Fix, unsafe: bool = False) -> fixes.Plan:
+def planned(folder: Path, *wanted: Fix, unsafe: bool = False) -> fixes.FixPlan:
     """Return the plan of a report with these fixes; the files are read as they are now."""
     names = {one.path for fix in wanted for one in fix.edits if (folder / one.path).is_file()}
     texts = {name: (folder / name).read_bytes().decode("utf-8-sig", errors="replace") for name in names}
@@ -114,7 +114,7 @@ def planned(folder: Path, *wanted: Fix, unsafe: bool = False) -> fixes.Plan:
 def reported(contents: dict[str, str], *wanted: Fix) -> TargetReport:
     """Return a report with these fixes on files that held this."""
     findings = tuple(Finding(f"finding {place}", fix=fix) for place, fix in enumerate(wanted))
-    result = Result("XPL101", "slug", "XPL-PKG-1", "must", Outcome.FAIL, findings)
+    result = RuleResult("XPL101", "slug", "XPL-PKG-1", "must", Outcome.FAIL, findings)
     return TargetReport("Foo", "Foo", "policy", [GateReport(Gate.STATIC, [result])], contents)
 
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.rules.retired import renamed, retired
 from xpl_cli.basics.errors import ExitCode
 
@@ -44,7 +44,7 @@ def test_a_retired_rule_cannot_be_selected_and_may_be_left_out(tmp_path: Path) -
     asked = xpl("audit", str(adapter), "--gate", "static", "--select", GONE.code, cwd=tmp_path)
     assert (asked.returncode, asked.stdout) == (ExitCode.USAGE, "")
     assert GONE.proven_by[0] in asked.stderr
-    options = Options(gates=(Gate.STATIC,), ignore=(GONE.code, GONE.slug))
+    options = AuditOptions(gates=(Gate.STATIC,), ignore=(GONE.code, GONE.slug))
     assert engine.audit(adapter, "policy", options).gates[0].outcome is Outcome.PASS
 
 
@@ -65,7 +65,7 @@ def test_a_former_slug_still_names_its_rule(tmp_path: Path) -> None:
         assert registry.find(slug).code == code
     adapter = made_adapter(tmp_path / "policy/Foo")
     (adapter / "train.sh").write_text("set -euo pipefail\nexport HTTPS_PROXY=http://10.0.0.7:3128\n")
-    options = Options(gates=(Gate.STATIC,), names=("private-places",))
+    options = AuditOptions(gates=(Gate.STATIC,), names=("private-places",))
     assert engine.audit(adapter, "policy", options).gates[0].outcome is Outcome.FAIL
     with (adapter / "policy.yml").open("a") as manifest:
         manifest.write(f"\nwaivers: {json.dumps([{'rule': 'private-places', 'reason': 'a test'}])}\n")

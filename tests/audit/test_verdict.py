@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from tests.support.adapters.rules import made_adapter, made_room
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.engine.circumstances import narrowed
+from xpl_cli.audit.engine.circumstances import describe_narrowing
 from xpl_cli.audit.rules.gates import DEMONSTRATIONS, GATES, Gate
-from xpl_cli.audit.rules.model import Circumstances, Finding, GateReport, Outcome, Result, Waived
-from xpl_cli.audit.rules.options import Options
-from xpl_cli.audit.rules.profiles import Choice, Profile
-from xpl_cli.audit.rules.verdict import CLAIMS, Ended, Word, judge, judged, weakest
+from xpl_cli.audit.rules.model import Circumstances, Finding, GateReport, Outcome, RuleResult, Waived
+from xpl_cli.audit.rules.options import AuditOptions
+from xpl_cli.audit.rules.profiles import Profile, ServedProfile
+from xpl_cli.audit.rules.verdict import CLAIMS, GateSummary, VerdictStatus, judge, verdict_of, weakest
 from xpl_cli.packages.package import ENV, POLICY
 from xpl_cli.standard import spec
 
@@ -26,19 +26,19 @@ NO_CODE = Circumstances(without_pairs="no reference.py")
 PROOF = {"pairs": 24, "assumed": 2}
 
 
-def _result(code: str, outcome: Outcome = Outcome.PASS, **more: Any) -> Result:
-    return Result(code, code.lower(), "XPL-PKG-6", "must", outcome, **more)
+def _result(code: str, outcome: Outcome = Outcome.PASS, **more: Any) -> RuleResult:
+    return RuleResult(code, code.lower(), "XPL-PKG-6", "must", outcome, **more)
 
 
-def _gates(*more: Result, shadow: bool = False) -> list[Ended]:
+def _gates(*more: RuleResult, shadow: bool = False) -> list[GateSummary]:
     """Return three gates that passed, with further results of the offline one."""
-    served = Choice(Profile.SHADOW) if shadow else Choice()
+    served = ServedProfile(Profile.SHADOW) if shadow else ServedProfile()
     results = {Gate.STATIC: [_result("XPL101")], Gate.OFFLINE: [_result("XPL201"), *more]}
     reports = [GateReport(gate, results.get(gate, [_result("XPL301")])) for gate in Gate]
-    return [Ended.of(replace(gate, served=None if gate.name is Gate.STATIC else served)) for gate in reports]
+    return [GateSummary.of(replace(gate, served=None if gate.name is Gate.STATIC else served)) for gate in reports]
 
 
-def _said(gates: list[Ended], around: Circumstances = NO_CODE, kind: str = POLICY) -> str:
+def _said(gates: list[GateSummary], around: Circumstances = NO_CODE, kind: str = POLICY) -> str:
     return str(judge(kind, gates, around))
 
 
@@ -133,7 +133,9 @@ WAITING = [_result(f"XPL20{number}", Outcome.NOT_RUN) for number in range(2, 7)]
         ),
     ],
 )
-def test_a_verdict_says_what_is_proven_and_what_is_not(results: list[Result], around: Circumstances, said: str) -> None:
+def test_a_verdict_says_what_is_proven_and_what_is_not(
+    results: list[RuleResult], around: Circumstances, said: str
+) -> None:
     assert _said(_gates(*results), around) == said
 
 
@@ -142,7 +144,7 @@ def test_a_shadow_and_what_was_not_looked_at_prove_nothing() -> None:
     shadow = _said(_gates(PARITY, shadow=True), PAIRS)
     assert shadow == f"SHADOW without the model: {FINE}; conversions unproven (without the model)"
     assert _said(_gates()[:1]) == f"PARTIAL static only: {FINE}"
-    left_open = replace(NO_CODE, places=("a.py:3", "b.md:1"), unknown=("gripper",), narrowed="x only")
+    left_open = replace(NO_CODE, placeholders=("a.py:3", "b.md:1"), unknown=("gripper",), narrowed="x only")
     assert _said(_gates(shadow=True), left_open) == (
         "OPEN 2 places to fill in (a.py:3 and 1 more), 1 model_io value unknown (gripper), without the model, x only: "
         f"{FINE}"
@@ -153,7 +155,7 @@ def test_a_shadow_and_what_was_not_looked_at_prove_nothing() -> None:
 def test_a_gate_without_anything_to_prove_is_named() -> None:
     """No robot of the adapter can be simulated: the contract holds as far as it could be tried."""
     silent = [_result("XPL301", Outcome.NOT_APPLICABLE, reason="mujoco has none of its robots")]
-    gates = [*_gates()[:2], Ended.of(GateReport(Gate.MUJOCO, silent))]
+    gates = [*_gates()[:2], GateSummary.of(GateReport(Gate.MUJOCO, silent))]
     assert _said(gates).startswith("GREEN contract, not in the mujoco gate (mujoco has none of its robots); ")
 
 
@@ -175,8 +177,8 @@ GATES_THAT_ENDED = st.lists(
         GateReport,
         st.sampled_from(Gate),
         st.lists(RESULTS, max_size=4),
-        served=st.sampled_from([None, Choice(), Choice(Profile.SHADOW)]),
-    ).map(Ended.of),
+        served=st.sampled_from([None, ServedProfile(), ServedProfile(Profile.SHADOW)]),
+    ).map(GateSummary.of),
     max_size=3,
     unique_by=lambda gate: gate.name,
 )
@@ -191,17 +193,17 @@ AROUND = st.builds(
 
 
 @given(kind=st.sampled_from([POLICY, ENV]), gates=GATES_THAT_ENDED, around=AROUND)
-def test_no_verdict_says_more_than_what_ran(kind: str, gates: list[Ended], around: Circumstances) -> None:
+def test_no_verdict_says_more_than_what_ran(kind: str, gates: list[GateSummary], around: Circumstances) -> None:
     """Whatever comes together: every claim is proven or not, and GREEN takes all gates, the model, and nothing open."""
     verdict = judge(kind, gates, around)
     claims = [claim.claim for claim in (*verdict.proven, *verdict.unproven)]
-    assert sorted(claim.word for claim in claims) == sorted(claim.word for claim in CLAIMS[kind])
-    assert str(verdict).startswith(f"{verdict.word.upper()} ")
-    assert verdict.said.strip()
-    words = {item.claim.word for item in verdict.proven}
-    assert ("contract" in words) == (verdict.word is Word.GREEN)
+    assert sorted(claim.name for claim in claims) == sorted(claim.name for claim in CLAIMS[kind])
+    assert str(verdict).startswith(f"{verdict.status.upper()} ")
+    assert verdict.details.strip()
+    words = {item.claim.name for item in verdict.proven}
+    assert ("contract" in words) == (verdict.status is VerdictStatus.GREEN)
     outcomes = {gate.outcome for gate in gates}
-    if verdict.word is Word.GREEN:
+    if verdict.status is VerdictStatus.GREEN:
         assert {gate.name for gate in gates} >= set(GATES[kind])
         assert outcomes <= {Outcome.PASS, Outcome.NOT_APPLICABLE}
         assert (around.narrowed, around.places, around.unknown) == ("", (), ())
@@ -209,14 +211,14 @@ def test_no_verdict_says_more_than_what_ran(kind: str, gates: list[Ended], aroun
     if "parity" in words:
         assert around.without_pairs is None
         assert not any({"XPL260", "XPL261"} & gate.doubts.keys() for gate in gates)
-    assert (verdict.word is Word.RED) == bool(outcomes & {Outcome.FAIL, Outcome.ERROR})
+    assert (verdict.status is VerdictStatus.RED) == bool(outcomes & {Outcome.FAIL, Outcome.ERROR})
     assert json.loads(json.dumps(verdict.as_json())) == verdict.as_json()
 
 
 def test_several_packages_come_to_the_least_of_them() -> None:
-    assert weakest([Word.GREEN, Word.OPEN, Word.PARTIAL]) is Word.OPEN
-    assert weakest([Word.GREEN, Word.RED, Word.INCOMPLETE]) is Word.RED
-    assert weakest([]) is Word.GREEN
+    assert weakest([VerdictStatus.GREEN, VerdictStatus.OPEN, VerdictStatus.PARTIAL]) is VerdictStatus.OPEN
+    assert weakest([VerdictStatus.GREEN, VerdictStatus.RED, VerdictStatus.INCOMPLETE]) is VerdictStatus.RED
+    assert weakest([]) is VerdictStatus.GREEN
 
 
 # -- where it is told --------------------------------------------------------------------------------------------------
@@ -224,9 +226,9 @@ def test_several_packages_come_to_the_least_of_them() -> None:
 
 def test_the_schema_knows_the_words_and_the_claims() -> None:
     definitions = spec.schema("audit")["$defs"]
-    assert set(definitions["target"]["properties"]["verdict"]["enum"]) == set(Word)
+    assert set(definitions["target"]["properties"]["verdict"]["enum"]) == set(VerdictStatus)
     # What is said of demonstrations has a document of its own.
-    claims = {claim.word for kind, offered in CLAIMS.items() if kind != DEMONSTRATIONS for claim in offered}
+    claims = {claim.name for kind, offered in CLAIMS.items() if kind != DEMONSTRATIONS for claim in offered}
     assert set(definitions["claim"]["enum"]) == claims
 
 
@@ -248,7 +250,7 @@ def adapter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def _audited(adapter: Path, **options: Any) -> str:
-    return str(judged(engine.audit(adapter, POLICY, Options(**options), shown="policy/Foo")))
+    return str(verdict_of(engine.audit(adapter, POLICY, AuditOptions(**options), display_path="policy/Foo")))
 
 
 def test_what_a_request_leaves_out_is_told(adapter: Path) -> None:
@@ -256,9 +258,9 @@ def test_what_a_request_leaves_out_is_told(adapter: Path) -> None:
     assert _audited(adapter, gates=tuple(Gate)) == "GREEN contract; conversions unproven (no reference.py)"
     told = _audited(adapter, gates=(Gate.STATIC,), names=("XPL101",))
     assert told == "PARTIAL static only, only XPL101: nothing wrong in what ran"
-    assert narrowed(POLICY, Options(gates=(Gate.STATIC, Gate.OFFLINE))) == "static and offline only"
-    assert narrowed(POLICY, Options(names=("XPL1", "runs"))) == "only XPL1, runs"
-    assert narrowed(POLICY, Options(ignore=("drives",))) == "without drives"
+    assert describe_narrowing(POLICY, AuditOptions(gates=(Gate.STATIC, Gate.OFFLINE))) == "static and offline only"
+    assert describe_narrowing(POLICY, AuditOptions(names=("XPL1", "runs"))) == "only XPL1, runs"
+    assert describe_narrowing(POLICY, AuditOptions(ignore=("drives",))) == "without drives"
 
 
 def test_what_a_package_leaves_open_is_told(adapter: Path) -> None:
@@ -275,7 +277,7 @@ def test_a_reference_that_was_not_recorded_has_its_command(adapter: Path) -> Non
     (adapter / "reference.py").write_text("CONVENTIONS = {}\n")
     reason = "reference.py was not recorded: xpl model-io record policy/Foo"
     assert _audited(adapter) == f"GREEN contract; conversions unproven ({reason})"
-    assert engine.audit(adapter, POLICY, Options()).circumstances.is_unrecorded
+    assert engine.audit(adapter, POLICY, AuditOptions()).circumstances.is_unrecorded
     (adapter / "golden_pairs.json").write_text("{}\n")
-    assert not engine.audit(adapter, POLICY, Options()).circumstances.is_unrecorded
+    assert not engine.audit(adapter, POLICY, AuditOptions()).circumstances.is_unrecorded
     assert _audited(adapter) == "GREEN contract; conversions unproven (XPL260 proved nothing)"

@@ -11,8 +11,8 @@ from tests.support.adapters.rules import made_adapter, made_room
 from tests.support.peer import xpl
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Outcome, Result
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.model import Outcome, RuleResult
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.basics.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -41,9 +41,9 @@ def waive(adapter: Path, *waivers: dict[str, Any]) -> None:
         manifest.write(f"\nwaivers: {json.dumps(waivers)}\n")
 
 
-def audited(adapter: Path, *gates: Gate, names: tuple[str, ...] = ()) -> dict[str, Result]:
+def audited(adapter: Path, *gates: Gate, names: tuple[str, ...] = ()) -> dict[str, RuleResult]:
     """Return the result of each rule."""
-    report = engine.audit(adapter, "policy", Options(gates=gates or (Gate.STATIC,), names=names))
+    report = engine.audit(adapter, "policy", AuditOptions(gates=gates or (Gate.STATIC,), names=names))
     return {result.slug: result for result in report.results}
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, Outcome, rule
 from xpl_cli.audit.engine.checks import Checks
-from xpl_cli.audit.engine.waivers import Waiver
+from xpl_cli.audit.engine.waivers import RuleWaiver
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.static.manifests import key_line
 from xpl_cli.audit.static.source import Source
@@ -16,7 +16,7 @@ _DELETE = Fix("advice", "delete the waiver; the history of the file keeps its re
 
 
 @rule(code="XPL501", gate="static", requirement="XPL-AUD-1")
-def stale_waiver(source: Source, waivers: tuple[Waiver, ...], checks: Checks, gate: Gate) -> Iterator[Finding]:
+def stale_waiver(source: Source, waivers: tuple[RuleWaiver, ...], checks: Checks, gate: Gate) -> Iterator[Finding]:
     """A waiver no longer matches a finding.
 
     ## What it does
@@ -55,7 +55,7 @@ def stale_waiver(source: Source, waivers: tuple[Waiver, ...], checks: Checks, ga
             beginning = f" whose message starts with {waiver.message!r}" if waiver.message else ""
             wrong = f"matches no finding: {waiver.rule} has none{beginning}"
         yield Finding(
-            f"waivers[{waiver.place}] {wrong}; the next finding of this kind would be hidden",
+            f"waivers[{waiver.index}] {wrong}; the next finding of this kind would be hidden",
             path=sdk.File.POLICY_YML,
             line=line,
             expected="a rule with a matching finding",

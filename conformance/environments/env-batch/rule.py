@@ -6,15 +6,15 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import Offer, Stage
-from xpl_cli.audit.environments.trial import difference
+from xpl_cli.audit.environments.env_probe import EnvProbe, Offer
+from xpl_cli.audit.environments.observed_episode import difference
 
 SEEDS = (3, 8)
 TOLERANCE = 1e-5
 
 
 @rule(code="XPL411", gate="offline", requirement="XPL-ENV-10", after=("env-runs",))
-def env_batch(stage: Stage) -> Iterator[Finding]:
+def env_batch(env_probe: EnvProbe) -> Iterator[Finding]:
     """The episode of an environment depends on the others in its batch.
 
     ## What it does
@@ -35,25 +35,25 @@ def env_batch(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    stage.require_repeats()
-    for offer in stage.tasks:
-        yield from stage.told(_alike(stage, offer), f"two episodes of {offer} can run in one batch")
+    env_probe.require_repeats()
+    for offer in env_probe.tasks:
+        yield from env_probe.report_failure(_alike(env_probe, offer), f"two episodes of {offer} can run in one batch")
 
 
-def _alike(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    if stage.manifest.scripted:  # where the index of an environment may be what makes it another one
-        with stage.play(offer, num_envs=2) as play:
+def _alike(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
+    if env_probe.manifest.scripted:  # where the index of an environment may be what makes it another one
+        with env_probe.make_env(offer, num_envs=2) as play:
             play.reset(*SEEDS)
             indices = [obs.get(sdk.Obs.ENV_IDX) for obs in play.observe()]
         together = alone = []
     else:
-        with stage.play(offer, num_envs=2, **stage.truth) as play:
-            together = play.trial(offer, *SEEDS)
-        indices = [trial.seen[0].get(sdk.Obs.ENV_IDX) for trial in together]
-        with stage.play(offer, **stage.truth) as play:
-            alone = [play.trial(offer, seed)[0] for seed in SEEDS]
+        with env_probe.make_env(offer, num_envs=2, **env_probe.privileged_config) as play:
+            together = play.run_motion(offer, *SEEDS)
+        indices = [trial.observations[0].get(sdk.Obs.ENV_IDX) for trial in together]
+        with env_probe.make_env(offer, **env_probe.privileged_config) as play:
+            alone = [play.run_motion(offer, seed)[0] for seed in SEEDS]
     if indices != [0, 1]:
-        yield stage.finding(
+        yield env_probe.finding(
             f"{offer}: the observations of two environments have the indices {indices}",
             expected="[0, 1]",
             got=str(indices),
@@ -62,7 +62,7 @@ def _alike(stage: Stage, offer: Offer) -> Iterator[Finding]:
     for env, (one, other) in enumerate(zip(together, alone, strict=True)):
         where = difference(one, other, TOLERANCE)
         if where is not None:
-            yield stage.finding(
+            yield env_probe.finding(
                 f"{offer}: the episode of environment {env} of two differs from one run alone, {where}",
                 expected="the same episode",
                 got=where,

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import Offer, Stage
+from xpl_cli.audit.environments.env_probe import EnvProbe, Offer
 
 LIMIT, SEED = 5, 3
 
 
 @rule(code="XPL406", gate="offline", requirement="XPL-ENV-13", after=("env-runs",))
-def env_ends(stage: Stage) -> Iterator[Finding]:
+def env_ends(env_probe: EnvProbe) -> Iterator[Finding]:
     """An episode continues beyond its step limit, or has no valid result.
 
     ## What it does
@@ -32,15 +32,15 @@ def env_ends(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for offer in stage.tasks:
-        yield from stage.told(_ended(stage, offer), f"an episode of {offer} can run")
+    for offer in env_probe.tasks:
+        yield from env_probe.report_failure(_ended(env_probe, offer), f"an episode of {offer} can run")
 
 
-def _ended(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    with stage.play(offer, max_steps=LIMIT) as play:
-        (trial,) = play.trial(offer, SEED, steps=LIMIT + 2)
+def _ended(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
+    with env_probe.make_env(offer, max_steps=LIMIT) as play:
+        (trial,) = play.run_motion(offer, SEED, steps=LIMIT + 2)
         running, over = play.running(), play.call("is_episode_end")
-    steps, result = len(trial.seen) - 1, trial.result
+    steps, result = len(trial.observations) - 1, trial.result
     for wrong, expected, got in (
         (steps > LIMIT or running, f"an end after {LIMIT} control steps", f"{steps} steps, running: {running}"),
         (over is not True, "is_episode_end() to be True then", repr(over)),
@@ -55,7 +55,7 @@ def _ended(stage: Stage, offer: Offer) -> Iterator[Finding]:
         (not result.get("end_reason"), "end_reason: why it ended", f"{result.get('end_reason')!r}"),
     ):
         if wrong:
-            yield stage.finding(
+            yield env_probe.finding(
                 f"{offer}: expected {expected}, got {got}",
                 expected=expected,
                 got=got,

@@ -11,8 +11,8 @@ from xpl import _spec as sdk
 from xpl.contract import Action
 from xpl.simulator.process import EnvRaisedError
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import Offer, Play, Stage, motion
-from xpl_cli.audit.environments.trial import Trial, difference
+from xpl_cli.audit.environments.env_probe import EnvProbe, Offer, RunningEnv, motion
+from xpl_cli.audit.environments.observed_episode import ObservedEpisode, difference
 
 ACCIDENTS = frozenset(
     ("KeyError", "IndexError", "AttributeError", "TypeError", "NameError", "UnboundLocalError", "ZeroDivisionError")
@@ -20,7 +20,7 @@ ACCIDENTS = frozenset(
 
 
 @rule(code="XPL412", gate="offline", requirement="XPL-ENV-11", after=("env-runs",))
-def env_invalid_requests(stage: Stage) -> Iterator[Finding]:
+def env_invalid_requests(env_probe: EnvProbe) -> Iterator[Finding]:
     """An invalid request is accepted, or refused only by an accidental exception.
 
     ## What it does
@@ -42,36 +42,36 @@ def env_invalid_requests(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    offer = stage.offers[0]
+    offer = env_probe.offers[0]
     expected = "an error that lists what env.yml declares"
     unknown = {"task": "no_such_task", "embodiment": "no_such_robot", sdk.Deploy.ACTION_TYPE: "telepathy"}
-    if stage.manifest.scripted:
+    if env_probe.manifest.scripted:
         del unknown["task"]  # a script is the same for any task
     for key, value in unknown.items():
-        got = _made(stage, replace(offer, **{key: value}))
+        got = _made(env_probe, replace(offer, **{key: value}))
         if got is not None:
-            yield stage.finding(
+            yield env_probe.finding(
                 f"{key} {value!r} is not declared, and requesting it {got}",
                 expected=expected,
                 got=got,
                 advice="raise ValueError with the declared names",
             )
-    for each in dict.fromkeys((offer, *(item for item in stage.tasks if item.action_type != offer.action_type))):
-        yield from stage.told(_mistakes(stage, each), f"{each} can be played")
+    for each in dict.fromkeys((offer, *(item for item in env_probe.tasks if item.action_type != offer.action_type))):
+        yield from env_probe.report_failure(_mistakes(env_probe, each), f"{each} can run")
 
 
-def _made(stage: Stage, offer: Offer) -> str | None:
+def _made(env_probe: EnvProbe, offer: Offer) -> str | None:
     """Return what is wrong with how an environment refuses what it does not offer, None if nothing is."""
     try:
-        with stage.play(offer) as play:
+        with env_probe.make_env(offer) as play:
             play.reset(0)
     except EnvRaisedError as error:
         return _accident(error)
     return "is accepted"
 
 
-def _mistakes(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    with stage.play(offer) as play:
+def _mistakes(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
+    with env_probe.make_env(offer) as play:
         play.reset(0)
         (first,) = play.observe()
         right = motion(offer, first, 0)
@@ -84,11 +84,11 @@ def _mistakes(stage: Stage, offer: Offer) -> Iterator[Finding]:
         ):
             got = _sent(play, actions)
             (now,) = play.observe(0)
-            moved = difference(Trial((first,), {}), Trial((now,), {}), stage.give)
+            moved = difference(ObservedEpisode((first,), {}), ObservedEpisode((now,), {}), env_probe.rest_tolerance)
             if got is None and moved is not None:
                 got = f"moves the robot all the same ({moved})"
             if got is not None:
-                yield stage.finding(
+                yield env_probe.finding(
                     f"{offer}: {what} {got}",
                     expected="an error that says what is expected, and no motion",
                     got=got,
@@ -97,7 +97,7 @@ def _mistakes(stage: Stage, offer: Offer) -> Iterator[Finding]:
                 play.reset(0)
 
 
-def _sent(play: Play, actions: Mapping[int, Action]) -> str | None:
+def _sent(play: RunningEnv, actions: Mapping[int, Action]) -> str | None:
     try:
         play.act(actions)
     except EnvRaisedError as error:

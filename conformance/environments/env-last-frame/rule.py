@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import Offer, Stage, motion
-from xpl_cli.audit.environments.trial import Trial, difference
+from xpl_cli.audit.environments.env_probe import EnvProbe, Offer, motion
+from xpl_cli.audit.environments.observed_episode import ObservedEpisode, difference
 
 
 @rule(code="XPL414", gate="offline", requirement="XPL-ENV-14", after=("env-runs",))
-def env_last_frame(stage: Stage) -> Iterator[Finding]:
+def env_last_frame(env_probe: EnvProbe) -> Iterator[Finding]:
     """`get_obs_batch(last_frame=True)` does not return the previous observation.
 
     ## What it does
@@ -29,20 +29,20 @@ def env_last_frame(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for offer in stage.tasks[:1]:
-        yield from stage.told(_repeated(stage, offer), f"{offer} can be observed")
+    for offer in env_probe.tasks[:1]:
+        yield from env_probe.report_failure(_repeated(env_probe, offer), f"{offer} can be observed")
 
 
-def _repeated(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    with stage.play(offer, cameras=stage.cameras) as play:
+def _repeated(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
+    with env_probe.make_env(offer, cameras=env_probe.cameras) as play:
         play.reset(0)
         (first,) = play.observe()
         for step in range(2):
             (seen,) = play.observe()
             (again,) = play.call("get_obs_batch", [0], True)  # noqa: FBT003 - as benchmarks pass it
-            where = difference(Trial((seen,), {}), Trial((again,), {}))
+            where = difference(ObservedEpisode((seen,), {}), ObservedEpisode((again,), {}))
             if where is not None:
-                yield stage.finding(
+                yield env_probe.finding(
                     f"{offer}: with last_frame the observation differs, {where}",
                     expected="the last observation",
                     got=where,

@@ -10,13 +10,13 @@ from xpl import _spec as sdk
 from xpl.contract import Observation
 from xpl.simulator.process import EnvRaisedError
 from xpl_cli.audit import Finding, NotApplicable, rule
-from xpl_cli.audit.environments.stage import Offer, Play, Stage, motion
+from xpl_cli.audit.environments.env_probe import EnvProbe, Offer, RunningEnv, motion
 
 GIVE = 0.05  # rad, and part of the gripper's range: what a simulated joint may give at its stop
 
 
 @rule(code="XPL413", gate="offline", requirement="XPL-ENV-12", after=("env-runs",))
-def env_limits(stage: Stage) -> Iterator[Finding]:
+def env_limits(env_probe: EnvProbe) -> Iterator[Finding]:
     """A guarded environment executes an action beyond its robot's limits, or silently another action.
 
     ## What it does
@@ -38,18 +38,18 @@ def env_limits(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    if stage.manifest.scripted:
+    if env_probe.manifest.scripted:
         raise NotApplicable("env.yml declares that observations follow a script: there is no robot to protect")
-    for offer in _of_each_kind(stage):
-        yield from stage.told(_bounded(stage, offer), f"{offer} handles wrong commands")
+    for offer in _of_each_kind(env_probe):
+        yield from env_probe.report_failure(_bounded(env_probe, offer), f"{offer} handles wrong commands")
 
 
-def _of_each_kind(stage: Stage) -> list[Offer]:
-    return list({offer.action_type: offer for offer in reversed(stage.tasks)}.values())
+def _of_each_kind(env_probe: EnvProbe) -> list[Offer]:
+    return list({offer.action_type: offer for offer in reversed(env_probe.tasks)}.values())
 
 
-def _bounded(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    with stage.play(offer) as play:
+def _bounded(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
+    with env_probe.make_env(offer) as play:
         if not play.guarded:
             raise NotApplicable("the environment does not declare itself guarded: evaluation supervises it")
         for what, change in _beyond(offer):
@@ -57,7 +57,7 @@ def _bounded(stage: Stage, offer: Offer) -> Iterator[Finding]:
             (first,) = play.observe()
             got = _reported(play, motion(offer, first, 0) | change) or _outside(offer, play.observe(0)[0])
             if got is not None:
-                yield stage.finding(
+                yield env_probe.finding(
                     f"{offer}: {what} {got}",
                     expected="a refusal, or a correction in the report, and a state within limits",
                     got=got,
@@ -67,7 +67,7 @@ def _bounded(stage: Stage, offer: Offer) -> Iterator[Finding]:
         (first,) = play.observe()
         got = _after_nan(play, {key: value * np.float32("nan") for key, value in motion(offer, first, 0).items()})
         if got is not None:
-            yield stage.finding(
+            yield env_probe.finding(
                 f"{offer}: an action of NaN {got}",
                 expected="a refusal, or the end of the episode, and a finite state",
                 got=got,
@@ -88,7 +88,7 @@ def _beyond(offer: Offer) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
         yield "a gripper commanded to 2", {gripper: np.array([2.0], dtype=np.float32)}
 
 
-def _reported(play: Play, action: dict[str, np.ndarray]) -> str | None:
+def _reported(play: RunningEnv, action: dict[str, np.ndarray]) -> str | None:
     try:
         (report,) = play.act({0: action}) or [None]
     except EnvRaisedError:
@@ -110,7 +110,7 @@ def _outside(offer: Offer, obs: Observation) -> str | None:
     return None
 
 
-def _after_nan(play: Play, action: dict[str, np.ndarray]) -> str | None:
+def _after_nan(play: RunningEnv, action: dict[str, np.ndarray]) -> str | None:
     try:
         play.act({0: action})
         if play.running():

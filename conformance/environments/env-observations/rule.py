@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, rule
+from xpl_cli.audit.environments.env_probe import EnvProbe, Offer, motion
 from xpl_cli.audit.environments.observations import problems
-from xpl_cli.audit.environments.stage import Offer, Stage, motion
 
 
 @rule(code="XPL405", gate="offline", requirement="XPL-ENV-3", after=("env-runs",))
-def env_observations(stage: Stage) -> Iterator[Finding]:
+def env_observations(env_probe: EnvProbe) -> Iterator[Finding]:
     """An observation does not conform to the standard: a value is missing, or has another shape, type, unit or range.
 
     ## What it does
@@ -31,20 +31,20 @@ def env_observations(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for offer in stage.robots:
-        yield from stage.told(_looked_at(stage, offer), f"{offer} can be observed")
+    for offer in env_probe.robots:
+        yield from env_probe.report_failure(_looked_at(env_probe, offer), f"{offer} can be observed")
 
 
-def _looked_at(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    with stage.play(offer, cameras=stage.cameras) as play:
+def _looked_at(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
+    with env_probe.make_env(offer, cameras=env_probe.cameras) as play:
         play.reset(0)
         (first,) = play.observe()
-        found = list(problems(stage, offer, first))
+        found = list(problems(env_probe, offer, first))
         if not found:
             play.act({0: motion(offer, first, 1)})
-            found = list(problems(stage, offer, play.observe(0)[0]))
+            found = list(problems(env_probe, offer, play.observe(0)[0]))
     for problem in found:
-        yield stage.finding(
+        yield env_probe.finding(
             f"{offer}: {problem}",
             expected="an observation of the standard",
             got=problem,

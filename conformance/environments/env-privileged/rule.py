@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import Offer, Stage
+from xpl_cli.audit.environments.env_probe import EnvProbe, Offer
 
 
 @rule(code="XPL415", gate="offline", requirement="XPL-ENV-15", after=("env-runs",))
-def env_privileged(stage: Stage) -> Iterator[Finding]:
+def env_privileged(env_probe: EnvProbe) -> Iterator[Finding]:
     """Observations contain simulator ground truth that was not requested, or lack what env.yml declares.
 
     ## What it does
@@ -30,26 +30,26 @@ def env_privileged(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    offer = stage.offers[0]
-    yield from stage.told(_shown(stage, offer), f"{offer} can be observed")
+    offer = env_probe.offers[0]
+    yield from env_probe.report_failure(_shown(env_probe, offer), f"{offer} can be observed")
 
 
-def _shown(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    with stage.play(offer, **{sdk.Obs.PRIVILEGED: False}) as play:
+def _shown(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
+    with env_probe.make_env(offer, **{sdk.Obs.PRIVILEGED: False}) as play:
         play.reset(0)
         if sdk.Obs.PRIVILEGED in play.observe()[0]:
-            yield stage.finding(
+            yield env_probe.finding(
                 f"{offer}: observations contain ground truth that was not requested",
                 expected=f"no {sdk.Obs.PRIVILEGED}",
                 got=f"{sdk.Obs.PRIVILEGED} in the observation",
                 advice="add it only if the configuration requests it",
             )
-    if not stage.manifest.privileged:
+    if not env_probe.manifest.privileged:
         return
-    with stage.play(offer, **{sdk.Obs.PRIVILEGED: True}) as play:
+    with env_probe.make_env(offer, **{sdk.Obs.PRIVILEGED: True}) as play:
         play.reset(0)
         if not play.observe()[0].get(sdk.Obs.PRIVILEGED):
-            yield stage.finding(
+            yield env_probe.finding(
                 f"{offer}: env.yml declares ground truth, and observations lack it when it is requested",
                 expected=f"{sdk.Obs.PRIVILEGED} in the observation",
                 got="nothing",

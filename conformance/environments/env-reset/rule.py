@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import STEPS, Offer, Stage
-from xpl_cli.audit.environments.trial import difference
+from xpl_cli.audit.environments.env_probe import STEPS, EnvProbe, Offer
+from xpl_cli.audit.environments.observed_episode import difference
 
 SEED = 3
 
 
 @rule(code="XPL410", gate="offline", requirement="XPL-ENV-9", after=("env-runs",))
-def env_reset(stage: Stage) -> Iterator[Finding]:
+def env_reset(env_probe: EnvProbe) -> Iterator[Finding]:
     """An episode depends on the previous one.
 
     ## What it does
@@ -31,19 +31,19 @@ def env_reset(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    stage.require_repeats()
-    for offer in stage.tasks:
-        yield from stage.told(_again(stage, offer), f"three episodes of {offer} can run")
+    env_probe.require_repeats()
+    for offer in env_probe.tasks:
+        yield from env_probe.report_failure(_again(env_probe, offer), f"three episodes of {offer} can run")
 
 
-def _again(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    with stage.play(offer, **stage.truth) as play:
-        (first,) = play.trial(offer, SEED)
-        play.trial(offer, SEED + 1, steps=STEPS // 2)
-        (last,) = play.trial(offer, SEED)
+def _again(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
+    with env_probe.make_env(offer, **env_probe.privileged_config) as play:
+        (first,) = play.run_motion(offer, SEED)
+        play.run_motion(offer, SEED + 1, steps=STEPS // 2)
+        (last,) = play.run_motion(offer, SEED)
     where = difference(first, last)
     if where is not None:
-        yield stage.finding(
+        yield env_probe.finding(
             f"{offer}: seed {SEED} gives another episode after one of seed {SEED + 1}: {where}",
             expected="the same episode, whatever the previous one was",
             got=where,

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 
 from xpl.simulator.process import EnvRaisedError
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import Offer, Stage, motion
-from xpl_cli.audit.environments.trial import Trial, difference
+from xpl_cli.audit.environments.env_probe import EnvProbe, Offer, motion
+from xpl_cli.audit.environments.observed_episode import ObservedEpisode, difference
 
 LIMIT = 4
 
 
 @rule(code="XPL407", gate="offline", requirement="XPL-ENV-7", after=("env-runs",))
-def env_running_list(stage: Stage) -> Iterator[Finding]:
+def env_running_list(env_probe: EnvProbe) -> Iterator[Finding]:
     """An environment whose episode has ended stays in the running list, or still moves.
 
     ## What it does
@@ -34,18 +34,18 @@ def env_running_list(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for offer in stage.tasks:
-        yield from stage.told(_shrinks(stage, offer), f"two episodes of {offer} can run")
+    for offer in env_probe.tasks:
+        yield from env_probe.report_failure(_shrinks(env_probe, offer), f"two episodes of {offer} can run")
 
 
-def _shrinks(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    envs = [0] if stage.is_real else [0, 1]
-    with stage.play(offer, num_envs=len(envs), max_steps=LIMIT) as play:
+def _shrinks(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
+    envs = [0] if env_probe.is_real else [0, 1]
+    with env_probe.make_env(offer, num_envs=len(envs), max_steps=LIMIT) as play:
         play.reset(*envs)
         first = play.observe()
         before = play.running()
         if before != envs:
-            yield _wrong(stage, f"{offer}: after a reset the running list is {before}", str(envs), str(before))
+            yield _wrong(env_probe, f"{offer}: after a reset the running list is {before}", str(envs), str(before))
         for step in range(LIMIT):
             running = play.running()
             if running:
@@ -53,20 +53,20 @@ def _shrinks(stage: Stage, offer: Offer) -> Iterator[Finding]:
         after, results = play.running(), play.results()
         if after:
             text = f"{offer}: the step limit is {LIMIT}, and after it the running list is still {after}"
-            yield _wrong(stage, text, "[]", str(after))
+            yield _wrong(env_probe, text, "[]", str(after))
             return
         seen = play.observe(*envs)
         # Refusing an action that comes too late is as good as ignoring it.
         with contextlib.suppress(EnvRaisedError):
             play.act({env: motion(offer, first[env], LIMIT) for env in envs})
-        late = Trial(tuple(play.observe(*envs)), {}), Trial(tuple(seen), {})
-        moved = difference(*late, stage.give)
+        late = ObservedEpisode(tuple(play.observe(*envs)), {}), ObservedEpisode(tuple(seen), {})
+        moved = difference(*late, env_probe.rest_tolerance)
         if moved is not None or play.results() != results:
             text = f"{offer}: an action after the end still changes the environment ({moved or 'its result'})"
-            yield _wrong(stage, text, "nothing to change", moved or "another result")
+            yield _wrong(env_probe, text, "nothing to change", moved or "another result")
 
 
-def _wrong(stage: Stage, text: str, expected: str, got: str) -> Finding:
-    return stage.finding(
+def _wrong(env_probe: EnvProbe, text: str, expected: str, got: str) -> Finding:
+    return env_probe.finding(
         text, expected=expected, got=got, advice="remove ended environments from the list, and do not step them"
     )

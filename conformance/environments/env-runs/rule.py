@@ -6,11 +6,11 @@ import contextlib
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, NotRun, rule
-from xpl_cli.audit.environments.stage import Offer, Stage, motion
+from xpl_cli.audit.environments.env_probe import EnvProbe, Offer, motion
 
 
 @rule(code="XPL404", gate="offline", requirement="XPL-ENV-6")
-def env_runs(stage: Stage) -> Iterator[Finding]:
+def env_runs(env_probe: EnvProbe) -> Iterator[Finding]:
     """The environment cannot be created, reset or stepped in a combination that env.yml declares.
 
     ## What it does
@@ -30,17 +30,17 @@ def env_runs(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for offer in stage.robots:
-        yield from stage.told(_played(stage, offer), f"{offer} can be played")
+    for offer in env_probe.robots:
+        yield from env_probe.report_failure(_played(env_probe, offer), f"{offer} can run")
 
 
-def _played(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    with stage.play(offer) as play:
+def _played(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
+    with env_probe.make_env(offer) as play:
         play.reset(0)
         observations = play.observe()
         if len(observations) != 1 or not isinstance(observations[0], dict):
             got = f"{len(observations)} observations"
-            yield stage.finding(
+            yield env_probe.finding(
                 f"{offer}: after a reset one environment returns {got}",
                 expected="one observation, a map",
                 got=got,

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import Offer, Stage
-from xpl_cli.audit.environments.trial import difference
+from xpl_cli.audit.environments.env_probe import EnvProbe, Offer
+from xpl_cli.audit.environments.observed_episode import difference
 
 SEED = 3
 
 
 @rule(code="XPL408", gate="offline", requirement="XPL-ENV-4", after=("env-runs",))
-def env_same_seed(stage: Stage) -> Iterator[Finding]:
+def env_same_seed(env_probe: EnvProbe) -> Iterator[Finding]:
     """The same seed and the same actions do not give the same episode.
 
     ## What it does
@@ -32,18 +32,18 @@ def env_same_seed(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    stage.require_repeats()
-    for offer in stage.tasks[:1]:
-        yield from stage.told(_repeated(stage, offer, fresh=True), f"{offer} can run twice")
-    for offer in stage.tasks[1:]:
-        yield from stage.told(_repeated(stage, offer, fresh=False), f"{offer} can run twice")
+    env_probe.require_repeats()
+    for offer in env_probe.tasks[:1]:
+        yield from env_probe.report_failure(_repeated(env_probe, offer, fresh=True), f"{offer} can run twice")
+    for offer in env_probe.tasks[1:]:
+        yield from env_probe.report_failure(_repeated(env_probe, offer, fresh=False), f"{offer} can run twice")
 
 
-def _repeated(stage: Stage, offer: Offer, *, fresh: bool) -> Iterator[Finding]:
-    first, second = (stage.trial(offer, SEED, fresh=fresh, cameras=stage.cameras)[0] for _ in range(2))
+def _repeated(env_probe: EnvProbe, offer: Offer, *, fresh: bool) -> Iterator[Finding]:
+    first, second = (env_probe.run_episodes(offer, SEED, fresh=fresh, cameras=env_probe.cameras)[0] for _ in range(2))
     where = difference(first, second)
     if where is not None:
-        yield stage.finding(
+        yield env_probe.finding(
             f"{offer}: seed {SEED} gave two episodes that differ {where}",
             expected="the same episode",
             got=where,

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, NotApplicable, rule
-from xpl_cli.audit.environments.stage import Offer, Stage
-from xpl_cli.audit.environments.trial import difference
+from xpl_cli.audit.environments.env_probe import EnvProbe, Offer
+from xpl_cli.audit.environments.observed_episode import difference
 
 SEEDS = (0, 1, 2, 3)
 
 
 @rule(code="XPL409", gate="offline", requirement="XPL-ENV-8", after=("env-runs",))
-def env_seeds_differ(stage: Stage) -> Iterator[Finding]:
+def env_seeds_differ(env_probe: EnvProbe) -> Iterator[Finding]:
     """All seeds give the same episode.
 
     ## What it does
@@ -33,18 +33,18 @@ def env_seeds_differ(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    stage.require_repeats()
-    if stage.manifest.scripted:
+    env_probe.require_repeats()
+    if env_probe.manifest.scripted:
         raise NotApplicable("env.yml declares that observations follow a script")
-    for offer in stage.tasks:
-        yield from stage.told(_varied(stage, offer), f"{offer} can be played")
+    for offer in env_probe.tasks:
+        yield from env_probe.report_failure(_varied(env_probe, offer), f"{offer} can run")
 
 
-def _varied(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    with stage.play(offer, **stage.truth) as play:
-        trials = [play.trial(offer, seed, steps=1)[0] for seed in SEEDS]
+def _varied(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
+    with env_probe.make_env(offer, **env_probe.privileged_config) as play:
+        trials = [play.run_motion(offer, seed, steps=1)[0] for seed in SEEDS]
     if all(difference(trials[0], other) is None for other in trials[1:]):
-        yield stage.finding(
+        yield env_probe.finding(
             f"{offer}: seeds {', '.join(map(str, SEEDS))} all give the same episode",
             expected="episodes that differ",
             got="no difference",

@@ -8,7 +8,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.physics.loop import Query, Rollout
+from xpl_cli.audit.physics.rollout import Inference, PhysicsRollout
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.served.probe import blame
 from xpl_cli.audit.served.rounding import rounding_limit
@@ -40,23 +40,23 @@ def batch_motion(simulation: Simulation) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    together = simulation.together(_SEEDS)
-    for place, seed in enumerate(_SEEDS):
-        beside, alone = together.queries[place], simulation.alone(_SEEDS, place).queries[place]
-        found = _apart(beside, alone, TOLERANCE)
-        if found is None or _is_rounding(simulation, place):
+    together = simulation.batch_rollout(_SEEDS)
+    for index, seed in enumerate(_SEEDS):
+        in_batch, alone = together.inferences[index], simulation.single_rollout(_SEEDS, index).inferences[index]
+        difference = _apart(in_batch, alone, TOLERANCE)
+        if difference is None or _is_rounding(simulation, index):
             continue
-        step, there, by_itself = found
+        step, there, single = difference
         yield blame(
-            f"in {together.course} the environment with seed {seed} gets other actions in a batch than alone, "
+            f"in {together.setup} the environment with seed {seed} gets other actions in a batch than alone, "
             f"from step {step} on",
-            expected="the commands of a run by itself",
+            expected="the commands of a run alone",
             got="other commands",
             evidence={
-                "task": together.course.task,
+                "task": together.setup.task,
                 spec.Deploy.SEED: seed,
                 "step": step,
-                "alone": by_itself.tolist(),
+                "alone": single.tolist(),
                 "beside": there.tolist(),
             },
             fix=Fix("advice", "keep all state per environment index"),
@@ -64,32 +64,32 @@ def batch_motion(simulation: Simulation) -> Iterator[Finding]:
         return
 
 
-def _is_rounding(simulation: Simulation, place: int) -> bool:
-    """Whether answers in a batch differ by its size alone, and by no more than it may round."""
-    together = simulation.together(_SEEDS)
-    copied = simulation.beside_itself(_SEEDS, place).queries[place]
-    if _apart(together.queries[place], copied, TOLERANCE) is not None:
+def _is_rounding(simulation: Simulation, env_index: int) -> bool:
+    """Return whether actions differ only by batch-size-dependent floating-point error."""
+    together = simulation.batch_rollout(_SEEDS)
+    copied = simulation.repeated_rollout(_SEEDS, env_index).inferences[env_index]
+    if _apart(together.inferences[env_index], copied, TOLERANCE) is not None:
         return False
-    alone = simulation.alone(_SEEDS, place).queries[place]
-    return _apart(together.queries[place], alone, _rounded(together, alone)) is None
+    alone = simulation.single_rollout(_SEEDS, env_index).inferences[env_index]
+    return _apart(together.inferences[env_index], alone, _rounded(together, alone)) is None
 
 
-def _rounded(played: Rollout, alone: Sequence[Query]) -> np.ndarray:
-    """Return by how much batches may round each number of an action."""
+def _rounded(rollout: PhysicsRollout, alone: Sequence[Inference]) -> np.ndarray:
+    """Return the largest floating-point error of each number of an action, (D,)."""
     rows = np.concatenate([query.chunk for query in alone])
-    widths = list(played.robot.dims(played.course.action_type).values())
+    widths = list(rollout.robot.dims(rollout.setup.action_type).values())
     keys = np.split(rows, np.cumsum(widths)[:-1], axis=1)
     return np.repeat([rounding_limit(values) for values in keys], widths)
 
 
 def _apart(
-    beside: Sequence[Query], alone: Sequence[Query], tolerance: float | np.ndarray
+    in_batch: Sequence[Inference], alone: Sequence[Inference], tolerance: float | np.ndarray
 ) -> tuple[int, np.ndarray, np.ndarray] | None:
-    """Return the first control step at which answers differ, and what is commanded then; None if none does.
+    """Return the first control step at which actions differ, with both actions; None if there is none.
 
     Of chunks of different lengths that is the step at which the shorter one has ended.
     """
-    for one, other in zip(beside, alone, strict=True):
+    for one, other in zip(in_batch, alone, strict=True):
         count = min(len(one.chunk), len(other.chunk))
         for index in range(count):
             if not np.allclose(one.chunk[index], other.chunk[index], atol=tolerance):

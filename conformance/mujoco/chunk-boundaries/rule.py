@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.physics.loop import jumps_of_chunks
+from xpl_cli.audit.physics.rollout import largest_changes
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.served.probe import blame
 
@@ -34,11 +34,11 @@ def chunk_boundaries(simulation: Simulation) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    compared = [(played, *jump) for played in simulation.sound_rollouts() for jump in jumps_of_chunks(played)]
+    compared = [(played, *jump) for played in simulation.sound_rollouts() for jump in largest_changes(played)]
     if not compared:
         raise NotApplicable("chunks have one step each")
     for played, seam, inside in compared:
-        course = played.course
+        course = played.setup
         joint = spec.ACTION_KEYS[course.action_type][0] == spec.State.ARM_JOINT_STATE
         unit, floor = ("rad", JOINT_FLOOR) if joint else ("m", POSITION_FLOOR)
         if seam > max(floor, RATIO * inside):

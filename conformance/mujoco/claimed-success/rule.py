@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.physics.claims import USUAL_EPISODES, claims, measure
 from xpl_cli.audit.physics.simulation import Simulation
-from xpl_cli.audit.rules.figures import ENVIRONMENT
+from xpl_cli.audit.physics.success_rates import USUAL_EPISODES, claimed_rates, measure
+from xpl_cli.audit.rules.measurements import ENVIRONMENT
 
 
 @rule(code="XPL311", requirement="XPL-SIM-11", profile="full")
@@ -33,17 +33,17 @@ def claimed_success(simulation: Simulation) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    claimed = claims(simulation)
+    claimed = claimed_rates(simulation)
     if not claimed:
         measure(simulation, simulation.first, simulation.probe.options.episodes or USUAL_EPISODES)
         raise NotApplicable(f"the manifest claims no success rate in {ENVIRONMENT}")
     for claim in claimed:
-        figure = measure(simulation, claim.course, claim.episodes)
+        figure = measure(simulation, claim.setup, claim.episodes)
         interval = figure.success_interval
         if claim.success_rate not in interval:
             other = "higher" if claim.success_rate > interval.high else "lower"
             yield Finding(
-                f"the manifest claims {claim.success_rate:.0%} success in {claim.course}, {other} than the "
+                f"the manifest claims {claim.success_rate:.0%} success in {claim.setup}, {other} than the "
                 "measured rate",
                 path=spec.File.POLICY_YML,
                 expected=f"a rate within {interval}, as {figure.successes} of {figure.episodes} episodes succeed",

@@ -34,15 +34,15 @@ def clamped_commands(simulation: Simulation) -> Iterator[Finding]:
     """
     kinds = frozenset(("joint_limit", "joint_speed", "gripper_range"))
     for played in simulation.sound_rollouts():
-        share = played.corrected(kinds) / max(played.steps, 1)
+        share = played.count_corrected(kinds) / max(played.steps, 1)
         if share > TOLERATED:
             counts = played.results[0].corrections
             yield blame(
-                f"in {played.course} the environment had to clamp {share:.0%} of the commands: the robot does "
+                f"in {played.setup} the environment had to clamp {share:.0%} of the commands: the robot does "
                 "not execute what the policy commands",
                 expected=f"at most {TOLERATED:.0%} of the steps beyond a limit of joints, speed or gripper",
                 got=", ".join(f"{kind} {count} times" for kind, count in counts.items()),
-                evidence={"task": played.course.task, "steps": played.steps, "corrections": dict(counts)},
+                evidence={"task": played.setup.task, "steps": played.steps, "corrections": dict(counts)},
                 fix=Fix(
                     "advice",
                     "check units and normalisation: radians, absolute targets, gripper 0..1, the control frequency",

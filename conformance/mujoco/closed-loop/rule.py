@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.physics.simulation import Simulation
-from xpl_cli.audit.rules.figures import ENVIRONMENT
+from xpl_cli.audit.rules.measurements import ENVIRONMENT
 from xpl_cli.audit.served.probe import blame
 
 
@@ -35,7 +35,7 @@ def closed_loop(simulation: Simulation) -> Iterator[Finding]:
     No automatic fix.
     """
     for played in simulation.rollouts():
-        course = played.course
+        course = played.setup
         if played.problem is not None:
             pair = {spec.Deploy.ENV_CFG_TYPE: course.embodiment, spec.Deploy.ACTION_TYPE: course.action_type}
             settings = [part for key, value in pair.items() for part in ("--set", f"{key}={value}")]

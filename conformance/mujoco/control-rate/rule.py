@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from statistics import median
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.physics.loop import Rollout
+from xpl_cli.audit.physics.rollout import PhysicsRollout
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.served.probe import blame
 
@@ -45,7 +45,7 @@ def control_rate(simulation: Simulation) -> Iterator[Finding]:
     if slow:
         played, waits, lasts = max(slow, key=lambda entry: entry[1] / entry[2])
         yield blame(
-            f"in {played.course} update_obs and get_action take {1e3 * waits:.0f} ms for a chunk that lasts "
+            f"in {played.setup} update_obs and get_action take {1e3 * waits:.0f} ms for a chunk that lasts "
             f"{1e3 * lasts:.0f} ms at {rate:g} Hz: the robot waits",
             expected=f"less than {1e3 * lasts:.0f} ms",
             got=f"{1e3 * waits:.0f} ms",
@@ -53,10 +53,10 @@ def control_rate(simulation: Simulation) -> Iterator[Finding]:
         )
 
 
-def _middle(played: Rollout) -> tuple[float, float] | None:
+def _middle(played: PhysicsRollout) -> tuple[float, float] | None:
     """Return the middle time of a chunk, s, and its steps; the first chunk and one that was cut short do not count."""
-    queries, steps = played.queries[0], len(played.commands[0])
+    queries, steps = played.inferences[0], len(played.commands[0])
     whole = [query for query in queries[1:] if query.step + len(query.chunk) <= steps]
     if not whole:
         return None
-    return median(query.waited for query in whole), median(len(query.chunk) for query in whole)
+    return median(query.seconds for query in whole), median(len(query.chunk) for query in whole)

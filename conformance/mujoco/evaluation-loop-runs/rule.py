@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.physics.own_loop import loop_of, problem_of
+from xpl_cli.audit.physics.evaluation_loop import adapter_loop, run_loop
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.standard import spec
 
@@ -33,10 +33,10 @@ def evaluation_loop_runs(simulation: Simulation) -> Iterator[Finding]:
     No automatic fix.
     """
     probe = simulation.probe
-    with loop_of(probe.package.path, probe.options) as loop:
+    with adapter_loop(probe.package.path, probe.options) as loop:
         for batch, name in enumerate(spec.data("package")["loop"]["functions"]):
-            with simulation.staged(2 if batch else 1) as (stage, session):
-                problem = problem_of(loop, stage, session, batch=bool(batch))
+            with simulation.shortened_env(2 if batch else 1) as (stage, session):
+                problem = run_loop(loop, stage, session, batch=bool(batch))
             if problem is not None:
                 yield Finding(
                     f"in physics {name} {problem}",

@@ -8,21 +8,21 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotRun, rule
-from xpl_cli.audit.physics.claims import claims, measure, measure_mirrored
-from xpl_cli.audit.physics.loop import Rollout
-from xpl_cli.audit.physics.mirrors import GRIPPERS_TURNED, World, pictured
+from xpl_cli.audit.physics.rollout import PhysicsRollout
 from xpl_cli.audit.physics.simulation import Simulation
+from xpl_cli.audit.physics.success_rates import claimed_rates, measure, measure_swapped
+from xpl_cli.audit.physics.swaps import GRIPPER_SWAPS, Swap, image_swaps
 from xpl_cli.audit.served.probe import blame
 
-_QUERIES = 4
+_LEAST_INFERENCES = 4
 _MIDDLE = (spec.GRIPPER_CLOSED + spec.GRIPPER_OPEN) / 2
 _TRAVEL = 0.4 * abs(spec.GRIPPER_OPEN - spec.GRIPPER_CLOSED)
-"""How far gripper and commands have to have moved in the loop for them to be told from a decision."""
+"""Least range of gripper and commands in a rollout that rules out a decision of the policy."""
 _EVEN = 0.05
-_SELDOM = 0.25
-"""Share of the questions at which a gripper may change sides where its commands agree with it."""
+_RARE = 0.25
+"""Largest share of inferences at which a gripper changes sides although its commands agree with it."""
 _TRIED = 4
-"""Episodes in each environment in which something is exchanged."""
+"""Episodes in each swapped environment."""
 _COMPARE = "compare the model's gripper input, and the meaning of its output, with the authors' own code"
 
 
@@ -52,74 +52,74 @@ def gripper_contradiction(simulation: Simulation) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for played in simulation.sound_rollouts():
-        yield from _contradictions(simulation, played)
-    for claim in claims(simulation):
-        real = measure(simulation, claim.course, claim.episodes)
+    for rollout in simulation.sound_rollouts():
+        yield from _contradictions(simulation, rollout)
+    for claim in claimed_rates(simulation):
+        real = measure(simulation, claim.setup, claim.episodes)
         if claim.success_rate <= real.success_interval.high:
             continue
-        for world in (*pictured(simulation.cameras), *GRIPPERS_TURNED):
-            other = measure_mirrored(simulation, claim.course, _TRIED, world)
+        for swap in (*image_swaps(simulation.cameras), *GRIPPER_SWAPS):
+            other = measure_swapped(simulation, claim.setup, _TRIED, swap)
             if other.success_interval.low > real.success_rate and other.success_rate > real.success_interval.high:
                 yield blame(
-                    f"in {claim.course} the policy succeeds if {world}, and not without that swap",
+                    f"in {claim.setup} the policy succeeds if {swap}, and not without that swap",
                     expected="success in the environment as it is",
                     got=f"{real.successes} of {real.episodes} episodes succeed, with the swap {other.successes} of "
                     f"{other.episodes}",
-                    fix=Fix("advice", world.advice),
+                    fix=Fix("advice", swap.advice),
                 )
                 break
 
 
-def _contradictions(simulation: Simulation, played: Rollout) -> Iterator[Finding]:
-    for key, observed, commanded in _grippers(played):
+def _contradictions(simulation: Simulation, rollout: PhysicsRollout) -> Iterator[Finding]:
+    for key, observed, commanded in _grippers(rollout):
         if not _contradicts(observed, commanded):
             continue
-        worlds = list(_where_it_agrees(simulation, played, key))
-        elsewhere = f"; they agree with it if {', or if '.join(map(str, worlds))}" if worlds else ""
+        swaps = list(_agreeing_swaps(simulation, rollout, key))
+        elsewhere = f"; they agree with it if {', or if '.join(map(str, swaps))}" if swaps else ""
         yield blame(
-            f"in {played.course} commands of {key} contradict the gripper at every inference: to close when it "
+            f"in {rollout.setup} commands of {key} contradict the gripper at every inference: to close when it "
             f"is open, and to open when it is closed{elsewhere}",
             expected="commands that do not reverse after they were executed",
             got=f"{np.round(commanded[:8], 2).tolist()} for grippers at {np.round(observed[:8], 2).tolist()}",
-            evidence={"task": played.course.task, "questions": len(observed), "agrees_where": list(map(str, worlds))},
-            fix=Fix("advice", worlds[0].advice if worlds else _COMPARE),
+            evidence={"task": rollout.setup.task, "questions": len(observed), "agrees_where": list(map(str, swaps))},
+            fix=Fix("advice", swaps[0].advice if swaps else _COMPARE),
         )
 
 
-def _where_it_agrees(simulation: Simulation, played: Rollout, key: str) -> Iterator[World]:
-    """Yield the worlds in which the gripper is told to go where it is or goes already, those of the pictures first."""
-    for world in (*pictured(simulation.cameras), *GRIPPERS_TURNED):
+def _agreeing_swaps(simulation: Simulation, rollout: PhysicsRollout, key: str) -> Iterator[Swap]:
+    """Yield the swaps with which commands agree with the gripper, those of images first."""
+    for swap in (*image_swaps(simulation.cameras), *GRIPPER_SWAPS):
         try:
-            other = simulation.mirrored(played.course, world)
+            other = simulation.swapped_rollout(rollout.setup, swap)
         except NotRun:
             continue
         values = next(values for name, *values in _grippers(other) if name == key)
-        against, between = _sides(*world.real(*values))
-        if len(against) >= _QUERIES and (against | between)[1:].mean() <= _SELDOM:
-            yield world
+        against, between = _sides(*swap.unswap(*values))
+        if len(against) >= _LEAST_INFERENCES and (against | between)[1:].mean() <= _RARE:
+            yield swap
 
 
-def _grippers(played: Rollout) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Yield each gripper's key, with where it was seen at every question and what it was told."""
-    dims = played.robot.dims(played.course.action_type)
+def _grippers(rollout: PhysicsRollout) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Yield each gripper's key, its observed openings and its commands, one of each per inference."""
+    dims = rollout.robot.dims(rollout.setup.action_type)
     starts = dict(zip(dims, np.cumsum([0, *dims.values()])[:-1], strict=True))
-    queries = played.queries[0]
-    for arm in played.robot.arms:
+    inferences = rollout.inferences[0]
+    for arm in rollout.robot.arms:
         key = arm.prefix + spec.State.EE_JOINT_STATE
         if arm.gripper == "parallel_gripper":
-            observed = np.array([float(np.ravel(query.state[key])[0]) for query in queries])
-            yield key, observed, np.array([float(query.chunk[0, starts[key]]) for query in queries])
+            observed = np.array([float(np.ravel(inference.state[key])[0]) for inference in inferences])
+            yield key, observed, np.array([float(inference.chunk[0, starts[key]]) for inference in inferences])
 
 
 def _contradicts(observed: np.ndarray, commanded: np.ndarray) -> bool:
     against, between = _sides(observed, commanded)
     moved = min(np.ptp(observed), np.ptp(commanded))
-    return bool(len(observed) >= _QUERIES and moved >= _TRAVEL and (against | between).all())
+    return bool(len(observed) >= _LEAST_INFERENCES and moved >= _TRAVEL and (against | between).all())
 
 
 def _sides(observed: np.ndarray, commanded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return at which questions a gripper is told to go to the other side, and at which it is and stays between."""
+    """Return at which inferences a command is on the other side, and at which gripper and command are half open."""
     here, there = observed - _MIDDLE, commanded - _MIDDLE
     is_between = (np.abs(here) < _EVEN) & (np.abs(there) < _EVEN)
     return (here * there < 0) & (np.minimum(np.abs(here), np.abs(there)) >= _EVEN), is_between

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.physics.conventions import mistakes
+from xpl_cli.audit.physics.conventions import mismatches
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.served.probe import blame
 
@@ -35,12 +35,12 @@ def pose_convention(simulation: Simulation) -> Iterator[Finding]:
     No automatic fix.
     """
     for played in simulation.sound_rollouts():
-        for mistake in mistakes(played.robot, played.course.action_type, played.queries[0]):
+        for mistake in mismatches(played.robot, played.setup.action_type, played.inferences[0]):
             yield blame(
-                f"in {played.course} {mistake.key} is commanded as {mistake.what}: the robot moves away from "
+                f"in {played.setup} {mistake.key} is commanded as {mistake.what}: the robot moves away from "
                 "the pose that the policy means",
                 expected=f"commands near the observed {mistake.key}, at first {list(mistake.observed)}",
                 got=f"{list(mistake.commanded)}",
-                evidence={"task": played.course.task, "questions": len(played.queries[0])},
+                evidence={"task": played.setup.task, "questions": len(played.inferences[0])},
                 fix=Fix("advice", mistake.advice),
             )

@@ -36,18 +36,18 @@ def reachable(simulation: Simulation) -> Iterator[Finding]:
     posed = [
         played
         for played in simulation.sound_rollouts()
-        if spec.ACTION_KEYS[played.course.action_type][0] == spec.State.EE_POSE
+        if spec.ACTION_KEYS[played.setup.action_type][0] == spec.State.EE_POSE
     ]
     if not posed:
         raise NotApplicable("the adapter's actions are joint positions, not poses")
     for played in posed:
-        share = played.corrected(frozenset(("unreachable",))) / max(played.steps, 1)
+        share = played.count_corrected(frozenset(("unreachable",))) / max(played.steps, 1)
         if share > TOLERATED:
             yield blame(
-                f"in {played.course} {share:.0%} of the end-effector targets cannot be reached: the arm stops at the "
+                f"in {played.setup} {share:.0%} of the end-effector targets cannot be reached: the arm stops at the "
                 "edge of its workspace",
                 expected=f"at most {TOLERATED:.0%} of the targets out of reach",
                 got=f"{share:.0%}",
-                evidence={"task": played.course.task, "first_target": played.commands[0][0].tolist()},
+                evidence={"task": played.setup.task, "first_target": played.commands[0][0].tolist()},
                 fix=Fix("advice", "poses are [x, y, z, qw, qx, qy, qz] of the flange in the world frame, metres"),
             )

@@ -33,7 +33,7 @@ def same_seed_same_motion(simulation: Simulation) -> Iterator[Finding]:
     No automatic fix.
     """
     simulation.probe.require_deterministic()
-    first, again = (simulation.afresh((_SEED,), run=run) for run in range(2))
+    first, again = (simulation.fresh_rollout((_SEED,), run=run) for run in range(2))
     if first.digests != again.digests:
         step = next(
             (
@@ -44,10 +44,10 @@ def same_seed_same_motion(simulation: Simulation) -> Iterator[Finding]:
             0,
         )
         yield blame(
-            f"two runs of {first.course} with one seed move differently from step {step} on",
+            f"two runs of {first.setup} with one seed move differently from step {step} on",
             expected=first.digests[0],
             got=again.digests[0],
-            evidence={"task": first.course.task, spec.Deploy.SEED: _SEED, "first_difference": step},
+            evidence={"task": first.setup.task, spec.Deploy.SEED: _SEED, "first_difference": step},
             fix=Fix(
                 "advice", "draw random numbers from self.rng(env); declare deterministic: false if that is impossible"
             ),

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from tests.support.places import ROOT
-from xpl_cli.audit.environments.stage import Stage
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.environments.env_probe import EnvProbe
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.basics.progress import Progress
 
 
 def test_who_waits_is_told_how_many_tasks_are_played_and_how_one_is_audited() -> None:
     """Once, before the first is made; an audit of one task has nothing to say."""
     told: list[str] = []
-    stage = Stage(ROOT / "envs" / "metaworld", Options(progress=Progress(step=told.append)))
+    stage = EnvProbe(ROOT / "envs" / "metaworld", AuditOptions(progress=Progress(step=told.append)))
     assert len({offer.task for offer in stage.offers}) == 50
     assert stage.offers
     assert [text for text in told if "50 tasks" in text and "--set task=assembly" in text] == told
     assert len(told) == 1
     told.clear()
-    one = Stage(ROOT / "envs" / "metaworld", Options(overrides={"task": "reach"}, progress=Progress(step=told.append)))
+    one = EnvProbe(
+        ROOT / "envs" / "metaworld", AuditOptions(overrides={"task": "reach"}, progress=Progress(step=told.append))
+    )
     assert {offer.task for offer in one.offers} == {"reach"}
     assert told == []

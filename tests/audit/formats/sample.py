@@ -9,10 +9,10 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from xpl_cli.audit.formats import Context
-from xpl_cli.audit.rules.figures import Course, Figure
+from xpl_cli.audit.formats import ReportContext
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, Result, TargetReport, Waived
+from xpl_cli.audit.rules.measurements import RolloutSetup, SuccessMeasurement
+from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, RuleResult, TargetReport, Waived
 from xpl_cli.audit.rules.registry import Rule
 
 HERE = Path(__file__).parent
@@ -53,10 +53,10 @@ RULES = {
 }
 
 
-def result(code: str, outcome: Outcome, *findings: Finding, reason: str | None = None) -> Result:
+def result(code: str, outcome: Outcome, *findings: Finding, reason: str | None = None) -> RuleResult:
     """Return a result of one of the rules above."""
     rule = RULES[code]
-    return Result(code, rule.slug, rule.requirement, rule.severity, outcome, findings, reason)
+    return RuleResult(code, rule.slug, rule.requirement, rule.severity, outcome, findings, reason)
 
 
 def _fixable() -> Finding:
@@ -117,7 +117,7 @@ def _static() -> GateReport:
             result("XPL110", Outcome.FAIL, _fixable()),
             result("XPL120", Outcome.WARN, unread),
             result("XPL121", Outcome.ERROR, reason="ZeroDivisionError: on purpose (rule.py:7)"),
-            Result(
+            RuleResult(
                 "XPL130",
                 "private-data",
                 "XPL-PKG-1",
@@ -145,16 +145,18 @@ def reports() -> list[TargetReport]:
         "XPL203", Outcome.NOT_RUN, reason="the server did not start: no module named 'torch'\n  in model.py"
     )
     measured = _closed(Gate.MUJOCO, [result("XPL101", Outcome.PASS)])
-    measured.figures = (Figure(Course("lift_cube", "arx_x5", "joint", "set|ting"), 20, 13, 0.75),)
+    measured.measurements = (
+        SuccessMeasurement(RolloutSetup("lift_cube", "arx_x5", "joint", "set|ting"), 20, 13, 0.75),
+    )
     unsure = TargetReport("policy/Heavy", "Heavy", "policy", [_closed(Gate.OFFLINE, [stopped]), measured])
     return [red, green, unsure]
 
 
-def _closed(gate: Gate, results: list[Result]) -> GateReport:
+def _closed(gate: Gate, results: list[RuleResult]) -> GateReport:
     return GateReport(gate, results, seconds=1.5, digest="fedcba9876543210", fingerprint="76543210")
 
 
-def repository(folder: Path) -> Context:
+def repository(folder: Path) -> ReportContext:
     """Write the files that the report is about, as a checkout, and return where the report is made."""
     (folder / ".git").mkdir()
     adapter = folder / "policy" / "Grün 1"
@@ -162,7 +164,7 @@ def repository(folder: Path) -> Context:
     (adapter / "model.py").write_text(MODEL, encoding="utf-8")
     (adapter / "deploy.yml").write_text("policy_name: Grün 1\nhorizon: 8\nport: 1\n", encoding="utf-8")
     (adapter / "scripts\\a,b:c.sh").write_text("cd D:\\\n\nexit\n", encoding="utf-8")
-    return Context(folder, Outcome.FAIL, RULES.__getitem__)
+    return ReportContext(folder, Outcome.FAIL, RULES.__getitem__)
 
 
 def problems(value: Any, name: str) -> list[str]:

@@ -11,7 +11,7 @@ from tests.support.places import ROOT, tracked
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.static.manifests import deleted
 from xpl_cli.audit.static.shell import parse
 from xpl_cli.audit.static.source import Source
@@ -27,7 +27,7 @@ def adapter(tmp_path: Path) -> Path:
 
 
 def audit(path: Path, *names: str) -> GateReport:
-    return engine.audit(path, "policy", Options(gates=(Gate.STATIC,), names=names)).gates[0]
+    return engine.audit(path, "policy", AuditOptions(gates=(Gate.STATIC,), names=names)).gates[0]
 
 
 def outcomes(report: GateReport) -> dict[str, Outcome]:

@@ -21,10 +21,10 @@ from tests.support.adapters.rules import made_adapter
 from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.formats import Context, render
+from xpl_cli.audit.formats import ReportContext, render
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport
-from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.formats import REPORTS
@@ -41,7 +41,7 @@ def adapter(tmp_path: Path) -> Path:
 
 def audit(path: Path, *names: str, cache: Path | None = None) -> TargetReport:
     """Run the static gate."""
-    return engine.audit(path, "policy", Options(gates=(Gate.STATIC,), names=names, cache=cache))
+    return engine.audit(path, "policy", AuditOptions(gates=(Gate.STATIC,), names=names, cache=cache))
 
 
 def static(path: Path, *names: str) -> GateReport:
@@ -436,8 +436,8 @@ def strange(adapter: Path) -> Path:
 @pytest.mark.parametrize("name", REPORTS)
 def test_every_name_is_escaped(strange: Path, name: str) -> None:
     """No name of a file ends a line, a command or a document of any format."""
-    context = Context(strange.parent.parent)
-    report = engine.audit(strange, "policy", Options(gates=(Gate.STATIC,)), shown="policy/a b%]::c")
+    context = ReportContext(strange.parent.parent)
+    report = engine.audit(strange, "policy", AuditOptions(gates=(Gate.STATIC,)), display_path="policy/a b%]::c")
     assert not any(result.outcome is Outcome.ERROR for result in report.results)
     assert len(told(report.gates[0], "parses")) == len(NAMES)
     text = render(name, [report], context)

@@ -1,11 +1,11 @@
-"""Passes of the static gate, kept by content: an adapter that has not changed is not read again.
+"""Cache of passes of the static gate, by content: an adapter that has not changed is not read again.
 
-What an adapter cannot be asked for (`not_applicable`) counts as a pass here: it follows from the same files.
+A rule that does not apply (`not_applicable`) counts as a pass here: that follows from the same files.
 
 A record belongs to one state of one package: all names in its folder and the content of the files directly in it. It
 holds the content of the deeper files that were read, and the rules that passed, each with a digest of the rule's folder
-and of everything that rules are built on (engine, SDK, standard). Findings are never kept, nor what could not run.
-Only rules that ask for nothing but the files take part; the gates that serve an adapter depend on far more.
+and of everything that rules depend on (engine, SDK, standard). Findings and rules that could not run are never
+cached. Only rules that need nothing but the files take part; the gates that serve an adapter depend on far more.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import yaml
 from xpl import json_text
 from xpl.robots import HANDED_ON
 from xpl_cli import __version__
-from xpl_cli.audit.rules.model import NotRun, Outcome, Result
+from xpl_cli.audit.rules.model import NotRun, Outcome, RuleResult
 from xpl_cli.audit.rules.registry import lookup
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.basics import content, files, user_cache
@@ -34,39 +34,39 @@ from xpl_cli.basics.errors import UserError
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from xpl_cli.audit.rules.registry import Entry
+    from xpl_cli.audit.rules.registry import RuleEntry
     from xpl_cli.audit.static.source import Source
 
 LIMIT: Final = 1024
-"""Records that are kept; beyond it the ones that were not used for the longest time go."""
+"""Most records in the cache; beyond it the least recently used ones are deleted."""
 
 _FORMAT: Final = 2
 _MOST_NAMES: Final = 50_000
-"""A folder with more names than this is not looked through: nothing is kept for it."""
+"""A folder with more names than this is not scanned: nothing is cached for it."""
 _PARTS: Final = 4
-"""What is kept of a rule: its version, requirement, severity, and why it does not apply; empty for a pass."""
+"""Length of a rule's entry: its version, requirement, severity, and why it does not apply (empty for a pass)."""
 _UNREAD: Final = frozenset((".git", "__pycache__"))
 _FACTS: Final = frozenset(("source",))
 """Facts that follow from the files of the package."""
 
 
-_ROOMS: Final = ("audit", "basics", "packages", "scaffold", "standard")
-"""The rooms of the engine that rules of the static gate stand on."""
+_PACKAGES: Final = ("audit", "basics", "packages", "scaffold", "standard")
+"""Packages of the engine on which rules of the static gate depend."""
 
 
 def default_folder() -> Path | None:
-    """Return the folder of the user's cache, None where the user has none."""
+    """Return the cache folder of the user, or None."""
     with suppress(UserError):
         return user_cache.folder() / "audit"
     return None
 
 
 @dataclass
-class Shelf:
-    """The passes that are known for one state of one package.
+class PassCache:
+    """The cached passes for one state of one package.
 
     Attributes:
-        record: hash of the boundary, as `Source.whole` returns it; empty if it is not known.
+        record: hash of the boundary, as `Source.whole` returns it; empty if unknown.
     """
 
     package: Path
@@ -74,43 +74,43 @@ class Shelf:
     record: str = ""
     _files: dict[str, str] = field(default_factory=dict)
     _passes: dict[str, list[str]] = field(default_factory=dict)
-    _news: bool = False
+    _is_dirty: bool = False
 
     @classmethod
-    def of(cls, folder: Path, package: Path) -> Shelf | None:
-        """Return the shelf of a package in its present state, None if its folder cannot be looked through.
+    def of(cls, folder: Path, package: Path) -> PassCache | None:
+        """Return the passes for a package in its present state, None if its folder cannot be scanned.
 
         Args:
-            folder: where records are kept.
+            folder: the cache folder.
             package: the package.
         """
         try:
-            shelf = cls(package, folder / f"{_state(package)}.json")
+            passes = cls(package, folder / f"{_state(package)}.json")
         except (OSError, ValueError):
             return None
-        shelf._load()
-        return shelf
+        passes._load()
+        return passes
 
-    def get(self, entry: Entry) -> Result | None:
+    def get(self, entry: RuleEntry) -> RuleResult | None:
         """Return the pass of a rule, None if the rule has to run."""
-        kept = self._passes.get(entry.code)
-        if kept is None or kept[0] != _version(entry):
+        cached = self._passes.get(entry.code)
+        if cached is None or cached[0] != _version(entry):
             return None
-        _, requirement, severity, reason = kept
+        _, requirement, severity, reason = cached
         outcome = Outcome.NOT_APPLICABLE if reason else Outcome.PASS
-        return Result(entry.code, entry.slug, requirement, severity, outcome, reason=reason or None)
+        return RuleResult(entry.code, entry.slug, requirement, severity, outcome, reason=reason or None)
 
-    def put(self, entry: Entry, result: Result, facts: tuple[str, ...]) -> None:
-        """Note what a rule found, if it is a pass that follows from the files alone."""
+    def put(self, entry: RuleEntry, result: RuleResult, facts: tuple[str, ...]) -> None:
+        """Add the result of a rule, if it is a pass that follows from the files alone."""
         reason = result.reason or ""
         is_sound = result.outcome is Outcome.PASS or (result.outcome is Outcome.NOT_APPLICABLE and reason)
         if is_sound and result.proof is None and _FACTS.issuperset(facts):
             self._passes[entry.code] = [_version(entry), result.requirement, result.severity, reason]
-            self._news = True
+            self._is_dirty = True
 
     def save(self, source: Source) -> None:
-        """Keep what was noted. A cache that cannot be written, or a package that changed meanwhile, keeps nothing."""
-        if not self._news:
+        """Write the record. Nothing is written if that fails, or if the package changed meanwhile."""
+        if not self._is_dirty:
             return
         from xpl_cli.basics.atomic import write_file
 
@@ -120,26 +120,26 @@ class Shelf:
             self.record = source.whole()
             if self.file.name != f"{_state(self.package)}.json":
                 return
-            others = Shelf(self.package, self.file)
+            others = PassCache(self.package, self.file)
             others._load()
             passes = {**others._passes, **self._passes} if others._files == self._files else self._passes
             passes = {code: kept for code, kept in passes.items() if lookup(code) is not None}  # rules may be retired
-            told = {"format": _FORMAT, "files": self._files, "record": self.record, "passes": passes}
+            document = {"format": _FORMAT, "files": self._files, "record": self.record, "passes": passes}
             self.file.parent.mkdir(parents=True, exist_ok=True)
-            write_file(self.file, json.dumps(told).encode(), mode=0o600)
+            write_file(self.file, json.dumps(document).encode(), mode=0o600)
             _prune(self.file.parent)
 
     def _load(self) -> None:
-        """Read what is kept; a record that is broken, or of other deeper files, counts as none."""
+        """Read the record; one that is invalid, or of other deeper files, is ignored."""
         with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
-            told: dict[str, Any] = json_text.parse(files.content(self.file))
-            deeper = {str(name): str(digest) for name, digest in told["files"].items()}
-            passes = {str(code): [str(part) for part in kept] for code, kept in told["passes"].items()}
-            if told["format"] != _FORMAT or any(len(kept) != _PARTS for kept in passes.values()):
+            document: dict[str, Any] = json_text.parse(files.content(self.file))
+            deeper = {str(name): str(digest) for name, digest in document["files"].items()}
+            passes = {str(code): [str(part) for part in kept] for code, kept in document["passes"].items()}
+            if document["format"] != _FORMAT or any(len(kept) != _PARTS for kept in passes.values()):
                 return
             if any(_digest(self.package / name) != digest for name, digest in deeper.items()):
                 return
-            self._files, self._passes, self.record = deeper, passes, str(told["record"])
+            self._files, self._passes, self.record = deeper, passes, str(document["record"])
             os.utime(self.file)
 
 
@@ -147,11 +147,11 @@ def _state(package: Path) -> str:
     """Return a hash of a package's name, of all names in its folder, of the files directly in it, and of open robots.
 
     Raises:
-        OSError: if it cannot be looked through.
+        OSError: if it cannot be scanned.
         ValueError: if it holds too many names.
     """
     state = hashlib.sha256(os.fsencode(package.name))
-    state.update(os.environ.get(HANDED_ON, "").encode())  # rules hold manifests against the robots of the project
+    state.update(os.environ.get(HANDED_ON, "").encode())  # rules compare manifests with the robots of the project
     waiting, names = [package], 0
     while waiting:
         folder = waiting.pop()
@@ -162,15 +162,15 @@ def _state(package: Path) -> str:
         state.update(b"\0\0" + os.fsencode(os.path.relpath(folder, package)))
         for entry in entries:
             if entry.name not in _UNREAD:
-                told = _told(entry, direct=folder is package)
-                state.update(b"\0" + os.fsencode(entry.name) + b"\0" + told)
-                if told == b"folder":
+                entry_state = _entry_state(entry, direct=folder is package)
+                state.update(b"\0" + os.fsencode(entry.name) + b"\0" + entry_state)
+                if entry_state == b"folder":
                     waiting.append(Path(entry.path))
     return state.hexdigest()
 
 
-def _told(entry: os.DirEntry[str], *, direct: bool) -> bytes:
-    """Return what a state says of one name."""
+def _entry_state(entry: os.DirEntry[str], *, direct: bool) -> bytes:
+    """Return the contribution of one directory entry to the state."""
     if entry.is_symlink():
         try:
             there = entry.stat()
@@ -192,28 +192,28 @@ def _digest(file: Path) -> str:
 
 
 @cache
-def _version(entry: Entry) -> str:
-    """Return a hash of a rule's own folder, as far as it is code, and of what all rules are built on."""
-    return _hashed(_python_files(entry.path.parent), tool())
+def _version(entry: RuleEntry) -> str:
+    """Return a hash of the Python files of a rule's folder, and of what all rules depend on."""
+    return _hash_files(_python_files(entry.path.parent), tool_digest())
 
 
 @cache
-def tool() -> str:
-    """Return a hash of what all rules are built on: interpreter, libraries, engine, SDK and the standard."""
+def tool_digest() -> str:
+    """Return a hash of what all rules depend on: interpreter, libraries, engine, SDK and the standard."""
     engine = Path(__file__).parents[2]
-    below = (*(engine / room for room in _ROOMS), engine.parent / "xpl")
+    below = (*(engine / room for room in _PACKAGES), engine.parent / "xpl")
     code = (path for start in below for folder, _, _ in os.walk(start) for path in _python_files(Path(folder)))
-    rooms = (path for name in ("spec", "templates") for path in content.room(name).rglob("*") if path.is_file())
-    known = f"{__version__} {platform.python_implementation()} {platform.python_version()} {yaml.__version__}"
-    return _hashed((*code, *rooms), known)
+    content_files = (path for name in ("spec", "templates") for path in content.room(name).rglob("*") if path.is_file())
+    versions = f"{__version__} {platform.python_implementation()} {platform.python_version()} {yaml.__version__}"
+    return _hash_files((*code, *content_files), versions)
 
 
 def _python_files(folder: Path) -> list[str]:
     return [f"{folder}/{name}" for name in os.listdir(folder) if name.endswith(".py")]  # noqa: PTH208 - much faster
 
 
-def _hashed(files: Iterable[Path | str], known: str) -> str:
-    state = hashlib.sha256(known.encode())
+def _hash_files(files: Iterable[Path | str], initial: str) -> str:
+    state = hashlib.sha256(initial.encode())
     for file in sorted(str(file) for file in files):
         with open(file, "rb", buffering=0) as stream:  # noqa: PTH123 - much faster, and there are hundreds
             content = stream.readall()
@@ -222,7 +222,7 @@ def _hashed(files: Iterable[Path | str], known: str) -> str:
 
 
 def _prune(folder: Path, limit: int = LIMIT) -> None:
-    """Remove the records that were not used for the longest time, and a fifth more, so that this is done seldom."""
+    """Remove the least recently used records, and a fifth more, so that this runs rarely."""
     records = [Path(entry.path) for entry in os.scandir(folder) if entry.is_file(follow_symlinks=False)]
     if len(records) <= limit:
         return

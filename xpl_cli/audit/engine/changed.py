@@ -15,27 +15,28 @@ if TYPE_CHECKING:
 
 
 def select_changed(ref: str, targets: Iterable[Target], *, is_run: bool = False) -> list[Target]:
-    """Return the packages with a file that differs from where the working tree left a commit's history.
+    """Return the packages with a file that differs from the merge base of a commit and HEAD.
 
-    That is the merge base of the commit and HEAD: what others changed there meanwhile does not count. Files that are
-    not committed, or not even added, do. Of files that are gone nobody can say whether they were read: each counts.
+    Later changes on the other branch do not count. Files that are not committed, or not even added, do. A deleted file
+    always counts, since it may have been read.
 
     Args:
         ref: a branch, tag or commit.
         targets: packages.
-        is_run: whether the audit runs them, so that each of their files counts; else those of the boundary, which are
-            all that it reads.
+        is_run: whether the audit runs them, so that each of their files counts; else those of the boundary, which it
+            reads.
 
     Raises:
-        UserError: if a package lies in no git repository, or in one inside another one, if there is no such commit
-            there, or no git.
+        UserError: if a package is in no git repository, or in a nested one, or if the commit or git does not exist.
     """
     here, targets = Path.cwd(), list(targets)
-    held: dict[Repository, list[Target]] = {}
+    by_repository: dict[Repository, list[Target]] = {}
     for target in targets:
-        held.setdefault(Repository.of_package(target.path, here), []).append(target)
+        by_repository.setdefault(Repository.of_package(target.path, here), []).append(target)
     changed = {
-        target for repository, inside in held.items() for target in _changed_in(repository, ref, inside, is_run=is_run)
+        target
+        for repository, inside in by_repository.items()
+        for target in _changed_in(repository, ref, inside, is_run=is_run)
     }
     return [target for target in targets if target in changed]
 

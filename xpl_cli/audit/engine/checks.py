@@ -1,4 +1,4 @@
-"""The rules of one gate on one target: each is run once, after those it needs, and its crash is an outcome."""
+"""The rules of one gate on one target: each runs once, after those it needs; a crash is an outcome."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import time
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.rules.facts import wanted
+from xpl_cli.audit.rules.facts import fact_names
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, Proof, Result, outcome_of
-from xpl_cli.audit.rules.presence import Presence
+from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, Proof, RuleResult, outcome_of
+from xpl_cli.audit.rules.package_files import PackageFiles
 from xpl_cli.audit.rules.profiles import Profile
-from xpl_cli.audit.rules.registry import RegistryError, needed
+from xpl_cli.audit.rules.registry import RegistryError, prerequisites
 from xpl_cli.audit.static.limits import LONGEST_S, TooLong, deadline
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from xpl_cli.audit.engine.cache import Shelf
+    from xpl_cli.audit.engine.cache import PassCache
     from xpl_cli.audit.rules.facts import Facts
     from xpl_cli.audit.rules.model import Numbers
-    from xpl_cli.audit.rules.registry import Entry, Rule
+    from xpl_cli.audit.rules.registry import Rule, RuleEntry
 
-_DEAF = "the policy answers the same whatever it is shown: that answers are alike proves nothing"
+_UNRESPONSIVE = "the policy's actions do not depend on observations: that actions are equal proves nothing"
 _HOLDS = frozenset((Outcome.PASS, Outcome.WARN, Outcome.NOT_APPLICABLE))
 
 
@@ -31,35 +31,35 @@ class Checks:
     """The results of a gate's rules, before waivers.
 
     Args:
-        facts: what rules may ask for.
-        shelf: passes of earlier audits of the same content; None to run every rule.
+        facts: the facts that rules need.
+        cache: passes of earlier audits of the same content; None to run every rule.
     """
 
-    def __init__(self, facts: Facts, shelf: Shelf | None = None) -> None:
+    def __init__(self, facts: Facts, cache: PassCache | None = None) -> None:
         self._facts = facts
-        self._shelf = shelf
-        self._results: dict[str, Result] = {}
-        self._left = LONGEST_S
-        self._presence = Presence.of(facts.get("path"))
+        self._cache = cache
+        self._results: dict[str, RuleResult] = {}
+        self._seconds_left = LONGEST_S
+        self._presence = PackageFiles.of(facts.get("path"))
 
-    def result(self, entry: Entry) -> Result:
-        """Return what a rule finds, running it first if it has not run yet.
+    def result(self, entry: RuleEntry) -> RuleResult:
+        """Return the result of a rule, running it first if it has not run yet.
 
         Raises:
             RegistryError: if the rules that it comes after contradict each other.
         """
         if entry.slug not in self._results:
-            kept = self._shelf.get(entry) if self._shelf is not None else None
-            self._results[entry.slug] = kept or self._run(entry)
+            cached = self._cache.get(entry) if self._cache is not None else None
+            self._results[entry.slug] = cached or self._run_or_crash(entry)
         return self._results[entry.slug]
 
-    def _run(self, entry: Entry) -> Result:
+    def _run_or_crash(self, entry: RuleEntry) -> RuleResult:
         rule: Rule | None = None
         try:
             rule = entry.load()
-            result = self._unmet(rule) or self._checked(rule)
-            if self._shelf is not None:
-                self._shelf.put(entry, result, wanted(rule.check))
+            result = self._unmet(rule) or self._run_check(rule)
+            if self._cache is not None:
+                self._cache.put(entry, result, fact_names(rule.check))
         except RegistryError:
             raise
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a rule's crash must not hide what the others find
@@ -69,51 +69,51 @@ class Checks:
                 return self._result(rule, Outcome.NOT_RUN, reason=loss)
             if rule is not None and _is_of_the_server(rule, error):
                 return self._result(rule, Outcome.NOT_RUN, reason=str(error))
-            return Result(entry.code, entry.slug, requirement, "must", Outcome.ERROR, reason=told(error))
+            return RuleResult(entry.code, entry.slug, requirement, "must", Outcome.ERROR, reason=describe_crash(error))
         return result
 
-    def _unmet(self, rule: Rule) -> Result | None:
-        """Return the result of a rule that has nothing to build on."""
-        for other in needed(rule):
+    def _unmet(self, rule: Rule) -> RuleResult | None:
+        """Return `not_run` for a rule with an unmet prerequisite, else None."""
+        for other in prerequisites(rule):
             before = self.result(other)
             if before.outcome not in _HOLDS:
                 why = "does not hold" if before.outcome is Outcome.FAIL else f"could not be checked: {before.reason}"
                 return self._result(rule, Outcome.NOT_RUN, reason=f"it needs {other.code} {other.slug}, which {why}")
         return None
 
-    def _checked(self, rule: Rule) -> Result:
+    def _run_check(self, rule: Rule) -> RuleResult:
         try:
-            self._facts.get("options").clock.check()
-            self._require(rule)
-            with self._hurried() if rule.gate is Gate.STATIC else nullcontext():
-                told = tuple(self._facts.call(rule.check))
-            self._require_hearing(rule, told)
+            self._facts.get("options").time_limit.check()
+            self._require_profile(rule)
+            with self._limited_time() if rule.gate is Gate.STATIC else nullcontext():
+                yielded = tuple(self._facts.call(rule.check))
+            self._require_responsive(rule, yielded)
         except NotApplicable as why:
             return self._result(rule, Outcome.NOT_APPLICABLE, reason=str(why))
         except NotRun as why:
             return self._result(rule, Outcome.NOT_RUN, reason=str(why))
-        except UserError as why:  # a manifest that cannot be read, for example: nothing that a rule could look at
+        except UserError as why:  # for example a manifest that cannot be read
             return self._result(rule, Outcome.NOT_RUN, reason=" ".join(str(why).split()))
         except TooLong:
-            files = "the files are more, larger or more tangled than any adapter's"
+            files = "the files are more, larger or more complex than any adapter's"
             reason = f"the gate was not done within {LONGEST_S:.0f} s: {files}"
             return self._result(rule, Outcome.NOT_RUN, reason=reason)
-        findings = tuple(item for item in told if isinstance(item, Finding))
-        proof = None if findings else next((item.numbers for item in told if isinstance(item, Proof)), None)
+        findings = tuple(item for item in yielded if isinstance(item, Finding))
+        proof = None if findings else next((item.numbers for item in yielded if isinstance(item, Proof)), None)
         return self._result(rule, outcome_of(findings, rule.severity), findings, proof=proof)
 
     @contextmanager
-    def _hurried(self) -> Iterator[None]:
-        """End a rule that takes more processor time than those before it have left over."""
+    def _limited_time(self) -> Iterator[None]:
+        """End a rule that exceeds the remaining processor time of the gate."""
         began = time.process_time()
         try:
-            with deadline(self._left):
+            with deadline(self._seconds_left):
                 yield
         finally:
-            self._left -= time.process_time() - began
+            self._seconds_left -= time.process_time() - began
 
-    def _require(self, rule: Rule) -> None:
-        """Stop a rule that the profile of this run does not require.
+    def _require_profile(self, rule: Rule) -> None:
+        """Skip a rule that the profile of this run does not require.
 
         Raises:
             NotApplicable: if it judges the model itself, and the run has none.
@@ -122,14 +122,14 @@ class Checks:
         if rule.profile is Profile.FULL and self._facts.get("profile").name is Profile.SHADOW:
             raise NotApplicable("only the real model can satisfy or break it, and in shadow mode there is none")
 
-    def _require_hearing(self, rule: Rule, told: tuple[object, ...]) -> None:
-        """Drop the pass of a rule that compares answers, where they would be alike whatever the adapter does.
+    def _require_responsive(self, rule: Rule, yielded: tuple[object, ...]) -> None:
+        """Discard the pass of a rule that compares actions, if they would be equal whatever the adapter does.
 
         Raises:
-            NotApplicable: if they do not depend on what is shown.
+            NotApplicable: if the actions do not depend on observations.
         """
-        if rule.compares and not told and not self._facts.get("probe").hears:
-            raise NotApplicable(_DEAF)
+        if rule.compares and not yielded and not self._facts.get("probe").depends_on_observations:
+            raise NotApplicable(_UNRESPONSIVE)
 
     def _result(
         self,
@@ -138,12 +138,12 @@ class Checks:
         findings: tuple[Finding, ...] = (),
         reason: str | None = None,
         proof: Numbers | None = None,
-    ) -> Result:
-        return Result(rule.code, rule.slug, rule.requirement, rule.severity, outcome, findings, reason, proof=proof)
+    ) -> RuleResult:
+        return RuleResult(rule.code, rule.slug, rule.requirement, rule.severity, outcome, findings, reason, proof=proof)
 
 
 def _is_of_the_server(rule: Rule, error: BaseException) -> bool:
-    """Tell whether a server that an experiment talked to is gone or silent, which rules about servers report."""
+    """Return whether an experiment lost its server; rules about servers report that."""
     if rule.gate is Gate.STATIC:
         return False
     from xpl.client import ClientError  # the static gate needs no client
@@ -151,8 +151,8 @@ def _is_of_the_server(rule: Rule, error: BaseException) -> bool:
     return isinstance(error, ClientError)
 
 
-def told(error: BaseException) -> str:
-    """Return what a crash was and where, in one line."""
+def describe_crash(error: BaseException) -> str:
+    """Return type, message and location of an exception, in one line."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

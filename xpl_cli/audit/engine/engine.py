@@ -1,7 +1,7 @@
-"""Runs the gates on packages: every rule of a gate, and the next gate only if this one has no failure.
+"""Run the gates on packages: every rule of a gate, and the next gate only if this one has no failure.
 
 The static gate of many packages runs in parallel processes. The gates that serve an adapter run one after the other:
-they measure time, and an adapter may fill a machine.
+they measure time, and one adapter may use a whole machine.
 """
 
 from __future__ import annotations
@@ -16,96 +16,98 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.engine import providers
-from xpl_cli.audit.engine.cache import Shelf
-from xpl_cli.audit.engine.checks import Checks, told
-from xpl_cli.audit.engine.circumstances import circumstances, narrowed
+from xpl_cli.audit.engine.cache import PassCache
+from xpl_cli.audit.engine.checks import Checks, describe_crash
+from xpl_cli.audit.engine.circumstances import circumstances, describe_narrowing
 from xpl_cli.audit.engine.waivers import waive
-from xpl_cli.audit.offline.demonstrations import declared
+from xpl_cli.audit.offline.demonstrations import declaration
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.fingerprint import fingerprint
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import GateReport, Outcome, Result, TargetReport
+from xpl_cli.audit.rules.model import GateReport, Outcome, RuleResult, TargetReport
 from xpl_cli.audit.rules.profiles import Profile
-from xpl_cli.audit.rules.registry import OUR_CODES, Entry, RegistryError, find, select
+from xpl_cli.audit.rules.registry import OUR_CODES, RegistryError, RuleEntry, find, select
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.progress import Progress
 from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages.package import ENV
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.packages.targets import Target
 
 
-def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) -> TargetReport:
+def audit(path: Path, kind: str, options: AuditOptions, *, display_path: str | None = None) -> TargetReport:
     """Audit one package.
 
     Args:
         path: its folder.
         kind: `policy` or `env`.
         options: what to run.
-        shown: how reports name the folder; the path itself by default.
+        display_path: how reports name the folder; the path itself by default.
     """
     source = Source(path, options.variant)
-    report = TargetReport(path=shown or str(path), name=path.name, kind=kind)
+    report = TargetReport(path=display_path or str(path), name=path.name, kind=kind)
     report.circumstances = circumstances(source, kind, options, report.path)
-    _carry(report, path, options, source)
+    _run_gates(report, path, options, source)
     return report
 
 
-def audit_all(targets: Sequence[Target], options: Options) -> list[TargetReport]:
+def audit_all(targets: Sequence[Target], options: AuditOptions) -> list[TargetReport]:
     """Audit several packages; the reports are in the order of the packages."""
     if len(targets) < 2 or Gate.STATIC not in options.gates:
-        return [audit(target.path, target.kind, options, shown=target.shown) for target in targets]
+        return [audit(target.path, target.kind, options, display_path=target.shown) for target in targets]
     from xpl_cli.basics.parallel import in_processes
 
-    select(options.names, options.ignore, options.gates)  # a mistake in these is the user's, and of no package
+    select(options.names, options.ignore, options.gates)  # a wrong name is the user's error, not a package's
     reports = []
     static = replace(options, gates=(Gate.STATIC,), progress=Progress())
     later = replace(options, gates=tuple(gate for gate in options.gates if gate is not Gate.STATIC))
     options.progress.step(f"{len(targets)} packages: static gate")
-    for target, report in zip(targets, in_processes(_static, [(target, static) for target in targets]), strict=True):
+    for target, report in zip(
+        targets, in_processes(_audit_static, [(target, static) for target in targets]), strict=True
+    ):
         options.progress.detail(f"{target.path.name}: static gate done")
-        reports.append(report or _lost(target))
+        reports.append(report or _crash_report(target))
     for target, report in zip(targets, reports, strict=True):
-        _carry(report, target.path, later)
-        report.circumstances = replace(report.circumstances, narrowed=narrowed(target.kind, options))
+        _run_gates(report, target.path, later)
+        report.circumstances = replace(report.circumstances, narrowed=describe_narrowing(target.kind, options))
     return reports
 
 
-def _static(order: tuple[Target, Options]) -> TargetReport:
-    """Audit one of many packages; what goes wrong with one costs no other its verdict."""
-    target, options = order
+def _audit_static(task: tuple[Target, AuditOptions]) -> TargetReport:
+    """Audit one of many packages; an error in one does not affect the others."""
+    target, options = task
     try:
-        return audit(target.path, target.kind, options, shown=target.shown)
+        return audit(target.path, target.kind, options, display_path=target.shown)
     except RegistryError:
         raise
-    except Exception as error:  # noqa: BLE001 - whatever it is, the others are to be audited
-        return _lost(target, f"{told(error)}; xpl audit of this package alone shows more")
+    except Exception as error:  # noqa: BLE001 - the other packages are still audited
+        return _crash_report(target, f"{describe_crash(error)}; xpl audit of this package alone shows more")
 
 
-def _lost(
+def _crash_report(
     target: Target, reason: str = "the process that read the package died; xpl audit of this package alone shows how"
 ) -> TargetReport:
-    """Return the report on a package whose reader died, of memory or of a fault of the interpreter."""
+    """Return the report on a package whose process died, for example of memory."""
     rule = find("parses")
-    result = Result(rule.code, rule.slug, rule.requirement, rule.severity, Outcome.ERROR, reason=reason)
+    result = RuleResult(rule.code, rule.slug, rule.requirement, rule.severity, Outcome.ERROR, reason=reason)
     gate = GateReport(name=Gate.STATIC, results=[result])
     return TargetReport(path=target.shown, name=target.path.name, kind=target.kind, gates=[gate])
 
 
-def _carry(report: TargetReport, path: Path, options: Options, source: Source | None = None) -> None:
-    """Carry a package through the gates of a request, after those that its report already has.
+def _run_gates(report: TargetReport, path: Path, options: AuditOptions, source: Source | None = None) -> None:
+    """Run the requested gates on a package, after those that its report already has.
 
     Args:
-        report: what the gates are added to.
+        report: gets the gates' reports.
         path: the folder of the package.
         options: what to run.
-        source: the package as the caller has read it; the static gate reads no file of it again.
+        source: the package, already read; the static gate reads no file of it again.
     """
-    options = replace(options, clock=options.clock.started())
+    options = replace(options, time_limit=options.time_limit.started())
     chosen = [entry for entry in select(options.names, options.ignore, options.gates) if entry.target == report.kind]
-    if not (options.names or options.demos or declared.is_there(path)):
+    if not (options.names or options.demos or declaration.exists(path)):
         chosen = [entry for entry in chosen if not entry.needs_demonstrations]
     for gate in options.gates:
         selected = [entry for entry in chosen if entry.runs_in(gate)]
@@ -113,65 +115,71 @@ def _carry(report: TargetReport, path: Path, options: Options, source: Source | 
             continue
         blocked = None if options.keep_going else _blocker(report)
         if blocked is None and report.kind == ENV and gate is not Gate.STATIC:
-            blocked = _withheld(path, selected, options)
+            blocked = _why_not_moved(path, selected, options)
         if blocked is not None:
             waiting = [entry for entry in selected if not entry.closes]
             report.gates.append(_not_started(gate, waiting, blocked))
             continue
         options.progress.step(f"{path.name}: {gate} gate, {len(selected)} rules")
         if gate is Gate.STATIC:
-            with _uncollected():
-                _run(gate, selected, source or Source(path, options.variant), report, options)
+            with _garbage_collector_disabled():
+                _run_gate(gate, selected, source or Source(path, options.variant), report, options)
         else:
-            bounds = IsolationSettings.here(path.parent, isolate=options.isolate)
-            _run(gate, selected, Source(path, options.variant), report, replace(options, bounds=bounds))
+            bounds = IsolationSettings.strictest(path.parent, isolate=options.isolate)
+            _run_gate(gate, selected, Source(path, options.variant), report, replace(options, bounds=bounds))
 
 
-def _run(gate: Gate, selected: list[Entry], source: Source, target: TargetReport, options: Options) -> None:
+def _run_gate(
+    gate: Gate, selected: list[RuleEntry], source: Source, target: TargetReport, options: AuditOptions
+) -> None:
     """Run a gate and add its report."""
     started = time.perf_counter()
     path = source.path
     report = GateReport(name=gate, source=None if gate is Gate.STATIC else source.record())
     target.gates.append(report)
-    is_kept = gate is Gate.STATIC and options.variant is None  # what is kept is of the policy itself
-    shelf = Shelf.of(options.cache, path) if options.cache is not None and is_kept else None
-    given = {"path": path, "kind": target.kind, "gate": gate, "options": _as_before(target, options)}
-    with Facts(given, providers.all_providers()) as facts:
-        checks = Checks(facts, shelf)
-        facts.give("checks", checks)
-        facts.give("source", source)
+    is_cacheable = gate is Gate.STATIC and options.variant is None  # the cache is of the policy itself
+    passes = PassCache.of(options.cache, path) if options.cache is not None and is_cacheable else None
+    initial_facts = {"path": path, "kind": target.kind, "gate": gate, "options": _with_earlier_profile(target, options)}
+    with Facts(initial_facts, providers.all_providers()) as facts:
+        checks = Checks(facts, passes)
+        facts.add("checks", checks)
+        facts.add("source", source)
         waivers = facts.get("waivers") if target.kind == "policy" else ()
         records: list[str] | None = None
         for entry in sorted(selected, key=lambda entry: (entry.closes, entry.source is not None)):
             if records is None and entry.source is not None:
-                records = facts.records()  # before rules of packages, which others need not have, ask anything
-            if entry.closes and gate is not Gate.STATIC and not any(_meant(waiver.entry, gate) for waiver in waivers):
+                records = facts.records()  # before rules of installed packages, which other users may lack
+            if (
+                entry.closes
+                and gate is not Gate.STATIC
+                and not any(_may_run_in(waiver.entry, gate) for waiver in waivers)
+            ):
                 continue
             options.progress.detail(f"{path.name}: {gate} gate, {entry.code} {entry.slug}")
             result = checks.result(entry)
             report.results.append(result if entry.closes else waive(result, waivers))
         if gate is Gate.STATIC:
             _note_contents(target, report, source)
-        probe = facts.known("probe")
+        probe = facts.computed("probe")
         report.served = probe.served if probe is not None else None
-        simulation = facts.known("simulation")
-        report.figures = tuple(simulation.figures) if simulation is not None else ()
-        if gate is Gate.STATIC:  # which reads the files anyway, unless it knows that they are as they were
-            report.source = (shelf.record if shelf is not None else "") or source.whole()
+        simulation = facts.computed("simulation")
+        report.measurements = tuple(simulation.measurements) if simulation is not None else ()
+        if gate is Gate.STATIC:  # which reads the files anyway, unless they are unchanged
+            report.source = (passes.record if passes is not None else "") or source.whole()
         if gate is Gate.STATIC:
             records = [f"source {report.source}"]
         elif records is None:
             records = facts.records()
         report.digest = _digest(report, records)
-        if shelf is not None:
-            shelf.save(source)
+        if passes is not None:
+            passes.save(source)
     report.results.sort(key=lambda result: result.code)
     report.fingerprint = fingerprint(gate, "" if report.served is None else report.served.mark)
     report.seconds = time.perf_counter() - started
 
 
-def _as_before(target: TargetReport, options: Options) -> Options:
-    """Return the options with the profile that an earlier gate came to: what is missing there will be missing again."""
+def _with_earlier_profile(target: TargetReport, options: AuditOptions) -> AuditOptions:
+    """Return the options with the profile of an earlier gate: what was missing there is still missing."""
     for gate in target.gates:
         if gate.served is not None and gate.profile is Profile.SHADOW and options.profile is None:
             return replace(options, profile=Profile.SHADOW, profile_reason=gate.served.reason)
@@ -179,8 +187,8 @@ def _as_before(target: TargetReport, options: Options) -> Options:
 
 
 @contextmanager
-def _uncollected() -> Iterator[None]:
-    """Spare the garbage collector syntax trees: it would visit all of them again and again, and free none."""
+def _garbage_collector_disabled() -> Iterator[None]:
+    """Disable the garbage collector: it would traverse all syntax trees repeatedly and free none."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -190,12 +198,12 @@ def _uncollected() -> Iterator[None]:
             gc.enable()
 
 
-def _meant(entry: Entry | None, gate: Gate) -> bool:
+def _may_run_in(entry: RuleEntry | None, gate: Gate) -> bool:
     return entry is not None and gate in entry.gates
 
 
 def _note_contents(target: TargetReport, report: GateReport, source: Source) -> None:
-    """Note what the files held that fixes would edit, so that no fix is applied to other content."""
+    """Store the content of files that fixes would edit, so that no fix is applied to other content."""
     for result in report.results:
         for finding in result.findings:
             for edit in finding.fix.edits if finding.fix is not None else ():
@@ -203,23 +211,23 @@ def _note_contents(target: TargetReport, report: GateReport, source: Source) -> 
 
 
 def _digest(report: GateReport, records: list[str]) -> str:
-    """Return a hash of the outcomes and of what the adapter did, as far as the gate's facts recorded it.
+    """Return a hash of the outcomes and of the adapter's behaviour, as the gate's facts recorded it.
 
-    Rules of installed packages are left out, which others need not have.
+    Rules of installed packages are left out, since other users may lack them.
     """
     counted = [result for result in report.results if result.code.startswith(OUR_CODES)]
     lines = [f"{result.code} {result.outcome} {len(result.findings)}" for result in counted]
     return hashlib.sha256("\n".join([*lines, *records]).encode()).hexdigest()[:16]
 
 
-def _withheld(path: Path, selected: Sequence[Entry], options: Options) -> str | None:
-    """Return why an environment may not be played, with what that would move; None where it may."""
-    from xpl_cli.audit.environments.foretold import withheld  # which needs numpy
+def _why_not_moved(path: Path, selected: Sequence[RuleEntry], options: AuditOptions) -> str | None:
+    """Return why an environment may not run, with a dry run of its motions; None if it may."""
+    from xpl_cli.audit.environments.dry_run import dry_run_report  # which needs numpy
     from xpl_cli.packages.manifests import ManifestError
 
     try:
-        return withheld(path, [entry for entry in selected if not entry.closes], options)
-    except ManifestError:  # its rules say so
+        return dry_run_report(path, [entry for entry in selected if not entry.closes], options)
+    except ManifestError:  # its rules report it
         return None
 
 
@@ -230,9 +238,10 @@ def _blocker(report: TargetReport) -> str | None:
     return None
 
 
-def _not_started(gate: Gate, selected: list[Entry], reason: str) -> GateReport:
+def _not_started(gate: Gate, selected: list[RuleEntry], reason: str) -> GateReport:
     rules = [entry.load() for entry in selected]
     results = [
-        Result(item.code, item.slug, item.requirement, item.severity, Outcome.NOT_RUN, reason=reason) for item in rules
+        RuleResult(item.code, item.slug, item.requirement, item.severity, Outcome.NOT_RUN, reason=reason)
+        for item in rules
     ]
     return GateReport(name=gate, results=results, reason=reason)

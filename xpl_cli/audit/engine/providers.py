@@ -1,4 +1,4 @@
-"""The facts there are, by name. A rule asks for one by naming a parameter after it."""
+"""The providers of facts, by name. A rule requests a fact by naming a parameter after it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from xpl_cli.audit.environments.stage import Stage
+    from xpl_cli.audit.environments.env_probe import EnvProbe
     from xpl_cli.audit.rules.facts import Provider
     from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.audit.rules.profiles import ServedProfile
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 
 def all_providers() -> Mapping[str, Provider]:
-    """Return every provider by the name of its fact; one that is a path is imported when a rule asks for its fact.
+    """Return every provider by the name of its fact; one that is a path is imported when a rule requests its fact.
 
-    `path`, `kind`, `gate`, `options` and `checks` are given by the engine.
+    The engine adds `path`, `kind`, `gate`, `options` and `checks`.
     """
     audit = "xpl_cli.audit"
     return {
@@ -37,7 +37,7 @@ def all_providers() -> Mapping[str, Provider]:
         "service": f"{audit}.served.service:ServiceRun.of",
         "simulation": f"{audit}.physics.simulation:Simulation",
         "source": source,
-        "stage": stage,
+        "env_probe": env_probe,
         "waivers": f"{audit}.engine.waivers:read",
     }
 
@@ -60,12 +60,12 @@ def profile(probe: Probe) -> ServedProfile:
     return probe.profile
 
 
-def stage(path: Path, options: AuditOptions) -> Iterator[Stage]:
-    """An environment, played in a process of its own."""
-    from xpl_cli.audit.environments.stage import Stage
+def env_probe(path: Path, options: AuditOptions) -> Iterator[EnvProbe]:
+    """An environment that runs in a separate process."""
+    from xpl_cli.audit.environments.env_probe import EnvProbe
 
-    env_probe = Stage(path, options)
+    probe = EnvProbe(path, options)
     try:
-        yield env_probe
+        yield probe
     finally:
-        env_probe.close()
+        probe.close()

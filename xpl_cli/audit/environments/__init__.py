@@ -1,1 +1,1 @@
-"""Environment packages on the stage of an audit."""
+"""Environment packages, as an audit runs them."""

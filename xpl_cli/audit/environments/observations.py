@@ -1,4 +1,4 @@
-"""What an observation of an environment has to be beyond its schema: of this robot, with its cameras and units."""
+"""Checks of an environment's observations beyond the schema: dimensions, cameras and units of the robot."""
 
 from __future__ import annotations
 
@@ -7,49 +7,49 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl.nested import written
+from xpl.nested import format_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from xpl import Embodiment
     from xpl.contract import Entry, ObservationDict, State
-    from xpl_cli.audit.environments.stage import Offer, Stage
+    from xpl_cli.audit.environments.env_probe import EnvProbe, Offer
 
 _POSES = (sdk.State.EE_POSE, sdk.State.TCP_POSE, sdk.State.DELTA_EE_POSE)
-_GIVE = 0.02  # part of the gripper's range: fingers give a little at their stops
+_GRIPPER_TOLERANCE = 0.02  # part of the gripper's range: fingers give a little at their stops
 
 
-def problems(stage: Stage, offer: Offer, obs: ObservationDict) -> Iterator[str]:
-    """Yield what is wrong with an observation, each in one sentence.
+def problems(env_probe: EnvProbe, offer: Offer, obs: ObservationDict) -> Iterator[str]:
+    """Yield the problems of an observation, each in one sentence.
 
     Args:
-        stage: the environment.
-        offer: what is played.
-        obs: the observation of its only environment.
+        env_probe: the environment.
+        offer: task, embodiment and action type.
+        obs: an observation of environment 0.
     """
     from xpl_cli.standard.validate import validate
 
     arm = offer.robot.arms[0]
     sizes = {"DOF": arm.dof, "EEF": arm.ee_dim}
-    found = validate(obs, "observation", bindings=sizes)
-    yield from (f"{written(problem.path) or 'the observation'}: {problem.message}" for problem in found)
-    if found:
+    schema_problems = validate(obs, "observation", bindings=sizes)
+    yield from (f"{format_path(problem.path) or 'the observation'}: {problem.message}" for problem in schema_problems)
+    if schema_problems:
         return
-    yield from _labels(stage, offer, obs)
+    yield from _labels(env_probe, offer, obs)
     yield from _state(offer, obs.get(sdk.Obs.STATE) or {})
-    yield from _vision(stage, obs.get(sdk.Obs.VISION) or {})
+    yield from _vision(env_probe, obs.get(sdk.Obs.VISION) or {})
 
 
-def _labels(stage: Stage, offer: Offer, obs: ObservationDict) -> Iterator[str]:
+def _labels(env_probe: EnvProbe, offer: Offer, obs: ObservationDict) -> Iterator[str]:
     if obs.get(sdk.Obs.ENV_IDX) != 0:
-        yield f"{sdk.Obs.ENV_IDX} is {obs.get(sdk.Obs.ENV_IDX)!r}, and the only environment is 0"
+        yield f"{sdk.Obs.ENV_IDX} is {obs.get(sdk.Obs.ENV_IDX)!r}, but the only environment is 0"
     if not obs.get(sdk.Obs.INSTRUCTION) and not obs.get(sdk.Obs.INSTRUCTIONS):
-        yield f"there is no {sdk.Obs.INSTRUCTION}: a policy that follows language does not know what to do"
-    told = (obs.get(sdk.Obs.ADDITIONAL_INFO) or {}).get(sdk.Obs.FREQUENCY)
-    declared = stage.manifest.frequency(offer.task)
-    if told is not None and abs(float(told) - declared) > 1e-6 * declared:
-        yield f"{sdk.Obs.FREQUENCY} is {told:g} Hz, and env.yml declares {declared:g} Hz"
+        yield f"there is no {sdk.Obs.INSTRUCTION}: a language-conditioned policy needs one"
+    frequency = (obs.get(sdk.Obs.ADDITIONAL_INFO) or {}).get(sdk.Obs.FREQUENCY)
+    declared = env_probe.manifest.frequency(offer.task)
+    if frequency is not None and abs(float(frequency) - declared) > 1e-6 * declared:
+        yield f"{sdk.Obs.FREQUENCY} is {frequency:g} Hz, and env.yml declares {declared:g} Hz"
 
 
 def _state(offer: Offer, state: State) -> Iterator[str]:
@@ -57,29 +57,29 @@ def _state(offer: Offer, state: State) -> Iterator[str]:
     missing = [key for key in keys if key not in state]
     if missing:
         yield f"the state lacks {', '.join(missing)}, which {offer.action_type} control commands"
-    strange = [key for key in state if key in _of_arms() and not _is_of(key, offer.robot)]
-    if strange:
-        yield f"the state has {', '.join(strange)}, and {offer.embodiment} has no such arm"
+    foreign = [key for key in state if key in _arm_keys() and not _belongs_to(key, offer.robot)]
+    if foreign:
+        yield f"the state has {', '.join(foreign)}, and {offer.embodiment} has no such arm"
     for arm in offer.robot.arms:
         yield from _poses(arm.prefix, state)
         opening = state.get(arm.prefix + sdk.State.EE_JOINT_STATE)
         if opening is not None and arm.gripper == "parallel_gripper":
             value = float(np.asarray(opening).reshape(-1)[0])
-            if not sdk.GRIPPER_CLOSED - _GIVE <= value <= sdk.GRIPPER_OPEN + _GIVE:
+            if not sdk.GRIPPER_CLOSED - _GRIPPER_TOLERANCE <= value <= sdk.GRIPPER_OPEN + _GRIPPER_TOLERANCE:
                 yield f"state.{arm.prefix}{sdk.State.EE_JOINT_STATE} is {value:.3g}: 0 is closed and 1 open"
     for key, value in state.items():
         if not np.isfinite(np.asarray(value, dtype=np.float64)).all():
             yield f"state.{key} holds NaN or infinity"
 
 
-def _of_arms() -> set[str]:
+def _arm_keys() -> set[str]:
     """Return the keys of the standard's state that belong to an arm."""
     named = {value for name, value in vars(sdk.State).items() if name.isupper()}
     return {key for key in named if key != sdk.State.MOBILE}
 
 
-def _is_of(key: str, robot: Embodiment) -> bool:
-    """Tell whether a key is one of a robot's arms: with its prefix, and without that of another number of arms."""
+def _belongs_to(key: str, robot: Embodiment) -> bool:
+    """Return whether a key belongs to one of a robot's arms: its prefix is one of the robot's."""
     every = {prefix for prefixes in sdk.ARM_PREFIXES.values() for prefix in prefixes if prefix}
     prefix = next((each for each in every if key.startswith(each)), "")
     return prefix in robot.prefixes
@@ -95,18 +95,18 @@ def _poses(prefix: str, state: State) -> Iterator[str]:
             yield f"the quaternion of state.{prefix}{name} has length {norm:.4g}, and not 1"
 
 
-def _vision(stage: Stage, vision: Entry) -> Iterator[str]:
-    declared = stage.manifest.cameras
+def _vision(env_probe: EnvProbe, vision: Entry) -> Iterator[str]:
+    declared = env_probe.manifest.cameras
     for name, camera in vision.items():
         if name not in declared:
             yield f"env.yml does not declare the camera {name}"
             continue
         image = camera.get(sdk.Camera.COLOR)
         if not isinstance(image, np.ndarray) or image.ndim != len(("H", "W", "RGB")):
-            yield f"the camera {name} has no picture under {sdk.Camera.COLOR}"
+            yield f"the camera {name} has no image under {sdk.Camera.COLOR}"
             continue
         size = (declared[name] or {}).get("height"), (declared[name] or {}).get("width")
-        if None not in size and stage.cameras is True and image.shape[:2] != size:
-            yield f"the camera {name} shows {image.shape[:2]} pixels, and env.yml declares {size}"
-    if declared and stage.cameras and not vision:
-        yield "there are no pictures, and env.yml declares cameras"
+        if None not in size and env_probe.cameras is True and image.shape[:2] != size:
+            yield f"the camera {name} has {image.shape[:2]} pixels, and env.yml declares {size}"
+    if declared and env_probe.cameras and not vision:
+        yield "there are no images, and env.yml declares cameras"

@@ -6,25 +6,34 @@ import json
 from typing import TYPE_CHECKING
 
 from xpl_cli import __version__
-from xpl_cli.audit.formats.listing import Context, Listed, in_repository, joined, listed
-from xpl_cli.audit.formats.steps import next_commands
-from xpl_cli.audit.rules.model import Finding, Fix, GateReport, Outcome, Result, TargetReport, counted, exit_code
-from xpl_cli.audit.rules.verdict import judged
+from xpl_cli.audit.formats.listing import ListedFinding, ReportContext, join_path, listed_findings, repository_name
+from xpl_cli.audit.formats.next_steps import next_commands
+from xpl_cli.audit.rules.model import (
+    Finding,
+    Fix,
+    GateReport,
+    Outcome,
+    RuleResult,
+    TargetReport,
+    count_outcomes,
+    exit_code,
+)
+from xpl_cli.audit.rules.verdict import verdict_of
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 
-def render(reports: Sequence[TargetReport], context: Context) -> str:
+def render(reports: Sequence[TargetReport], context: ReportContext) -> str:
     """Return the report as one JSON document."""
     return json.dumps(as_json(reports, context), indent=2, ensure_ascii=False)
 
 
-def as_json(reports: Sequence[TargetReport], context: Context) -> dict[str, object]:
+def as_json(reports: Sequence[TargetReport], context: ReportContext) -> dict[str, object]:
     """Return the report as the map that audit.schema.json describes."""
-    totals = counted(result for report in reports for result in report.results)
-    entries = listed(reports, context)  # in the order in which the document names findings
+    totals = count_outcomes(result for report in reports for result in report.results)
+    entries = listed_findings(reports, context)  # in the order in which the document names findings
     return {
         "schema": spec.schema("audit")["title"],
         "tool": {"name": "xpl", "version": __version__},
@@ -36,7 +45,7 @@ def as_json(reports: Sequence[TargetReport], context: Context) -> dict[str, obje
     }
 
 
-def described(finding: Finding, result: Result, folder: str, fingerprint: str) -> dict[str, object]:
+def finding_as_json(finding: Finding, result: RuleResult, folder: str, fingerprint: str) -> dict[str, object]:
     """Return a finding as a map.
 
     Args:
@@ -47,7 +56,7 @@ def described(finding: Finding, result: Result, folder: str, fingerprint: str) -
     """
     return {
         "message": finding.message,
-        "path": None if finding.path is None else joined(folder, finding.path),
+        "path": None if finding.path is None else join_path(folder, finding.path),
         "line": finding.line,
         "column": finding.column,
         "end_line": finding.end_line,
@@ -61,18 +70,18 @@ def described(finding: Finding, result: Result, folder: str, fingerprint: str) -
     }
 
 
-def _target(report: TargetReport, entries: Iterator[Listed], context: Context) -> dict[str, object]:
-    folder = in_repository(context.here / report.path, context.here)
+def _target(report: TargetReport, entries: Iterator[ListedFinding], context: ReportContext) -> dict[str, object]:
+    folder = repository_name(context.here / report.path, context.here)
     return {
         "path": report.path,
         "name": report.name,
         "kind": report.kind,
-        **judged(report).as_json(),
+        **verdict_of(report).as_json(),
         "gates": [_gate(gate, entries, folder) for gate in report.gates],
     }
 
 
-def _gate(gate: GateReport, entries: Iterator[Listed], folder: str) -> dict[str, object]:
+def _gate(gate: GateReport, entries: Iterator[ListedFinding], folder: str) -> dict[str, object]:
     return {
         "name": gate.name.value,
         "outcome": gate.outcome.value,
@@ -83,12 +92,12 @@ def _gate(gate: GateReport, entries: Iterator[Listed], folder: str) -> dict[str,
         "fingerprint": gate.fingerprint,
         "profile": gate.profile.value if gate.profile is not None else None,
         "stood_in": gate.stood_in,
-        "figures": [figure.as_json() for figure in gate.figures],
+        "figures": [figure.as_json() for figure in gate.measurements],
         "results": [_result(result, entries, folder) for result in gate.results],
     }
 
 
-def _result(result: Result, entries: Iterator[Listed], folder: str) -> dict[str, object]:
+def _result(result: RuleResult, entries: Iterator[ListedFinding], folder: str) -> dict[str, object]:
     return {
         "code": result.code,
         "slug": result.slug,
@@ -96,23 +105,26 @@ def _result(result: Result, entries: Iterator[Listed], folder: str) -> dict[str,
         "severity": result.severity,
         "outcome": result.outcome.value,
         "reason": result.reason,
-        "findings": [described(item, result, folder, next(entries).fingerprint) for item in result.findings],
+        "findings": [finding_as_json(item, result, folder, next(entries).fingerprint) for item in result.findings],
         "waived": [
-            {**described(item.finding, result, folder, _identity(item.finding, result, folder)), "reason": item.reason}
+            {
+                **finding_as_json(item.finding, result, folder, _identity(item.finding, result, folder)),
+                "reason": item.reason,
+            }
             for item in result.waived
         ],
         **({} if result.proof is None else {"proof": dict(result.proof)}),
     }
 
 
-def _identity(finding: Finding, result: Result, folder: str) -> str:
-    return finding.fingerprint(result.code, joined(folder, finding.path))
+def _identity(finding: Finding, result: RuleResult, folder: str) -> str:
+    return finding.fingerprint(result.code, join_path(folder, finding.path))
 
 
 def _fix(fix: Fix, folder: str) -> dict[str, object]:
     edits = [
         {
-            "path": joined(folder, edit.path),
+            "path": join_path(folder, edit.path),
             "line": edit.line,
             "column": edit.column,
             "end_line": edit.end_line,

@@ -1,4 +1,4 @@
-"""What the formats share: findings one by one with their place in the repository, and checks that proved nothing."""
+"""What the formats share: findings with their path in the repository, and rules that proved nothing."""
 
 from __future__ import annotations
 
@@ -9,48 +9,49 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules import registry
-from xpl_cli.audit.rules.model import Finding, GateReport, NotRun, Outcome, Result, TargetReport
-from xpl_cli.audit.rules.verdict import Verdict, judged
+from xpl_cli.audit.rules.model import Finding, GateReport, NotRun, Outcome, RuleResult, TargetReport
+from xpl_cli.audit.rules.verdict import Verdict, verdict_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from xpl_cli.audit.demonstrations.check import Check
+    from xpl_cli.audit.demonstrations.check import DemonstrationCheck
 
-_ROOMS = frozenset(("policy", "envs"))
+_WORKSPACE_FOLDERS = frozenset(("policy", "envs"))
 _SHORT = 160
 _PAGE = 2000
 
 
 @dataclass(frozen=True)
-class Context:
-    """What a report refers to besides itself.
+class ReportContext:
+    """Context of a report: working directory and options.
 
     Attributes:
         here: working directory; the paths of targets are relative to it, or absolute.
         fail_on: the mildest outcome that the exit code counts as a finding.
-        rule: finds a rule by its code.
-        command: words of the command that made the report, as it is offered again.
-        choice: options that chose rules, as given to `xpl audit`; commands that are offered repeat them.
-        running: options that say how adapters are run, as given to `xpl audit`, `xpl serve` and `xpl eval` alike.
-        beside: options that say what adapters are held against, which other commands do not take.
+        rule: returns a rule by its code.
+        command: words of the command that made the report.
+        selection: options that selected rules; suggested commands repeat them.
+        running: options for running adapters, the same for `xpl audit`, `xpl serve` and `xpl eval`.
+        demonstrations: the option `--demos`, which other commands do not have.
     """
 
     here: Path = field(default_factory=Path.cwd)
     fail_on: Outcome = Outcome.FAIL
-    rule: Callable[[str], registry.Rule | type[Check]] = registry.find
+    rule: Callable[[str], registry.Rule | type[DemonstrationCheck]] = registry.find
     command: tuple[str, ...] = ("xpl", "audit")
-    choice: tuple[str, ...] = ()
+    selection: tuple[str, ...] = ()
     running: tuple[str, ...] = ()
-    beside: tuple[str, ...] = ()
+    demonstrations: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class Listed:
-    """One finding in its context.
+class ListedFinding:
+    """A finding with its target, gate, rule and path.
 
     Attributes:
-        path: its file relative to the repository, with forward slashes; the target's folder if no file is to blame.
+        path: its file relative to the repository, with forward slashes; the target's folder if the finding is in no
+            file.
         folder: the target's folder relative to the repository.
         disk: the target's folder.
         fingerprint: its identity, unique in the report.
@@ -58,7 +59,7 @@ class Listed:
 
     target: TargetReport
     gate: GateReport
-    result: Result
+    result: RuleResult
     finding: Finding
     path: str
     folder: str
@@ -77,7 +78,7 @@ class Listed:
 
     @cached_property
     def details(self) -> list[str]:
-        """What belongs to the message, one thing a line: expected, got, evidence, fix, the command that explains."""
+        """Lines below the message: expected, got, evidence, fix, the command that explains the rule."""
         finding = self.finding
         lines = [f"{name}: {value}" for name, value in (("expected", finding.expected), ("got", finding.got)) if value]
         lines += [f"{name}: {shortened(value, _PAGE)}" for name, value in (finding.evidence or {}).items()]
@@ -90,20 +91,20 @@ class Listed:
         """The message and its details."""
         return "\n".join((self.finding.message, *self.details))
 
-    def place(self, path: str) -> str:
-        """Return a file of the target, given relative to its folder, relative to the repository."""
-        return joined(self.folder, path)
+    def repository_path(self, path: str) -> str:
+        """Return the path in the repository of a file of the target."""
+        return join_path(self.folder, path)
 
 
 @dataclass(frozen=True)
-class Unproved:
+class UnprovenRules:
     """Rules of one gate that crashed, or could not run, all for one reason."""
 
     target: TargetReport
     gate: GateReport
     outcome: Outcome
     reason: str
-    results: tuple[Result, ...]
+    results: tuple[RuleResult, ...]
     path: str
 
     @property
@@ -119,78 +120,78 @@ class Unproved:
         return f"{self.title} {what}: {self.reason}"
 
 
-def listed(reports: Sequence[TargetReport], context: Context) -> Iterator[Listed]:
+def listed_findings(reports: Sequence[TargetReport], context: ReportContext) -> Iterator[ListedFinding]:
     """Yield every finding that counts, in the order of the report."""
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for target in reports:
         disk = context.here / target.path
-        folder = in_repository(disk, context.here)
+        folder = repository_name(disk, context.here)
         for gate in target.gates:
             for result in gate.results:
                 for finding in result.findings:
-                    path = joined(folder, finding.path)
+                    path = join_path(folder, finding.path)
                     identity = finding.fingerprint(result.code, path)
-                    seen[identity] += 1
-                    fingerprint = finding.fingerprint(result.code, path, seen[identity])
-                    yield Listed(target, gate, result, finding, path, folder, disk, fingerprint)
+                    counts[identity] += 1
+                    fingerprint = finding.fingerprint(result.code, path, counts[identity])
+                    yield ListedFinding(target, gate, result, finding, path, folder, disk, fingerprint)
 
 
-def unproved(reports: Sequence[TargetReport], context: Context) -> Iterator[Unproved]:
-    """Yield what crashed and what could not run, once for each reason."""
+def unproven_rules(reports: Sequence[TargetReport], context: ReportContext) -> Iterator[UnprovenRules]:
+    """Yield the rules that crashed or could not run, once for each reason."""
     for target in reports:
-        path = in_repository(context.here / target.path, context.here)
+        path = repository_name(context.here / target.path, context.here)
         for gate in target.gates:
             for (outcome, reason), results in by_reason(gate, {Outcome.ERROR, Outcome.NOT_RUN}).items():
-                yield Unproved(target, gate, outcome, reason, tuple(results), path)
+                yield UnprovenRules(target, gate, outcome, reason, tuple(results), path)
 
 
-def verdicts(reports: Sequence[TargetReport], context: Context) -> Iterator[tuple[TargetReport, str, Verdict]]:
-    """Yield what is said of each target, with its folder in the repository."""
+def verdicts(reports: Sequence[TargetReport], context: ReportContext) -> Iterator[tuple[TargetReport, str, Verdict]]:
+    """Yield the verdict of each target, with its folder in the repository."""
     for target in reports:
-        yield target, in_repository(context.here / target.path, context.here), judged(target)
+        yield target, repository_name(context.here / target.path, context.here), verdict_of(target)
 
 
-def notes(reports: Sequence[TargetReport], context: Context) -> Iterator[tuple[str, GateReport, str]]:
-    """Yield what was not real: the target's folder in the repository, the gate, and what stood in, with the reason."""
+def notes(reports: Sequence[TargetReport], context: ReportContext) -> Iterator[tuple[str, GateReport, str]]:
+    """Yield gates without the real model: the target's folder in the repository, the gate, and the reason."""
     for target in reports:
-        path = in_repository(context.here / target.path, context.here)
+        path = repository_name(context.here / target.path, context.here)
         for gate in target.gates:
             if gate.stood_in is not None:
                 yield path, gate, f"{gate.name} gate, {gate.stood_in}"
 
 
-def by_reason(gate: GateReport, outcomes: set[Outcome]) -> dict[tuple[Outcome, str], list[Result]]:
-    """Return the results of a gate that have some outcomes, those with one reason together."""
-    found: dict[tuple[Outcome, str], list[Result]] = {}
+def by_reason(gate: GateReport, outcomes: set[Outcome]) -> dict[tuple[Outcome, str], list[RuleResult]]:
+    """Return the results of a gate with these outcomes, grouped by outcome and reason."""
+    groups: dict[tuple[Outcome, str], list[RuleResult]] = {}
     for result in gate.results:
         if result.outcome in outcomes:
-            found.setdefault((result.outcome, result.reason or "no reason is known"), []).append(result)
-    return found
+            groups.setdefault((result.outcome, result.reason or "no reason is known"), []).append(result)
+    return groups
 
 
-def in_repository(path: Path, here: Path) -> str:
-    """Return how the repository calls a folder, with forward slashes.
+def repository_name(path: Path, here: Path) -> str:
+    """Return a folder's path in the repository, with forward slashes.
 
     The repository is the nearest folder above with a `.git`; without one the working directory, or the workspace that
     holds `policy/` and `envs/`. A folder that is in none of them keeps its absolute path.
     """
     roots = [folder for folder in path.parents if (folder / ".git").exists()][:1]
-    roots += [here, *(folder.parent for folder in path.parents if folder.name in _ROOMS)]
+    roots += [here, *(folder.parent for folder in path.parents if folder.name in _WORKSPACE_FOLDERS)]
     if (path / ".git").exists():
         roots.insert(0, path)
     root = next((root for root in roots if path.is_relative_to(root)), None)
     return (path.relative_to(root) if root is not None else path).as_posix()
 
 
-def joined(folder: str, path: str | None) -> str:
+def join_path(folder: str, path: str | None) -> str:
     """Return a file of a folder; the folder itself without one."""
     if path is None:
         return folder
     return path if folder == "." else f"{folder}/{path}"
 
 
-class Lines:
-    """Lines of the files that findings are about, as the rules counted them."""
+class SourceLines:
+    """Lines of the files with findings, as the rules counted them."""
 
     def __init__(self) -> None:
         self._files: dict[tuple[Path, str], list[str] | None] = {}

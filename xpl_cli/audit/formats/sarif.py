@@ -1,7 +1,7 @@
 """`sarif`: SARIF 2.1.0 as code scanning of GitHub reads it.
 
-Every result there becomes an alert, so that only findings are results. Rules that crashed or could not run are
-notifications of the run. The run has no `automationDetails`: the category is for whoever uploads the file to choose.
+Every result there becomes an alert, so only findings are results. Rules that crashed or could not run are notifications
+of the run. The run has no `automationDetails`: the uploader chooses the category.
 """
 
 from __future__ import annotations
@@ -13,16 +13,25 @@ from urllib.parse import quote_from_bytes
 
 from xpl_cli import __version__
 from xpl_cli.audit.formats.linehash import line_hashes
-from xpl_cli.audit.formats.listing import Context, Listed, Unproved, listed, notes, shortened, unproved, verdicts
+from xpl_cli.audit.formats.listing import (
+    ListedFinding,
+    ReportContext,
+    UnprovenRules,
+    listed_findings,
+    notes,
+    shortened,
+    unproven_rules,
+    verdicts,
+)
 from xpl_cli.audit.rules.model import Outcome
-from xpl_cli.basics.untrusted import inert
+from xpl_cli.basics.untrusted import without_links
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from xpl_cli.audit.demonstrations.check import Check
+    from xpl_cli.audit.demonstrations.check import DemonstrationCheck
     from xpl_cli.audit.rules.model import Edit, Finding, TargetReport
     from xpl_cli.audit.rules.registry import Rule
 
@@ -36,25 +45,25 @@ _MOST = 1024
 _LEVELS = {"must": "error", "should": "warning"}
 
 
-def render(reports: Sequence[TargetReport], context: Context) -> str:
+def render(reports: Sequence[TargetReport], context: ReportContext) -> str:
     """Return the report as one JSON document."""
     slugs = {result.code: result.slug for report in reports for result in report.results}
-    places = {code: place for place, code in enumerate(sorted(slugs))}
-    hashes = _Hashes()
-    open_ends = list(unproved(reports, context))
+    rule_indices = {code: place for place, code in enumerate(sorted(slugs))}
+    hashes = _LineHashCache()
+    open_ends = list(unproven_rules(reports, context))
     run = {
         "tool": {
             "driver": {
                 "name": "xpl",
                 "semanticVersion": __version__,
-                "rules": [_rule(code, slugs[code], context) for code in places],
+                "rules": [_rule(code, slugs[code], context) for code in rule_indices],
             }
         },
         "invocations": [
             {
                 "executionSuccessful": all(entry.outcome is not Outcome.ERROR for entry in open_ends),
                 "toolExecutionNotifications": [
-                    *(_notification(entry, places) for entry in open_ends),
+                    *(_notification(entry, rule_indices) for entry in open_ends),
                     *(
                         {"level": "note", "message": {"text": f"{path}: {note}"}}
                         for path, _, note in notes(reports, context)
@@ -66,26 +75,26 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
         "originalUriBaseIds": {ROOT: {"description": {"text": "The root of the repository."}}},
         "properties": {
             "verdicts": [
-                {"target": path, **said.as_json(), "statement": inert(str(said))}
+                {"target": path, **said.as_json(), "statement": without_links(str(said))}
                 for _, path, said in verdicts(reports, context)
             ]
         },
-        "results": [_result(entry, places, hashes) for entry in listed(reports, context)],
+        "results": [_result(entry, rule_indices, hashes) for entry in listed_findings(reports, context)],
     }
     return json.dumps({"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=False)
 
 
-def _rule(code: str, slug: str, context: Context) -> dict[str, object]:
+def _rule(code: str, slug: str, context: ReportContext) -> dict[str, object]:
     try:
-        return _documented(context.rule(code))
+        return _describe_rule(context.rule(code))
     except (Exception, SystemExit):  # noqa: BLE001 - a rule that cannot be imported crashed; its notification says how
         return {"id": code, "name": slug, "shortDescription": {"text": slug}}
 
 
-def _documented(rule: Rule | type[Check]) -> dict[str, object]:
+def _describe_rule(rule: Rule | type[DemonstrationCheck]) -> dict[str, object]:
     level = _LEVELS[rule.severity]
     proves = ""
-    if rule.requirement:  # checks of demonstrations prove none
+    if rule.requirement:  # checks of demonstrations have none
         requirement = spec.requirements()[rule.requirement]
         proves = f"Proves {requirement.id} ({requirement.level}): {requirement.text}"
     return {
@@ -106,15 +115,15 @@ def _documented(rule: Rule | type[Check]) -> dict[str, object]:
     }
 
 
-def _result(entry: Listed, places: dict[str, int], hashes: _Hashes) -> dict[str, object]:
+def _result(entry: ListedFinding, rule_indices: dict[str, int], hashes: _LineHashCache) -> dict[str, object]:
     finding = entry.finding
-    # Code scanning tells alerts apart by this one key. Where it cannot be computed from a line, it is our own.
+    # Code scanning distinguishes alerts by this one key. If there is no line to compute it from, it is our own.
     line_hash = hashes.of(entry.disk, finding) or f"{entry.fingerprint}:1"
     result: dict[str, object] = {
         "ruleId": entry.result.code,
-        "ruleIndex": places[entry.result.code],
+        "ruleIndex": rule_indices[entry.result.code],
         "level": "error" if entry.fails else "warning",
-        "message": {"text": inert(entry.text)},
+        "message": {"text": without_links(entry.text)},
         "locations": [{"physicalLocation": _physical(entry)}],
         "partialFingerprints": {"primaryLocationLineHash": line_hash, "xplFinding/v1": entry.fingerprint},
         "properties": {"gate": entry.gate.name.value, "requirement": entry.result.requirement},
@@ -124,7 +133,7 @@ def _result(entry: Listed, places: dict[str, int], hashes: _Hashes) -> dict[str,
     return result
 
 
-def _physical(entry: Listed) -> dict[str, object]:
+def _physical(entry: ListedFinding) -> dict[str, object]:
     finding = entry.finding
     location: dict[str, object] = {"artifactLocation": artifact(entry.path)}
     if finding.line is not None:
@@ -132,27 +141,27 @@ def _physical(entry: Listed) -> dict[str, object]:
     return location
 
 
-def _region(place: Finding | Edit) -> dict[str, object]:
-    keys = {"startLine": place.line, "startColumn": place.column}
-    if place.end_line is not None:
-        keys |= {"endLine": place.end_line, "endColumn": place.end_column}
+def _region(item: Finding | Edit) -> dict[str, object]:
+    keys = {"startLine": item.line, "startColumn": item.column}
+    if item.end_line is not None:
+        keys |= {"endLine": item.end_line, "endColumn": item.end_column}
     return {key: value for key, value in keys.items() if value is not None}
 
 
 def artifact(path: str) -> dict[str, str]:
-    """Return the location of a file: relative to the repository, or absolute if it lies in none."""
+    """Return the location of a file: relative to the repository, or absolute if it is in none."""
     uri = quote_from_bytes(os.fsencode(path))
     return {"uri": f"file://{uri}"} if path.startswith("/") else {"uri": uri, "uriBaseId": ROOT}
 
 
-def _changes(entry: Listed) -> list[dict[str, object]]:
+def _changes(entry: ListedFinding) -> list[dict[str, object]]:
     fix = entry.finding.fix
     by_file: dict[str, list[Edit]] = {}
     for edit in fix.edits if fix is not None else ():
         by_file.setdefault(edit.path, []).append(edit)
     return [
         {
-            "artifactLocation": artifact(entry.place(path)),
+            "artifactLocation": artifact(entry.repository_path(path)),
             "replacements": [
                 {"deletedRegion": _region(edit), "insertedContent": {"text": edit.text}} for edit in edits
             ],
@@ -161,23 +170,23 @@ def _changes(entry: Listed) -> list[dict[str, object]]:
     ]
 
 
-def _notification(entry: Unproved, places: dict[str, int]) -> dict[str, object]:
+def _notification(entry: UnprovenRules, rule_indices: dict[str, int]) -> dict[str, object]:
     first = entry.results[0]
     return {
         "level": "error" if entry.outcome is Outcome.ERROR else "warning",
-        "message": {"text": inert(f"{entry.path}: {entry.text}")},
-        "associatedRule": {"id": first.code, "index": places[first.code]},
+        "message": {"text": without_links(f"{entry.path}: {entry.text}")},
+        "associatedRule": {"id": first.code, "index": rule_indices[first.code]},
     }
 
 
-class _Hashes:
-    """Line hashes of the files that findings are about."""
+class _LineHashCache:
+    """Line hashes of the files with findings."""
 
     def __init__(self) -> None:
         self._files: dict[Path, list[str]] = {}
 
     def of(self, folder: Path, finding: Finding) -> str | None:
-        """Return the hash of the line on which a finding begins; None without a line that can be read."""
+        """Return the hash of a finding's first line; None if it cannot be read."""
         if finding.path is None or finding.line is None:
             return None
         file = folder / finding.path

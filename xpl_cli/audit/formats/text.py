@@ -1,6 +1,6 @@
-"""`text`: what a person wants to know; passes collapsed, the next command last.
+"""`text`: a report for people; passes collapsed, the next command last.
 
-On a terminal it fits on one screen. In a file every finding is listed, each on one line where they would not fit.
+On a terminal it fits on one screen. In a file every finding is listed, on one line each if they would not fit.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.formats.listing import (
-    Context,
-    Listed,
+    ListedFinding,
+    ReportContext,
     by_reason,
-    joined,
-    listed,
+    join_path,
+    listed_findings,
     shortened,
 )
-from xpl_cli.audit.formats.painted import Painted, Terminal
-from xpl_cli.audit.formats.steps import audit_again, next_commands
-from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport, counted
-from xpl_cli.audit.rules.verdict import Verdict, Word, judged
+from xpl_cli.audit.formats.next_steps import audit_again, next_commands
+from xpl_cli.audit.formats.styled_text import OutputStyle, StyledText
+from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport, count_outcomes
+from xpl_cli.audit.rules.verdict import Verdict, VerdictStatus, verdict_of
 from xpl_cli.basics.untrusted import one_line
 from xpl_cli.basics.words import amount
 
@@ -29,18 +29,20 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _SCREEN = 29
-"""Lines of a screen that findings may take; head, verdict and next commands take the rest."""
+"""Lines of a screen for findings; head, verdict and next commands take the rest."""
 
 _LEAST = 4
-"""Lines for the findings of one of many targets."""
+"""Least number of lines for the findings of one of many targets."""
 
 _LEAST_TOLD = 40
-"""Characters of a message without which it tells nothing."""
+"""Least number of characters of a message."""
 
 _INDENT = 8
 """Columns at both ends of a wrapped line that may stay empty."""
 
 _WIDTH = 100
+_MOST_VALUE = 200
+"""Characters of what was expected and what came: a whole error, and no array."""
 _COLOURS = {
     Outcome.PASS: "green",
     Outcome.WARN: "yellow",
@@ -58,22 +60,22 @@ _MARKS = {
     Outcome.NOT_APPLICABLE: "n/a",
 }
 _VERDICTS = {
-    Word.GREEN: "bold green",
-    Word.PARTIAL: "bold cyan",
-    Word.SHADOW: "bold yellow",
-    Word.OPEN: "bold yellow",
-    Word.INCOMPLETE: "bold magenta",
-    Word.RED: "bold red",
+    VerdictStatus.GREEN: "bold green",
+    VerdictStatus.PARTIAL: "bold cyan",
+    VerdictStatus.SHADOW: "bold yellow",
+    VerdictStatus.OPEN: "bold yellow",
+    VerdictStatus.INCOMPLETE: "bold magenta",
+    VerdictStatus.RED: "bold red",
 }
 
 
 @dataclass(frozen=True)
-class _Room:
-    """What the findings of one target may take of a screen.
+class _Space:
+    """Space for the findings of one target.
 
     Attributes:
         lines, width: of the screen.
-        is_file: whether there is no screen, so that nothing is left out or cut for one.
+        is_file: whether the output is a file, so that nothing is left out or shortened.
     """
 
     lines: int
@@ -81,100 +83,102 @@ class _Room:
     is_file: bool
 
 
-def render(reports: Sequence[TargetReport], context: Context) -> str:
+def render(reports: Sequence[TargetReport], context: ReportContext) -> str:
     """Return the report without colours, for a file."""
-    return on_terminal(reports, context, Terminal())
+    return on_terminal(reports, context, OutputStyle())
 
 
-def on_terminal(reports: Sequence[TargetReport], context: Context, terminal: Terminal) -> str:
-    """Return the report as a terminal is to show it."""
+def on_terminal(reports: Sequence[TargetReport], context: ReportContext, terminal: OutputStyle) -> str:
+    """Return the report for a terminal."""
     width = min(terminal.width or _WIDTH, _WIDTH)
-    found: dict[int, list[Listed]] = {}
-    for entry in listed(reports, context):
-        found.setdefault(id(entry.target), []).append(entry)
-    room = _Room(max(_LEAST, _SCREEN // max(1, len(found))), width, is_file=terminal.width is None)
-    parts: list[Painted] = []
+    by_target: dict[int, list[ListedFinding]] = {}
+    for entry in listed_findings(reports, context):
+        by_target.setdefault(id(entry.target), []).append(entry)
+    room = _Space(max(_LEAST, _SCREEN // max(1, len(by_target))), width, is_file=terminal.width is None)
+    parts: list[StyledText] = []
     for report in reports:
         again = audit_again([report], context)
-        parts += _target(report, found.get(id(report), []), room, again, alone=len(reports) == 1)
+        parts += _target(report, by_target.get(id(report), []), room, again, alone=len(reports) == 1)
     if len(reports) > 1:
-        verdicts = Counter(judged(report).word for report in reports)
-        told = ", ".join(f"{verdicts[word]} {word}" for word in reversed(Word) if verdicts[word])
-        parts.append(Painted.of((f"{len(reports)} targets: {told}", "bold")))
+        verdicts = Counter(verdict_of(report).status for report in reports)
+        counts = ", ".join(f"{verdicts[word]} {word}" for word in reversed(VerdictStatus) if verdicts[word])
+        parts.append(StyledText.of((f"{len(reports)} targets: {counts}", "bold")))
     commands = next_commands(reports, context)
     if commands:
-        parts.append(Painted.of(("next", "dim")))
-        parts += [Painted(wraps=False).append(f"  {one_line(command)}") for command in commands]
-    return "".join(f"{part.shown(terminal)}\n" for part in parts)
+        parts.append(StyledText.of(("next", "dim")))
+        parts += [StyledText(wraps=False).append(f"  {one_line(command)}") for command in commands]
+    return "".join(f"{part.render(terminal)}\n" for part in parts)
 
 
-def _target(report: TargetReport, entries: list[Listed], room: _Room, again: str, *, alone: bool) -> list[Painted]:
-    """Return the part of one target: short if it is one of several, one line if besides all is well."""
+def _target(
+    report: TargetReport, entries: list[ListedFinding], room: _Space, again: str, *, alone: bool
+) -> list[StyledText]:
+    """Return the part of one target: short if it is one of several, one line if it then has no findings."""
     name, path = one_line(report.name), one_line(report.path)
-    verdict = judged(report)
-    head = Painted.of((name, "bold"), (f"  {path}", "dim"))
+    verdict = verdict_of(report)
+    head = StyledText.of((name, "bold"), (f"  {path}", "dim"))
     if not alone:
-        head = Painted.of((name, "bold"), (f"  {path}  ", "dim"), *_verdict(verdict))
-        if not entries and verdict.word not in (Word.RED, Word.INCOMPLETE):
+        head = StyledText.of((name, "bold"), (f"  {path}  ", "dim"), *_verdict(verdict))
+        if not entries and verdict.status not in (VerdictStatus.RED, VerdictStatus.INCOMPLETE):
             return [head]
     lines = [head]
-    shown = _fitting(entries, room)
+    fitting = _fit_findings(entries, room)
     for gate in report.gates:
-        lines += [_gate(gate), *(block for entry, block in shown if entry.gate is gate), *_unproved(gate)]
-        lines += [Painted.of("  ", one_line(str(figure))) for figure in gate.figures]
+        lines += [_gate(gate), *(block for entry, block in fitting if entry.gate is gate), *_unproved(gate)]
+        lines += [StyledText.of("  ", one_line(str(figure))) for figure in gate.measurements]
         lines += _waived(gate)
         if alone and gate.finish is not None:
-            lines.append(Painted.of((f"  {gate.finish}", "dim")))
-    if len(shown) < len(entries):
-        more = amount(len(entries) - len(shown), "finding")
-        lines.append(Painted.of(f"  {more} more: `{one_line(again)} --output audit.txt` lists all"))
-    return [*lines, Painted.of(("verdict  ", "dim"), *_verdict(verdict)) if alone else Painted()]
+            lines.append(StyledText.of((f"  {gate.finish}", "dim")))
+    if len(fitting) < len(entries):
+        more = amount(len(entries) - len(fitting), "finding")
+        lines.append(StyledText.of(f"  {more} more: `{one_line(again)} --output audit.txt` lists all"))
+    return [*lines, StyledText.of(("verdict  ", "dim"), *_verdict(verdict)) if alone else StyledText()]
 
 
 def _verdict(verdict: Verdict) -> tuple[tuple[str, str], str]:
-    """Return what a verdict says, its word in colour."""
-    word, said = verdict.word.upper(), one_line(str(verdict))
-    return (word, _VERDICTS[verdict.word]), said.removeprefix(word)
+    """Return the text of a verdict, its status in colour."""
+    word, said = verdict.status.upper(), one_line(str(verdict))
+    return (word, _VERDICTS[verdict.status]), said.removeprefix(word)
 
 
-def _gate(gate: GateReport) -> Painted:
-    """Return the line of a gate: how it ended, and how many rules ended how."""
-    head = Painted.of((f"{gate.name:<8} ", "bold"), (f"{_MARKS[gate.outcome]:<8}", _COLOURS[gate.outcome]))
+def _gate(gate: GateReport) -> StyledText:
+    """Return the line of a gate: its outcome, and the number of rules of each outcome."""
+    head = StyledText.of((f"{gate.name:<8} ", "bold"), (f"{_MARKS[gate.outcome]:<8}", _COLOURS[gate.outcome]))
     if gate.reason is not None:
         return head.append(one_line(gate.reason))
-    counts = counted(gate.results)
+    counts = count_outcomes(gate.results)
     waived = sum(len(result.waived) for result in gate.results)
-    told = [f"{counts[outcome]} {_MARKS[outcome]}" for outcome in Outcome if counts[outcome]]
-    head.append(", ".join([*told, *([f"{waived} waived"] if waived else [])]))
+    parts = [f"{counts[outcome]} {_MARKS[outcome]}" for outcome in Outcome if counts[outcome]]
+    head.append(", ".join([*parts, *([f"{waived} waived"] if waived else [])]))
     return head.append(f"  {gate.seconds:.1f} s", "dim")
 
 
-def _unproved(gate: GateReport) -> list[Painted]:
-    """Say once for each reason which rules could not prove anything for it."""
-    if gate.reason is not None:  # the line of the gate says it
+def _unproved(gate: GateReport) -> list[StyledText]:
+    """Return a line for each reason with the rules that could not run for it."""
+    if gate.reason is not None:  # it is in the line of the gate
         return []
     outcomes = {Outcome.ERROR, Outcome.NOT_RUN} | ({gate.outcome} & {Outcome.NOT_APPLICABLE})
-    lines = [] if gate.stood_in is None else [Painted.of("  ", (one_line(gate.stood_in), _COLOURS[Outcome.WARN]))]
+    lines = [] if gate.stood_in is None else [StyledText.of("  ", (one_line(gate.stood_in), _COLOURS[Outcome.WARN]))]
     for (outcome, reason), (first, *others) in by_reason(gate, outcomes).items():
         who = f"{first.code} {first.slug}" + (f" and {len(others)} more" if others else "")
-        lines.append(Painted.of("  ", (who, _COLOURS[outcome]), f": {_MARKS[outcome]}: {one_line(reason)}"))
+        lines.append(StyledText.of("  ", (who, _COLOURS[outcome]), f": {_MARKS[outcome]}: {one_line(reason)}"))
     return lines
 
 
-def _waived(gate: GateReport) -> list[Painted]:
-    """Say once for each rule and reason what the manifest accepts."""
+def _waived(gate: GateReport) -> list[StyledText]:
+    """Return a line for each rule and reason of waived findings."""
     counts = Counter((result.code, result.slug, item.reason) for result in gate.results for item in result.waived)
     lines = []
     for (code, slug, reason), count in counts.items():
         times = "" if count == 1 else f" ({count} times)"
-        lines.append(Painted.of("  ", (f"{code} {slug}", "dim"), f": waived{times}: {shortened(one_line(reason))}"))
+        lines.append(StyledText.of("  ", (f"{code} {slug}", "dim"), f": waived{times}: {shortened(one_line(reason))}"))
     return lines
 
 
-def _fitting(entries: list[Listed], room: _Room) -> list[tuple[Listed, Painted]]:
-    """Return as many findings as fit, failures first, in as much detail as lets all of them fit; all in a file."""
+def _fit_findings(entries: list[ListedFinding], room: _Space) -> list[tuple[ListedFinding, StyledText]]:
+    """Return as many findings as fit, failures first, with as many details as fit; in a file all findings."""
     entries = sorted(entries, key=lambda entry: not entry.fails)
-    for failure, warning in _SHAPES:
+    for failure, warning in _LAYOUTS:
         blocks = [(entry, (failure if entry.fails else warning)(entry, room)) for entry in entries]
         ends = list(itertools.accumulate(block.height(room.width) for _, block in blocks))
         if not ends or ends[-1] <= room.lines:
@@ -182,12 +186,12 @@ def _fitting(entries: list[Listed], room: _Room) -> list[tuple[Listed, Painted]]
     return blocks if room.is_file else blocks[: max(1, sum(end <= room.lines for end in ends))]
 
 
-def _full(entry: Listed, room: _Room) -> Painted:
-    """Return a finding with its message, what was expected, what came, evidence and fix."""
+def _with_evidence(entry: ListedFinding, room: _Space) -> StyledText:
+    """Return a finding with its message, expected, got, evidence and fix."""
     finding = entry.finding
     pairs = (("expected", finding.expected), ("got", finding.got))
-    values = ", ".join(f"{name} {shortened(one_line(value), 80)}" for name, value in pairs if value)
-    text = _told(entry, room)
+    values = ", ".join(f"{name} {shortened(one_line(value), _MOST_VALUE)}" for name, value in pairs if value)
+    text = _with_message(entry, room)
     if values:
         text.append(f"\n    {values}", "dim")
     for name, value in (finding.evidence or {}).items():
@@ -195,18 +199,18 @@ def _full(entry: Listed, room: _Room) -> Painted:
     return text.append(_fix(entry))
 
 
-def _advised(entry: Listed, room: _Room) -> Painted:
+def _with_fix(entry: ListedFinding, room: _Space) -> StyledText:
     """Return a finding with its message and its fix."""
-    return _told(entry, room).append(_fix(entry))
+    return _with_message(entry, room).append(_fix(entry))
 
 
-def _told(entry: Listed, _room: _Room) -> Painted:
+def _with_message(entry: ListedFinding, _room: _Space) -> StyledText:
     """Return a finding with its message."""
     return _head(entry).append(f"\n    {one_line(entry.finding.message)}")
 
 
-def _short(entry: Listed, room: _Room) -> Painted:
-    """Return a finding on one line, or on two where the place alone fills one."""
+def _on_one_line(entry: ListedFinding, room: _Space) -> StyledText:
+    """Return a finding on one line, or on two if its path alone fills one."""
     head, message = _head(entry), one_line(entry.finding.message)
     if room.is_file:
         return head.append(f"  {message}")
@@ -215,19 +219,26 @@ def _short(entry: Listed, room: _Room) -> Painted:
     return head.append(f"  {shortened(message, max(_LEAST_TOLD, most))}")
 
 
-def _head(entry: Listed) -> Painted:
+def _head(entry: ListedFinding) -> StyledText:
     finding = entry.finding
-    text = Painted.of("  ", (entry.title, f"bold {_COLOURS[entry.result.outcome]}"))
+    text = StyledText.of("  ", (entry.title, f"bold {_COLOURS[entry.result.outcome]}"))
     if finding.path is not None:
         line = "" if finding.line is None else f":{finding.line}"
-        text.append(f"  {one_line(joined(entry.target.path, finding.path))}{line}")
+        text.append(f"  {one_line(join_path(entry.target.path, finding.path))}{line}")
     return text
 
 
-def _fix(entry: Listed) -> str:
+def _fix(entry: ListedFinding) -> str:
     fix = entry.finding.fix
     return "" if fix is None else f"\n    fix: {one_line(fix.text)}"
 
 
-_SHAPES = ((_full, _full), (_advised, _advised), (_advised, _told), (_told, _told), (_told, _short), (_short, _short))
-"""How failures and warnings are shown, from the most detail to the least."""
+_LAYOUTS = (
+    (_with_evidence, _with_evidence),
+    (_with_fix, _with_fix),
+    (_with_fix, _with_message),
+    (_with_message, _with_message),
+    (_with_message, _on_one_line),
+    (_on_one_line, _on_one_line),
+)
+"""Layouts of failures and warnings, from most to least detailed."""

@@ -1,1 +1,1 @@
-"""Closed loops in MuJoCo, and what is measured in them."""
+"""Rollouts in MuJoCo, and their measurements."""

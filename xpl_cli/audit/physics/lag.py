@@ -1,7 +1,7 @@
-"""Whether a policy answers what it was shown last: a loop is repeated to it, with single observations changed.
+"""Whether a policy acts on the newest observation: a rollout is replayed to it, with single observations changed.
 
-The observations are those of a real loop, and stay the same whatever is answered: so an answer that differs from the
-one in the loop shows what was changed before it.
+The observations are recorded in a rollout, and do not depend on the actions in the replay: so a change of an action is
+an effect of the changed observation.
 """
 
 from __future__ import annotations
@@ -20,105 +20,107 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from xpl.contract import ObservationDict
-    from xpl_cli.audit.physics.loop import Show
+    from xpl_cli.audit.physics.rollout import RecordedObservations
     from xpl_cli.audit.physics.simulation import Simulation
     from xpl_cli.audit.served.recorded_client import Answer
 
 _CONSTANT = (sdk.Obs.INSTRUCTION, sdk.Obs.PRIVILEGED)
-"""Inputs that stay what they are in an episode, or whose form no standard tells."""
+"""Inputs that are constant in an episode, or whose form the standard does not define."""
 _TRIED = (1, 2, 3)
-"""Questions before which an observation is changed; the first one has none before it."""
+"""Inferences before which an observation is changed; the first one has none before it."""
 
 
 @dataclass(frozen=True)
 class Reaction:
-    """How far an answer moves when one observation is another one, in shares of how far all answers lie apart.
+    """The effects of changing one observation, as fractions of the range of all actions.
 
     Attributes:
-        question: the one before which, or just before whose newest observation, something was changed.
-        newest: its own answer, with the newest observation changed.
-        older: the same, with the observation of the step before changed; None where that is the newest of a question.
-        late: the answer to the next question, with what was newest here changed.
+        inference: index of the inference before which an observation was changed.
+        newest: effect on its action, with the newest observation changed.
+        older: the same, with the observation one step before changed; None if another inference used that one.
+        late: effect on the action of the next inference, with the newest observation of this one changed.
     """
 
-    question: int
+    inference: int
     newest: float
     older: float | None
     late: float
 
     @property
     def before(self) -> float:
-        """How far an answer moves with an observation that is not its newest."""
+        """The effect of an observation that is not the newest one."""
         return max(self.late, self.older or 0.0)
 
     @property
     def lags(self) -> bool:
-        """Whether the answer is to something older than the newest observation."""
+        """Whether the action depends on an older observation than the newest one."""
         return is_weak(self.newest, self.before)
 
 
 def reactions(simulation: Simulation) -> list[Reaction]:
-    """Return how a policy reacts, up to the first answer that follows the newest observation.
+    """Return a policy's reactions, up to the first action that depends on the newest observation.
 
     Raises:
-        NotApplicable: if nothing can be changed, or no answer depends on it.
-        NotRun: if the same observations are answered differently.
+        NotApplicable: if no input can be changed, or no action depends on one.
+        NotRun: if the same observations give different actions.
     """
-    show = simulation.show(max(_TRIED) + 2)
-    names = _changeable(simulation, show.observations[0])
-    if len(show.asked) <= _TRIED[0] + 1:
-        raise NotApplicable("the loop has too few chunks")
-    usual = _replayed(simulation, show, show.observations)
-    if not same(usual, _replayed(simulation, show, show.observations)):
-        raise NotRun("the policy answers the same observations differently: same-seed-same-motion says how")
-    found = []
-    for question in [number for number in _TRIED if number + 1 < len(show.asked)]:
-        step = show.asked[question]
-        changed = _replayed(simulation, show, _with_change(show, step, names))
+    recorded = simulation.record_observations(max(_TRIED) + 2)
+    names = _changeable(simulation, recorded.observations[0])
+    if len(recorded.inference_steps) <= _TRIED[0] + 1:
+        raise NotApplicable("the rollout has too few chunks")
+    usual = _replay(simulation, recorded, recorded.observations)
+    if not same(usual, _replay(simulation, recorded, recorded.observations)):
+        raise NotRun("the same observations give different actions, which same-seed-same-motion reports")
+    results = []
+    for inference in [number for number in _TRIED if number + 1 < len(recorded.inference_steps)]:
+        step = recorded.inference_steps[inference]
+        changed = _replay(simulation, recorded, _with_change(recorded, step, names))
         before = None
-        if step - 1 not in show.asked:
-            before = _replayed(simulation, show, _with_change(show, step - 1, names))
+        if step - 1 not in recorded.inference_steps:
+            before = _replay(simulation, recorded, _with_change(recorded, step - 1, names))
         scale = Scale([*usual, *changed, *(before or ())])
-        newest, late = (scale.effect(usual[place], changed[place]) for place in (question, question + 1))
-        older = None if before is None else scale.effect(usual[question], before[question])
-        found.append(Reaction(question, newest, older, late))
-        if not found[-1].lags and newest:
+        newest, late = (scale.effect(usual[index], changed[index]) for index in (inference, inference + 1))
+        older = None if before is None else scale.effect(usual[inference], before[inference])
+        results.append(Reaction(inference, newest, older, late))
+        if not results[-1].lags and newest:
             break
-    if not any(reaction.newest or reaction.before for reaction in found):
-        raise NotApplicable("no answer in the middle of the loop depends on what is observed then")
-    return found
+    if not any(reaction.newest or reaction.before for reaction in results):
+        raise NotApplicable("no action in the middle of the rollout depends on its observations")
+    return results
 
 
 def _changeable(simulation: Simulation, obs: ObservationDict) -> list[str]:
-    held = changed_inputs.present(obs)
-    names = [name for name in simulation.probe.required or held if name in held and name not in _CONSTANT]
+    present = changed_inputs.present(obs)
+    names = [name for name in simulation.probe.required or present if name in present and name not in _CONSTANT]
     if not names:
         raise NotApplicable("the manifest requires no input that changes in an episode and can be changed by an audit")
     return names
 
 
-def _with_change(show: Show, step: int, names: Sequence[str]) -> tuple[ObservationDict, ...]:
-    obs = show.observations[step]
+def _with_change(recorded: RecordedObservations, step: int, names: Sequence[str]) -> tuple[ObservationDict, ...]:
+    obs = recorded.observations[step]
     for name in names:
         obs = changed_inputs.varied(obs, name)
-    return (*show.observations[:step], obs, *show.observations[step + 1 :])
+    return (*recorded.observations[:step], obs, *recorded.observations[step + 1 :])
 
 
-def _replayed(simulation: Simulation, show: Show, observations: Sequence[ObservationDict]) -> list[Answer]:
-    """Show observations one after the other and return the answers.
+def _replay(
+    simulation: Simulation, recorded: RecordedObservations, observations: Sequence[ObservationDict]
+) -> list[Answer]:
+    """Send observations one after the other and return the actions.
 
     Raises:
-        NotRun: if there is an error in place of one.
+        NotRun: if the policy raises an error.
     """
     answers = []
-    with simulation.steady() as policy:
+    with simulation.comparable_session() as policy:
         policy.reset()
-        for step, obs in enumerate(observations[: show.asked[-1] + 1]):
-            told = [policy.update_obs_batch([obs])]
-            if step in show.asked:
-                told.append(policy.get_action_batch([obs[sdk.Obs.ENV_IDX]]))
-                answers.append(told[-1])
-            problem = next((answer for answer in told if isinstance(answer, PolicyServerError)), None)
+        for step, obs in enumerate(observations[: recorded.inference_steps[-1] + 1]):
+            replies = [policy.update_obs_batch([obs])]
+            if step in recorded.inference_steps:
+                replies.append(policy.get_action_batch([obs[sdk.Obs.ENV_IDX]]))
+                answers.append(replies[-1])
+            problem = next((answer for answer in replies if isinstance(answer, PolicyServerError)), None)
             if problem is not None:
-                raise NotRun(f"the adapter does not answer what it was shown in a loop: {problem}")
+                raise NotRun(f"the adapter fails on observations of a rollout: {problem}")
     return answers

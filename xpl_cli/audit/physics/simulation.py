@@ -1,4 +1,4 @@
-"""The MuJoCo fact: an adapter served for real and driven in physics, short closed loops that are played once each."""
+"""The fact `simulation`: a served adapter in MuJoCo, with short rollouts that run once each."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl.embodiment import get_embodiment
-from xpl_cli.audit.physics.loop import Driver, Result, Rollout, Show
-from xpl_cli.audit.physics.own_loop import Stage
-from xpl_cli.audit.rules.figures import ENVIRONMENT, Course
+from xpl_cli.audit.physics.evaluation_loop import ShortenedEnv
+from xpl_cli.audit.physics.rollout import EpisodeOutcome, PhysicsRollout, RecordedObservations, RolloutRunner
+from xpl_cli.audit.rules.measurements import ENVIRONMENT, RolloutSetup
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.environments import check
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 
     from xpl.contract import ObservationDict
     from xpl.environment import TaskEnv
-    from xpl_cli.audit.physics.loop import Watch
-    from xpl_cli.audit.physics.mirrors import World
-    from xpl_cli.audit.rules.figures import Figure
+    from xpl_cli.audit.physics.rollout import StepCallback
+    from xpl_cli.audit.physics.swaps import Swap
+    from xpl_cli.audit.rules.measurements import SuccessMeasurement
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.audit.served.session import Session
+    from xpl_cli.audit.served.recorded_client import RecordedClient
 
 STEPS, CHUNKS, MOST_STEPS = 40, 4, 240
-"""Control steps of one loop, and chunks, at least; and how many steps at most: short enough for every pull request."""
+"""Least control steps and chunks of one rollout, and most steps: short enough for every pull request."""
 _FIRST_SEED = 0
 _AT_ONCE = 4
-"""Whole episodes that are played in one batch."""
+"""Whole episodes that run in one batch."""
 
 
 class Simulation:
@@ -44,13 +44,13 @@ class Simulation:
     Attributes:
         probe: the adapter.
         frequency: control rate of the environment, Hz.
-        figures: what was measured over whole episodes.
+        measurements: success rates over whole episodes.
     """
 
     def __init__(self, probe: Probe) -> None:
         self.probe = probe
-        self.figures: list[Figure] = []
-        self._rollouts: dict[tuple[object, ...], Rollout] = {}
+        self.measurements: list[SuccessMeasurement] = []
+        self._rollouts: dict[tuple[object, ...], PhysicsRollout] = {}
         self._folder = environments.find(ENVIRONMENT)
         self._manifest = environments.manifest(self._folder)
         self.frequency = self._manifest.control_frequency
@@ -62,37 +62,37 @@ class Simulation:
     # -- what is driven ------------------------------------------------------------------------------------------------
 
     @cached_property
-    def courses(self) -> tuple[Course, ...]:
-        """What is driven: every robot and action type that the manifest declares and the environment offers.
+    def setups(self) -> tuple[RolloutSetup, ...]:
+        """Setups of rollouts: every robot and action type that the manifest declares and the environment supports.
 
-        The first pair, the configured one where it is offered, is driven in several tasks: those that were asked for,
-        or that the manifest claims to solve, or else the one that deploy.yml names and one of each capability
-        dimension. Every other pair is driven in one.
+        The first pair, the configured one if it is supported, runs in several tasks: those of the options, or those
+        that the manifest claims to solve, or else the one that deploy.yml names and one of each capability dimension.
+        Every other pair runs in one task.
 
         Raises:
-            NotApplicable: if nothing can be.
+            NotApplicable: if there is none.
         """
-        if unseen := self._unseen():
-            raise NotApplicable(f"the {ENVIRONMENT} environment does not observe with {', '.join(unseen)}")
-        found: list[Course] = []
+        if unsupported_cameras := self._unsupported_cameras():
+            raise NotApplicable(f"the {ENVIRONMENT} environment does not provide {', '.join(unsupported_cameras)}")
+        setups: list[RolloutSetup] = []
         for robot, action_type in self.probe.combinations():
             if robot in self._manifest.embodiments and action_type in self._manifest.action_types:
-                tasks = self._tasks(robot)[: 1 if found else None]
-                found += [Course(task, robot, action_type) for task in tasks]
-        if not found:
+                tasks = self._tasks(robot)[: 1 if setups else None]
+                setups += [RolloutSetup(task, robot, action_type) for task in tasks]
+        if not setups:
             robots = ", ".join(dict.fromkeys(robot for robot, _ in self.probe.combinations()))
             offered = ", ".join(self._manifest.embodiments)
-            why = f"for {robots} {ENVIRONMENT} has none of the tasks" if self._offers_one() else f"no {robots}"
+            why = f"for {robots} {ENVIRONMENT} has none of the tasks" if self._has_a_robot() else f"no {robots}"
             raise NotApplicable(f"the {ENVIRONMENT} environment has {why}; it has {offered}")
-        return tuple(found)
+        return tuple(setups)
 
     @property
-    def first(self) -> Course:
-        """The course in which experiments are made that need no more than one."""
-        return self.courses[0]
+    def first(self) -> RolloutSetup:
+        """The setup for experiments that need only one."""
+        return self.setups[0]
 
     def _tasks(self, robot: str) -> list[str]:
-        """Return the tasks in which a robot is driven, the most telling first."""
+        """Return the tasks of a robot, the most informative first."""
         offered = {name: task for name, task in self._manifest.tasks.items() if check.unsupported(task, robot) is None}
         claimed = self.probe.package.manifest.claims
         chosen = self.probe.options.tasks or [claim.task for claim in claimed if claim.environment == ENVIRONMENT]
@@ -104,61 +104,63 @@ class Simulation:
             by_dimension.setdefault(task.dimension or name, name)
         return list(dict.fromkeys([*([configured] if configured in offered else []), *by_dimension.values()]))
 
-    def _unseen(self) -> list[str]:
-        """Return needed cameras that the standard leaves to environments: this one has them for films only."""
+    def _unsupported_cameras(self) -> list[str]:
+        """Return required cameras that are optional in the standard: this environment has them for videos only."""
         needed = self.probe.package.manifest.required
         return [name for name in sdk.OPTIONAL_CAMERAS if f"{sdk.Obs.VISION}.{name}" in needed]
 
-    def _offers_one(self) -> bool:
+    def _has_a_robot(self) -> bool:
         return any(robot in self._manifest.embodiments for robot, _ in self.probe.combinations())
 
     # -- loops ---------------------------------------------------------------------------------------------------------
 
-    def rollouts(self) -> Iterator[Rollout]:
-        """Yield one loop of every course, whether it came to its end or not."""
-        for course in self.courses:
+    def rollouts(self) -> Iterator[PhysicsRollout]:
+        """Yield one rollout of every setup, whether it failed or not."""
+        for course in self.setups:
             yield self.rollout(course)
 
-    def sound_rollouts(self) -> Iterator[Rollout]:
-        """Yield one loop of every course.
+    def sound_rollouts(self) -> Iterator[PhysicsRollout]:
+        """Yield one rollout of every setup.
 
         Raises:
-            NotRun: if one did not come to its end; the rule `closed-loop` reports why.
+            NotRun: if one failed; the rule `closed-loop` reports why.
         """
-        for course in self.courses:
+        for course in self.setups:
             yield self.sound_rollout(course)
 
-    def rollout(self, course: Course, seeds: Sequence[int] = (_FIRST_SEED,), *, again: int = 0) -> Rollout:
-        """Drive the adapter for some chunks, by the server that all share; the same loop is played once per audit.
+    def rollout(self, setup: RolloutSetup, seeds: Sequence[int] = (_FIRST_SEED,), *, again: int = 0) -> PhysicsRollout:
+        """Run the adapter for some chunks on the shared server; the same rollout runs once per audit.
 
         Raises:
             NotRun: if the adapter cannot be served.
         """
-        key = ("shared", course, tuple(seeds), again)
+        key = ("shared", setup, tuple(seeds), again)
         if key not in self._rollouts:
-            with self.probe.served_as(course.embodiment, course.action_type) as session:
-                self._rollouts[key] = self._play(session, course, seeds, film=not again)
+            with self.probe.served_as(setup.embodiment, setup.action_type) as session:
+                self._rollouts[key] = self._run_rollout(session, setup, seeds, records_video=not again)
         return self._rollouts[key]
 
-    def sound_rollout(self, course: Course, seeds: Sequence[int] = (_FIRST_SEED,), *, again: int = 0) -> Rollout:
-        """Return a rollout that came to its end.
+    def sound_rollout(
+        self, setup: RolloutSetup, seeds: Sequence[int] = (_FIRST_SEED,), *, again: int = 0
+    ) -> PhysicsRollout:
+        """Return a rollout that did not fail.
 
         Raises:
-            NotRun: if it did not; the rule `closed-loop` reports why.
+            NotRun: if it failed; the rule `closed-loop` reports why.
         """
-        return _sound(self.rollout(course, seeds, again=again))
+        return _require_sound(self.rollout(setup, seeds, again=again))
 
-    def mirrored(self, course: Course, world: World) -> Rollout:
-        """Drive the adapter for some chunks in an environment in which one thing is exchanged.
+    def swapped_rollout(self, setup: RolloutSetup, swap: Swap) -> PhysicsRollout:
+        """Run the adapter for some chunks in an environment with one thing swapped.
 
         Raises:
             NotRun: if the loop did not come to its end.
         """
-        key = ("mirrored", course, (_FIRST_SEED,), world)
+        key = ("mirrored", setup, (_FIRST_SEED,), swap)
         if key not in self._rollouts:
-            with self.probe.served_as(course.embodiment, course.action_type) as session:
-                self._rollouts[key] = self._play(session, course, (_FIRST_SEED,), world=world)
-        return _sound(self._rollouts[key])
+            with self.probe.served_as(setup.embodiment, setup.action_type) as session:
+                self._rollouts[key] = self._run_rollout(session, setup, (_FIRST_SEED,), swap=swap)
+        return _require_sound(self._rollouts[key])
 
     @property
     def cameras(self) -> list[str]:
@@ -167,193 +169,206 @@ class Simulation:
         names = [name.partition(".")[2] for name in read if name.startswith(sdk.Obs.VISION)]
         return [name for name in names if name in self._manifest.cameras]
 
-    def afresh(self, seeds: Sequence[int], *, run: int) -> Rollout:
-        """Drive the first course by a server of its own, so that nothing was drawn or remembered before.
+    def fresh_rollout(self, seeds: Sequence[int], *, run: int) -> PhysicsRollout:
+        """Run the first setup on a new server, without earlier random numbers or memory.
 
         Raises:
             NotRun: if the loop did not come to its end.
         """
         key = ("fresh", self.first, tuple(seeds), run)
         if key not in self._rollouts:
-            with self._fresh() as session:
-                self._rollouts[key] = self._play(session, self.first, seeds)
-        return _sound(self._rollouts[key])
+            with self._fresh_session() as session:
+                self._rollouts[key] = self._run_rollout(session, self.first, seeds)
+        return _require_sound(self._rollouts[key])
 
-    def together(self, seeds: Sequence[int]) -> Rollout:
-        """Drive the first course in one batch, for a comparison with `alone`.
+    def batch_rollout(self, seeds: Sequence[int]) -> PhysicsRollout:
+        """Run the first setup in one batch, for a comparison with `single_rollout`.
 
         Raises:
             NotRun: if the loop did not come to its end.
         """
-        return self._steadily(seeds)
+        return self._comparable_rollout(seeds)
 
-    def alone(self, seeds: Sequence[int], place: int) -> Rollout:
-        """Ask about one environment of a batch by itself; it moves as it did there, so that it shows the same.
+    def single_rollout(self, seeds: Sequence[int], env_index: int) -> PhysicsRollout:
+        """Run inferences for one environment of a batch alone, with the same motion and so the same observations.
 
-        Answers to one's own commands would drift: batched kernels round differently, and each step adds to it.
+        With its own actions the motion would drift: batched kernels round differently, and each step adds to that.
 
         Args:
             seeds: of the batch.
-            place: of the environment; the others stand still.
+            env_index: the environment; the others stand still.
 
         Raises:
             NotRun: if a loop did not come to its end.
         """
-        return self._steadily(seeds, only=place, follows=self.together(seeds))
+        return self._comparable_rollout(seeds, only=env_index, executed_from=self.batch_rollout(seeds))
 
-    def beside_itself(self, seeds: Sequence[int], place: int) -> Rollout:
-        """Ask about one environment of a batch as `alone` does, in a batch as large, whose others show the same as it.
+    def repeated_rollout(self, seeds: Sequence[int], env_index: int) -> PhysicsRollout:
+        """Run inferences as `single_rollout` does, in a batch of the same size with copies of the one observation.
 
         Args:
             seeds: of the batch.
-            place: of the environment; the others stand still.
+            env_index: the environment; the others stand still.
 
         Raises:
             NotRun: if a loop did not come to its end.
         """
-        return self._steadily(seeds, only=place, follows=self.together(seeds), copied=True)
+        return self._comparable_rollout(seeds, only=env_index, executed_from=self.batch_rollout(seeds), copied=True)
 
-    def _steadily(
-        self, seeds: Sequence[int], only: int | None = None, follows: Rollout | None = None, *, copied: bool = False
-    ) -> Rollout:
+    def _comparable_rollout(
+        self,
+        seeds: Sequence[int],
+        only: int | None = None,
+        executed_from: PhysicsRollout | None = None,
+        *,
+        copied: bool = False,
+    ) -> PhysicsRollout:
         key = ("copied" if copied else "steady", self.first, tuple(seeds), only)
         if key not in self._rollouts:
-            with self.steady() as session:
-                self._rollouts[key] = self._play(session, self.first, seeds, only=only, follows=follows, copied=copied)
-        return _sound(self._rollouts[key])
+            with self.comparable_session() as session:
+                self._rollouts[key] = self._run_rollout(
+                    session, self.first, seeds, only=only, executed_from=executed_from, copied=copied
+                )
+        return _require_sound(self._rollouts[key])
 
     @contextlib.contextmanager
-    def steady(self) -> Iterator[Session]:
-        """Connect for an experiment whose answers are compared with those of another.
+    def comparable_session(self) -> Iterator[RecordedClient]:
+        """Connect for an experiment whose actions are compared with those of another.
 
-        Where the policy draws other random numbers in every episode, each experiment gets a server of its own.
+        If the policy draws other random numbers in every episode, each experiment gets a new server.
 
         Raises:
             NotApplicable: if the policy is declared not deterministic.
         """
         self.probe.require_deterministic()
-        course = self.first
-        with self.probe.served_as(course.embodiment, course.action_type) if self._repeats else self._fresh() as session:
+        setup = self.first
+        with (
+            self.probe.served_as(setup.embodiment, setup.action_type)
+            if self._repeats
+            else self._fresh_session() as session
+        ):
             yield session
 
     @cached_property
     def _repeats(self) -> bool:
-        """Whether one server drives the first course in its second episode as in its first."""
+        """Whether a second episode on one server equals the first."""
         return self.sound_rollout(self.first).digests == self.sound_rollout(self.first, again=1).digests
 
-    def _fresh(self) -> contextlib.AbstractContextManager[Session]:
-        course = self.first
+    def _fresh_session(self) -> contextlib.AbstractContextManager[RecordedClient]:
+        setup = self.first
         return self.probe.fresh_session(
-            **{sdk.Deploy.ENV_CFG_TYPE: course.embodiment, sdk.Deploy.ACTION_TYPE: course.action_type}
+            **{sdk.Deploy.ENV_CFG_TYPE: setup.embodiment, sdk.Deploy.ACTION_TYPE: setup.action_type}
         )
 
-    def show(self, questions: int) -> Show:
-        """Return what the policy is shown in the first course, up to a question.
+    def record_observations(self, inferences: int) -> RecordedObservations:
+        """Return the observations of the first setup, up to an inference.
 
         Args:
-            questions: how many are asked, where the course has as many.
+            inferences: number of inferences, if the rollout has as many.
 
         Raises:
             NotRun: if the loop did not come to its end.
         """
-        shown: list[ObservationDict] = []
-        with self.steady() as session:
-            played = self._play(session, self.first, (_FIRST_SEED,), shown=shown)
-        asked = tuple(query.step for query in _sound(played).queries[0][:questions])
-        return Show(tuple(shown[: asked[-1] + 1]), asked)
+        observations: list[ObservationDict] = []
+        with self.comparable_session() as session:
+            rollout = self._run_rollout(session, self.first, (_FIRST_SEED,), recorded=observations)
+        inference_steps = tuple(query.step for query in _require_sound(rollout).inferences[0][:inferences])
+        return RecordedObservations(tuple(observations[: inference_steps[-1] + 1]), inference_steps)
 
     @contextlib.contextmanager
-    def staged(self, count: int) -> Iterator[tuple[Stage, Session]]:
-        """Give the first course to a loop of somebody else's, with episodes that end in the middle of a chunk.
+    def shortened_env(self, count: int) -> Iterator[tuple[ShortenedEnv, RecordedClient]]:
+        """Provide the first setup for another evaluation loop, with episodes that end in the middle of a chunk.
 
         Args:
-            count: environments; each ends a chunk later than the one before.
+            count: number of environments; each ends a chunk later than the previous one.
         """
-        course, chunk = self.first, self._chunk
-        with contextlib.closing(self._make(course, count, None)) as env:
+        setup, chunk = self.first, self._chunk
+        with contextlib.closing(self._make_env(setup, count, None)) as env:
             env.reset(seed=list(range(count)))
-            stage = Stage(env, [(place + 1) * chunk + chunk // 2 + 1 for place in range(count)])
-            with self.probe.served_as(course.embodiment, course.action_type) as session:
-                yield stage, session
+            shortened = ShortenedEnv(env, [(env_index + 1) * chunk + chunk // 2 + 1 for env_index in range(count)])
+            with self.probe.served_as(setup.embodiment, setup.action_type) as session:
+                yield shortened, session
 
     # -- whole episodes ------------------------------------------------------------------------------------------------
 
-    def seeds(self, course: Course, count: int) -> list[int]:
-        """Return the first of the frozen evaluation seeds of a course's task.
+    def seeds(self, setup: RolloutSetup, count: int) -> list[int]:
+        """Return the first fixed evaluation seeds of a task.
 
         Raises:
             NotRun: if it has none.
         """
         try:
-            return check.seeds(self._folder, course.task, course.setting or self._manifest.settings[0])[:count]
+            return check.seeds(self._folder, setup.task, setup.setting or self._manifest.settings[0])[:count]
         except NotFoundError as error:
             raise NotRun(str(error)) from None
 
-    def episodes(self, course: Course, seeds: Sequence[int], world: World | None = None) -> list[Result]:
-        """Play whole episodes, some at a time in one batch, and return their results.
+    def run_episodes(self, setup: RolloutSetup, seeds: Sequence[int], swap: Swap | None = None) -> list[EpisodeOutcome]:
+        """Run whole episodes, several in one batch, and return their results.
 
         Args:
-            course: what is driven.
+            setup: task, robot and setting.
             seeds: one per episode.
-            world: how the environment differs from the real one.
+            swap: how the environment differs from the real one.
 
         Raises:
-            NotRun: if one breaks off.
+            NotRun: if one fails.
         """
-        results: list[Result] = []
-        with self.probe.served_as(course.embodiment, course.action_type) as session:
+        results: list[EpisodeOutcome] = []
+        with self.probe.served_as(setup.embodiment, setup.action_type) as session:
             for start in range(0, len(seeds), _AT_ONCE):
                 batch = tuple(seeds[start : start + _AT_ONCE])
-                key = ("whole", course, batch, world)
+                key = ("whole", setup, batch, swap)
                 if key not in self._rollouts:
-                    self._rollouts[key] = self._play(session, course, batch, whole=True, world=world, film=not world)
-                results += _sound(self._rollouts[key]).results
+                    self._rollouts[key] = self._run_rollout(
+                        session, setup, batch, whole=True, swap=swap, records_video=not swap
+                    )
+                results += _require_sound(self._rollouts[key]).results
         return results
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
-    def _play(  # noqa: PLR0913 - by keyword, how one episode differs from another
+    def _run_rollout(  # noqa: PLR0913 - by keyword, how one episode differs from another
         self,
-        session: Session,
-        course: Course,
+        session: RecordedClient,
+        setup: RolloutSetup,
         seeds: Sequence[int],
         *,
         only: int | None = None,
         whole: bool = False,
-        world: World | None = None,
-        film: bool = False,
-        shown: list[ObservationDict] | None = None,
-        follows: Rollout | None = None,
+        swap: Swap | None = None,
+        records_video: bool = False,
+        recorded: list[ObservationDict] | None = None,
+        executed_from: PhysicsRollout | None = None,
         copied: bool = False,
-    ) -> Rollout:
-        played = Rollout(course, get_embodiment(course.embodiment), tuple(seeds))
-        made = self._make(course, len(seeds), None if whole else self._steps)
-        with contextlib.closing(made):
-            made.reset(seed=list(seeds))
-            env = made if world is None else world.around(made, played.robot)
-            with self._filmed(course, seeds, wanted=film) as watch:
-                Driver(session, env, played, only, watch, shown, follows, copied).drive()
-        return played
+    ) -> PhysicsRollout:
+        rollout = PhysicsRollout(setup, get_embodiment(setup.embodiment), tuple(seeds))
+        real_env = self._make_env(setup, len(seeds), None if whole else self._steps)
+        with contextlib.closing(real_env):
+            real_env.reset(seed=list(seeds))
+            env = real_env if swap is None else swap.apply_to(real_env, rollout.robot)
+            with self._video_recording(setup, seeds, enabled=records_video) as on_step:
+                RolloutRunner(session, env, rollout, only, on_step, recorded, executed_from, copied).run()
+        return rollout
 
     @property
     def _chunk(self) -> int:
-        """Action steps of a chunk, as far as the manifest says."""
+        """Action steps of a chunk in the manifest, or 1."""
         return self.probe.package.manifest.temporal.chunk or 1
 
     @property
     def _steps(self) -> int:
         return min(MOST_STEPS, max(STEPS, CHUNKS * self._chunk))
 
-    def _make(self, course: Course, num_envs: int, max_steps: int | None) -> TaskEnv:
+    def _make_env(self, setup: RolloutSetup, num_envs: int, max_steps: int | None) -> TaskEnv:
         probe = self.probe
-        pair = {sdk.Deploy.ENV_CFG_TYPE: course.embodiment, sdk.Deploy.ACTION_TYPE: course.action_type}
+        pair = {sdk.Deploy.ENV_CFG_TYPE: setup.embodiment, sdk.Deploy.ACTION_TYPE: setup.action_type}
         try:
             settings = environment_settings(
                 probe.package,
                 ENVIRONMENT,
                 {**probe.config, **pair},
-                task=course.task,
-                setting=course.setting,
+                task=setup.task,
+                setting=setup.setting,
                 num_envs=num_envs,
             )
         except UserError as error:
@@ -361,30 +376,32 @@ class Simulation:
         return environments.make(ENVIRONMENT, {**settings.as_config(), "max_steps": max_steps})
 
     @contextlib.contextmanager
-    def _filmed(self, course: Course, seeds: Sequence[int], *, wanted: bool) -> Iterator[Watch | None]:
+    def _video_recording(
+        self, setup: RolloutSetup, seeds: Sequence[int], *, enabled: bool
+    ) -> Iterator[StepCallback | None]:
         folder = self.probe.options.video
-        if folder is None or not wanted:
+        if folder is None or not enabled:
             yield None
             return
-        from xpl_cli.audit.physics.film import films
+        from xpl_cli.audit.physics.video import record_videos
 
-        with films(folder, self.probe.package.name, course, seeds, self.frequency) as watch:
-            yield watch
+        with record_videos(folder, self.probe.package.name, setup, seeds, self.frequency) as on_step:
+            yield on_step
 
 
 def check_tasks(names: Sequence[str]) -> None:
-    """Check names of tasks before anything is started.
+    """Check names of tasks before the audit starts.
 
     Raises:
         NotFoundError: if the environment has no such task.
     """
-    known = environments.manifest(environments.find(ENVIRONMENT)).tasks
+    tasks = environments.manifest(environments.find(ENVIRONMENT)).tasks
     for name in names:
-        if name not in known:
-            raise NotFoundError(f"{ENVIRONMENT} has no task {name!r}; it has {', '.join(known)}")
+        if name not in tasks:
+            raise NotFoundError(f"{ENVIRONMENT} has no task {name!r}; it has {', '.join(tasks)}")
 
 
-def _sound(played: Rollout) -> Rollout:
-    if played.problem is not None:
-        raise NotRun(f"the closed loop of {played.course} did not come to its end: {played.problem}")
-    return played
+def _require_sound(rollout: PhysicsRollout) -> PhysicsRollout:
+    if rollout.problem is not None:
+        raise NotRun(f"the rollout of {rollout.setup} failed: {rollout.problem}")
+    return rollout

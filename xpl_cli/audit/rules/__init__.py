@@ -1,1 +1,1 @@
-"""What a rule is written with: findings, facts, its declaration, and what an audit is asked to do."""
+"""What rules are written with: findings, facts, declarations, and the options of an audit."""

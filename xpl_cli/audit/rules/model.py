@@ -1,4 +1,4 @@
-"""What an audit says: findings, results of rules, reports of gates and targets."""
+"""Findings, results of rules, and reports of gates and targets."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from xpl_cli.basics.errors import ExitCode
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from xpl_cli.audit.rules.figures import Figure
     from xpl_cli.audit.rules.gates import DataGate, Gate
-    from xpl_cli.audit.rules.profiles import Choice, Profile
+    from xpl_cli.audit.rules.measurements import SuccessMeasurement
+    from xpl_cli.audit.rules.profiles import Profile, ServedProfile
 
 Numbers = Mapping[str, Any]
-"""What shows or proves something: JSON values by name."""
+"""Evidence or proof: JSON values by name."""
 SHARED: Final = "shared"
-"""Key of evidence: whether what was found is in the golden pairs as well, so that both may have one mistake."""
+"""Key of evidence: whether the golden pairs have the same finding, so that both may have one mistake."""
 _NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?(e[-+]?\d+)?")
 
 
@@ -38,22 +38,22 @@ class Outcome(StrEnum):
 
 
 class NotApplicable(Exception):  # noqa: N818 - an outcome, not an error
-    """Raised by a rule that has nothing to prove on this target; the argument says why."""
+    """Raised by a rule that does not apply to this target; the argument says why."""
 
 
 class NotRun(Exception):  # noqa: N818 - an outcome, not an error
-    """Raised by a rule or a fact that cannot be had; the argument says why."""
+    """Raised by a rule that cannot run, or a fact that is not available; the argument says why."""
 
 
 @dataclass(frozen=True)
 class Edit:
-    """A piece of a file and what takes its place.
+    """A range of a file and its replacement.
 
     Args:
         path: file, relative to the adapter's folder.
-        line, column: where it begins; 1-based, columns counted in characters.
-        end_line, end_column: the first character behind it; where it begins, if the edit only inserts.
-        text: what stands there afterwards; empty to delete.
+        line, column: its start; 1-based, columns counted in characters.
+        end_line, end_column: the first character after it; equal to the start if the edit only inserts.
+        text: the replacement; empty to delete.
     """
 
     path: str
@@ -69,10 +69,10 @@ class Fix:
     """What to do about a finding.
 
     Args:
-        kind: `command` (text is an exact command), `safe_edit` (behaviour that is right stays as it is), `unsafe_edit`,
+        kind: `command` (text is an exact command), `safe_edit` (correct behaviour does not change), `unsafe_edit`,
             or `advice` (text is a sentence).
         text: the command, the edit in short, or the advice.
-        edits: the edit itself, for whoever carries it out; they do not overlap. Without any, a person has to do it.
+        edits: the edits for `--fix`; they do not overlap. Without any, the author has to do it.
     """
 
     kind: str
@@ -92,19 +92,19 @@ class Location(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong.
+    """One violation of a rule.
 
     Args:
         message: the consequence in one sentence.
-        path: file, relative to the adapter's folder, or None where no file is to blame.
+        path: file, relative to the adapter's folder, or None if it is in no file.
         line, column, end_line, end_column: 1-based range in that file, columns in characters; the end column is the
-            first one behind it.
+            first one after it.
         expected: what was expected.
-        got: what came.
+        got: what was found.
         evidence: frames and numbers that show it; JSON values.
         fix: what to do.
-        must: whether it fails. None: as the rule's requirement says. True: although that is a SHOULD. False: it only
-            warns although that is a MUST, since a reader cannot know; the message then says what is not known.
+        must: whether it fails. None: by the level of the rule's requirement. True: although that is a SHOULD. False: it
+            only warns although that is a MUST, since it is not certain; the message then says why.
     """
 
     message: str
@@ -124,7 +124,7 @@ class Finding:
 
         Args:
             code: the rule's.
-            path: file, as far as it has to be told from files of other adapters.
+            path: file, relative to the repository.
             occurrence: how many findings of this rule and message the file has up to this one, itself included.
         """
         text = "\0".join((code, path or self.path or "", _NUMBER.sub("#", self.message)))
@@ -135,7 +135,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Proof:
-    """What a rule proved, in numbers; a rule that has some to tell yields it besides its findings.
+    """What a rule proved, in numbers; a rule may yield one besides its findings.
 
     Args:
         numbers: by name, JSON values; what a verdict may print.
@@ -153,15 +153,15 @@ class Waived:
 
 
 @dataclass(frozen=True)
-class Result:
-    """What one rule found on one target.
+class RuleResult:
+    """The result of one rule on one target.
 
     Attributes:
         code, slug, requirement, severity: the rule's.
-        findings: what is wrong and counts.
-        reason: why there is nothing to say, for `not_applicable` and `not_run`, or how the rule crashed.
-        waived: what is wrong and was accepted; it changes no outcome.
-        proof: what was proved, in numbers, where the rule says so and found nothing.
+        findings: violations that count.
+        reason: why the rule did not apply or run, or how it crashed.
+        waived: accepted violations; they change no outcome.
+        proof: what was proved, in numbers; None with findings, or if the rule yields none.
     """
 
     code: str
@@ -185,21 +185,21 @@ class GateReport:
     """One gate on one target.
 
     Attributes:
-        finish: the deterministic finish line, where the gate ran.
-        digest: hash of what the adapter did; equal for equal behaviour under an equal fingerprint.
-        served: the profile and what stood in for the model, where the gate served the adapter.
+        finish: the deterministic finish line, if the gate ran.
+        digest: hash of the adapter's behaviour; equal for equal behaviour under an equal fingerprint.
+        served: the profile, if the gate served the adapter.
         figures: success rates and scores that were measured.
         source: hash of the package's files as the gate read them; None if it was not started.
     """
 
     name: Gate | DataGate
-    results: list[Result] = field(default_factory=list)
+    results: list[RuleResult] = field(default_factory=list)
     reason: str | None = None
     seconds: float = 0.0
     digest: str | None = None
     fingerprint: str | None = None
-    served: Choice | None = None
-    figures: tuple[Figure, ...] = ()
+    served: ServedProfile | None = None
+    measurements: tuple[SuccessMeasurement, ...] = ()
     source: str | None = None
 
     @property
@@ -213,10 +213,10 @@ class GateReport:
 
     @property
     def finish(self) -> str | None:
-        """The finish line: equal runs print equal lines, so that it holds no time and no path."""
+        """The finish line; without times and paths, so that equal runs print equal lines."""
         if self.reason is not None:
             return None
-        counts = counted(self.results)
+        counts = count_outcomes(self.results)
         numbers = " ".join(f"{outcome}={counts[outcome]}" for outcome in Outcome if counts[outcome])
         line = (
             f"XPL-FINISH gate={self.name} {self.outcome} {numbers} digest={self.digest} fingerprint={self.fingerprint}"
@@ -225,32 +225,32 @@ class GateReport:
 
     @property
     def profile(self) -> Profile | None:
-        """The profile, where the gate served the adapter."""
+        """The profile, if the gate served the adapter."""
         return None if self.served is None else self.served.name
 
     @property
     def stood_in(self) -> str | None:
-        """What stood in for the model, and why; None where everything was real."""
+        """Why the gate ran without the real model; None if it ran with it."""
         return None if self.served is None else self.served.sentence or None
 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What a verdict has to know of a package and of what was asked for, besides what rules found.
+    """What a verdict depends on besides results: the options, and the state of the package.
 
     Attributes:
-        narrowed: what was left out, in a few words; empty if everything was asked for.
-        settings: keys of deploy.yml that `--set` gave other values.
-        places: places that the author has to fill in, `FILE:LINE`.
-        unknown: model_io values that the manifest says are unknown.
-        assumed: values that the manifest says are assumed.
-        without_pairs: why there is nothing that conversions could be compared with; None if there is something.
-        is_unrecorded: whether that is because reference.py was never recorded.
+        narrowed: what the options left out, in a few words; empty if nothing.
+        settings: keys of deploy.yml that `--set` overrides.
+        placeholders: placeholders that the author has to fill in, `FILE:LINE`.
+        unknown: model_io values that the manifest declares unknown.
+        assumed: values that the manifest declares assumed.
+        without_pairs: why there are no golden pairs to compare conversions with; None if there are.
+        is_unrecorded: whether reference.py was never recorded.
     """
 
     narrowed: str = ""
     settings: tuple[str, ...] = ()
-    places: tuple[str, ...] = ()
+    placeholders: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     without_pairs: str | None = None
@@ -262,8 +262,8 @@ class TargetReport:
     """All gates of one target.
 
     Attributes:
-        circumstances: what its verdict (`verdict.judged`) depends on besides the results.
-        contents: text of the files that fixes edit, as the rules read it; no fix is applied to anything else.
+        circumstances: what its verdict (`verdict.verdict_of`) depends on besides the results.
+        contents: text of the files that fixes edit, as the rules read it; no fix is applied to other content.
     """
 
     path: str
@@ -274,21 +274,21 @@ class TargetReport:
     circumstances: Circumstances = field(default_factory=Circumstances)
 
     @property
-    def results(self) -> list[Result]:
+    def results(self) -> list[RuleResult]:
         """The results of all gates."""
         return [result for gate in self.gates for result in gate.results]
 
 
 def outcome_of(findings: tuple[Finding, ...], severity: str) -> Outcome:
-    """Return how a rule of a severity (`must`, `should`) ends with these findings."""
+    """Return the outcome of a rule of a severity (`must`, `should`) with these findings."""
     if not findings:
         return Outcome.PASS
     fails = (severity == "must" if finding.must is None else finding.must for finding in findings)
     return Outcome.FAIL if any(fails) else Outcome.WARN
 
 
-def counted(results: Iterable[Result]) -> Counter[str]:
-    """Return how many results have each outcome."""
+def count_outcomes(results: Iterable[RuleResult]) -> Counter[str]:
+    """Return the number of results of each outcome."""
     return Counter(result.outcome for result in results)
 
 
@@ -296,21 +296,21 @@ def exit_code(targets: Iterable[TargetReport], fail_on: Outcome = Outcome.FAIL) 
     """Return the exit code of an audit: findings before crashes before checks that could not run.
 
     Args:
-        targets: what was audited.
+        targets: the reports.
         fail_on: the mildest outcome that counts as a finding, `fail` or `warn`.
 
     Returns:
-        a package that proved nothing is `NOT_RUN`; where none had to be audited, as none changed, that is clean.
+        `NOT_RUN` if a package proved nothing; `CLEAN` if no package had to be audited, because none changed.
     """
     targets = list(targets)
     outcomes = [{gate.outcome for gate in target.gates} for target in targets]
     if any(result.outcome in {Outcome.FAIL, fail_on} for target in targets for result in target.results):
         return ExitCode.FINDINGS
-    if any(Outcome.ERROR in found for found in outcomes):
+    if any(Outcome.ERROR in gate_outcomes for gate_outcomes in outcomes):
         return ExitCode.INTERNAL
-    return ExitCode.CLEAN if all(_sound(found) for found in outcomes) else ExitCode.NOT_RUN
+    return ExitCode.CLEAN if all(_is_proven(found) for found in outcomes) else ExitCode.NOT_RUN
 
 
-def _sound(outcomes: set[Outcome]) -> bool:
-    """Tell whether gates with these outcomes proved something and left nothing open."""
+def _is_proven(outcomes: set[Outcome]) -> bool:
+    """Return whether gates with these outcomes proved something and left nothing open."""
     return Outcome.PASS in outcomes and outcomes <= {Outcome.PASS, Outcome.NOT_APPLICABLE}

@@ -1,4 +1,4 @@
-"""What an audit is asked to do."""
+"""Options of an audit."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
-from xpl_cli.audit.rules.clock import Clock
 from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.time_limit import TimeLimit
 from xpl_cli.basics.progress import Progress
 from xpl_cli.isolation.isolation_settings import IsolationSettings
 
@@ -20,8 +20,8 @@ PATIENCE_S = 30.0
 
 
 @dataclass(frozen=True)
-class Options:
-    """One request.
+class AuditOptions:
+    """Options of an audit.
 
     Attributes:
         gates: gates to run, in order.
@@ -30,21 +30,21 @@ class Options:
         overrides: keys of deploy.yml for the gates that serve the adapter.
         python, env: interpreter of the adapter, as for `xpl serve`.
         profile: what the gates that serve the adapter run on; None for the full one, or where the model cannot be
-            loaded here for want of something, the shadow.
-        profile_reason: why an earlier gate chose the shadow; None if it was asked for.
-        memory_limit: what the adapter's processes may hold, as for `xpl serve`.
-        isolate: keep the adapter from the network and from writing.
-        bounds: what it is kept from in this gate, as far as the machine allows.
-        patience: how long it may be silent while it loads or answers, s.
-        clock: how long the audit of one package may take.
-        tasks: tasks in which the physics gate drives the adapter; empty for its own choice.
-        episodes: whole episodes over which it measures success; None for what the manifest claims, or else a few.
+            loaded here because something is missing, the shadow.
+        profile_reason: why an earlier gate chose the shadow; None if the user chose it.
+        memory_limit: memory of the adapter's processes, as for `xpl serve`.
+        isolate: deny the adapter network access and writing.
+        bounds: isolation of this gate, as far as the machine supports it.
+        patience: timeout of loading and of each request, s.
+        time_limit: time limit for the audit of one package.
+        tasks: tasks of the MuJoCo gate; empty for its default.
+        episodes: episodes over which it measures success; None for the manifest's number, or else a few.
         move: whether environments that may be robots are reset and moved.
-        demos: folder or file of recorded episodes that a policy is held against; None for what the package names.
-        pictures: folder for pictures of findings; None to write none.
-        video: folder for films of what it plays; None to film nothing.
+        demos: folder or file of demonstrations to compare a policy with; None for those that the package names.
+        pictures: folder for plots of findings; None to write none.
+        video: folder for videos of the MuJoCo gate; None to record none.
         cache: folder with passes of the static gate (`xpl_cli.audit.engine.cache`); None to run every rule.
-        progress: told what is being done, for a person who waits.
+        progress: reports progress to the user.
     """
 
     gates: tuple[Gate, ...] = tuple(Gate)
@@ -60,7 +60,7 @@ class Options:
     isolate: bool = False
     bounds: IsolationSettings = field(default_factory=IsolationSettings)
     patience: float = PATIENCE_S
-    clock: Clock = field(default_factory=Clock)
+    time_limit: TimeLimit = field(default_factory=TimeLimit)
     tasks: tuple[str, ...] = ()
     episodes: int | None = None
     move: bool = False
@@ -72,10 +72,10 @@ class Options:
 
     @property
     def variant(self) -> str | None:
-        """The variant of policy.yml that is audited; None for what deploy.yml says, or else the policy itself."""
+        """The variant of policy.yml that is audited; None for that of deploy.yml, or else the policy itself."""
         return self.overrides.get(sdk.Deploy.VARIANT)
 
     @property
     def confinement(self) -> tuple[str, ...]:
-        """Options of `xpl serve` that keep the adapter within bounds."""
+        """Options of `xpl serve` for the adapter's limits and isolation."""
         return ("--memory-limit", self.memory_limit, "--patience", f"{self.patience:g}", *self.bounds.flags)

@@ -1,4 +1,4 @@
-"""What an audit serves: the real model, or a shadow of it; and why."""
+"""Profiles of an audit: with the real model, or in shadow mode."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from enum import StrEnum
 
 
 class Profile(StrEnum):
-    """What a gate that serves the adapter runs on, and with it which rules are required.
+    """Whether a gate serves the real model, which decides which rules are required.
 
-    `full` loads the real model. `shadow` skips that and puts a function of the encoded inputs in place of `predict`:
-    rules about the values of actions have nothing to judge then.
+    `full` loads the real model. `shadow` replaces `predict` by a function of the encoded inputs: rules about the values
+    of actions then do not apply.
     """
 
     FULL = "full"
@@ -18,12 +18,12 @@ class Profile(StrEnum):
 
 
 @dataclass(frozen=True)
-class Choice:
-    """What a gate serves.
+class ServedProfile:
+    """The profile that a gate serves.
 
     Attributes:
         name: the profile.
-        reason: why it is not the real model; None if it is, or if no more was asked for.
+        reason: why it is not the real model; None if it is, or if the user chose the shadow.
         env: environment of the adapter in place of the one that its manifest names, as for `xpl serve --env`.
     """
 
@@ -33,23 +33,23 @@ class Choice:
 
     @property
     def is_shadow(self) -> bool:
-        """Whether a shadow of the model answers."""
+        """Whether the model is replaced by a shadow."""
         return self.name is Profile.SHADOW
 
     @property
     def sentence(self) -> str:
-        """What a reader of the report has to know; empty where everything is real."""
+        """A note for the report; empty with the real model."""
         if not self.is_shadow:
             return ""
-        told = "shadow mode: the model was not loaded, and rules that only the model can break do not apply"
-        return f"{told} ({self.reason})" if self.reason else told
+        note = "shadow mode: the model was not loaded, and rules that only the model can break do not apply"
+        return f"{note} ({self.reason})" if self.reason else note
 
     @property
-    def briefly(self) -> str:
+    def short_note(self) -> str:
         """The same in a few words."""
         return "without the model" if self.is_shadow else ""
 
     @property
     def mark(self) -> str:
-        """The end of a finish line; empty where everything is real."""
+        """The end of a finish line; empty with the real model."""
         return f" profile={self.name}" if self.is_shadow else ""

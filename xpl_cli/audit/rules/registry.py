@@ -119,7 +119,7 @@ def rule(  # noqa: PLR0913 - what a rule says of itself
     """
 
     def declare(check: Check) -> Check:
-        entry = Entry.at(Path(inspect.getfile(check)), code)
+        entry = RuleEntry.at(Path(inspect.getfile(check)), code)
         check.__dict__["xpl_rule"] = Rule(
             code,
             entry.slug,
@@ -138,7 +138,7 @@ def rule(  # noqa: PLR0913 - what a rule says of itself
 
 
 @dataclass(frozen=True)
-class Entry:
+class RuleEntry:
     """What is known of a rule without importing it, as those of gates that do not run are not.
 
     Attributes:
@@ -152,10 +152,10 @@ class Entry:
     slug: str
     folder: str
     path: Path
-    source: registry.Entry | None = None
+    source: registry.RegisteredEntry | None = None
 
     @classmethod
-    def of_package(cls, path: Path, source: registry.Entry) -> Self:
+    def of_package(cls, path: Path, source: registry.RegisteredEntry) -> Self:
         """Return what the place of a rule's file in an installed package says.
 
         Raises:
@@ -164,9 +164,9 @@ class Entry:
         try:
             entry = replace(cls.at(path), source=source)
         except (RegistryError, OSError, UnicodeDecodeError) as error:
-            raise source.broken(str(error)) from None
+            raise source.unusable(str(error)) from None
         if not _CODE.fullmatch(entry.code) or entry.code.startswith(OUR_CODES):
-            raise source.broken(
+            raise source.unusable(
                 f"{path} begins with the code {entry.code!r:.40}: expected letters and three digits, such as TINY101, "
                 f"and not {OUR_CODES}, which is ours"
             )
@@ -175,7 +175,7 @@ class Entry:
     @property
     def origin(self) -> str:
         """The distribution that brings it."""
-        return registry.OURS if self.source is None else self.source.distribution
+        return registry.BUILT_IN_DISTRIBUTION if self.source is None else self.source.distribution
 
     @classmethod
     def at(cls, path: Path, code: str | None = None) -> Self:
@@ -191,7 +191,7 @@ class Entry:
         slug, folder = path.parent.name, path.parent.parent.name
         if folder not in _FOLDERS:
             raise RegistryError(f"{path} is in none of the folders of rules: {', '.join(_FOLDERS)}")
-        return cls(_first_word(path) if code is None else code, slug, folder, path)
+        return cls(_read_code(path) if code is None else code, slug, folder, path)
 
     @property
     def gates(self) -> tuple[Gate, ...]:
@@ -213,8 +213,8 @@ class Entry:
             RegistryError: if that is not what its folder leaves open.
         """
         if (declared is None) != (len(self.gates) == 1):
-            wanted = "its folder says the gate" if declared else "its folder leaves the gate open: give gate="
-            raise RegistryError(f"{self.path}: {wanted}")
+            problem = "its folder says the gate" if declared else "its folder leaves the gate open: give gate="
+            raise RegistryError(f"{self.path}: {problem}")
         return self.gates[0] if declared is None else Gate(declared)
 
     def runs_in(self, gate: Gate | DataGate) -> bool:
@@ -245,41 +245,41 @@ class Entry:
             EntryPointError: it is a package's, and cannot be imported, or says another code than its first line.
         """
         if self.source is None:
-            return _declared(self.path)
+            return _load_rule(self.path)
         try:
-            rule = _declared(self.path)
+            rule = _load_rule(self.path)
         except Exception as error:
-            raise self.source.broken(f"{self.path}: {type(error).__name__}: {error}") from error
+            raise self.source.unusable(f"{self.path}: {type(error).__name__}: {error}") from error
         if rule.code != self.code:
-            raise self.source.broken(f"{self.path} begins with {self.code}, and declares {rule.code}")
+            raise self.source.unusable(f"{self.path} begins with {self.code}, and declares {rule.code}")
         return rule
 
 
 @cache
-def own() -> tuple[Entry, ...]:
+def builtin_entries() -> tuple[RuleEntry, ...]:
     """Return every rule of the conformance room, not imported, in order of code."""
     paths = content.room("conformance").glob(_FILES)
-    return tuple(sorted(map(Entry.at, paths), key=lambda item: item.code))
+    return tuple(sorted(map(RuleEntry.at, paths), key=lambda item: item.code))
 
 
 @cache
-def entries() -> tuple[Entry, ...]:
+def entries() -> tuple[RuleEntry, ...]:
     """Return every rule, ours and those of installed packages, not imported, in order of code.
 
     Raises:
         EntryPointError: a package's cannot be used, or has a code or a name that another rule has.
     """
-    found = {name: entry for entry in own() for name in (entry.code, entry.slug)}
+    by_name = {name: entry for entry in builtin_entries() for name in (entry.code, entry.slug)}
     added = []
     for folder, source in registry.folders(registry.RULES).items():
         for path in sorted(folder.glob(_FILES)):
-            entry = Entry.of_package(path, source)
+            entry = RuleEntry.of_package(path, source)
             for name in (entry.code, entry.slug):
-                other = found.setdefault(name, entry)
+                other = by_name.setdefault(name, entry)
                 if other is not entry:
-                    raise source.broken(f"{path} and {other.path} of {other.origin} are both called {name}")
+                    raise source.unusable(f"{path} and {other.path} of {other.origin} are both called {name}")
             added.append(entry)
-    return tuple(sorted((*own(), *added), key=lambda item: item.code))
+    return tuple(sorted((*builtin_entries(), *added), key=lambda item: item.code))
 
 
 def rules() -> tuple[Rule, ...]:
@@ -304,7 +304,7 @@ def find(name: str) -> Rule:
     raise no_such(f"there is no rule {name!r}", name, names, listing="xpl rules")
 
 
-def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, ...]) -> tuple[Entry, ...]:
+def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, ...]) -> tuple[RuleEntry, ...]:
     """Return the rules of some gates that a selection leaves, not imported, in order of code.
 
     Args:
@@ -328,30 +328,30 @@ def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, .
     )
 
 
-def lookup(name: str) -> Entry | None:
+def lookup(name: str) -> RuleEntry | None:
     """Return what stands for a rule of this code or slug, None if there is none."""
     return next((item for item in entries() if retired.current(name) in {item.code, item.slug}), None)
 
 
-def needed(item: Rule, way: tuple[str, ...] = ()) -> tuple[Entry, ...]:
+def prerequisites(item: Rule, chain: tuple[str, ...] = ()) -> tuple[RuleEntry, ...]:
     """Return the rules that a rule comes after.
 
     Raises:
         RegistryError: if it names a rule that is not there or runs in another gate, or if it comes after itself.
     """
-    found = []
+    others = []
     for slug in item.after:
-        if slug in {*way, item.slug}:
-            raise RegistryError(f"rules wait for each other: {' after '.join((*way, item.slug, slug))}")
+        if slug in {*chain, item.slug}:
+            raise RegistryError(f"rules wait for each other: {' after '.join((*chain, item.slug, slug))}")
         other = lookup(slug)
         if other is None or not other.runs_in(item.gate):
             raise RegistryError(f"{item.slug} comes after {slug!r}, which is no rule of the {item.gate} gate")
-        needed(other.load(), (*way, item.slug))
-        found.append(other)
-    return tuple(found)
+        prerequisites(other.load(), (*chain, item.slug))
+        others.append(other)
+    return tuple(others)
 
 
-def _matches(entry: Entry, name: str) -> bool:
+def _matches(entry: RuleEntry, name: str) -> bool:
     if name == ADVICE:
         return entry.is_advice
     name = retired.current(name)
@@ -359,13 +359,13 @@ def _matches(entry: Entry, name: str) -> bool:
     return entry.slug == name or (prefix.startswith(letters) and entry.code.startswith(prefix))
 
 
-def _first_word(path: Path) -> str:
+def _read_code(path: Path) -> str:
     """Return the code with which the docstring of a rule's file begins."""
     with path.open(encoding="utf-8") as stream:
         return stream.readline().removeprefix('"""').partition(":")[0]
 
 
-def _declared(path: Path) -> Rule:
+def _load_rule(path: Path) -> Rule:
     module: Any = content.load_module(path)
     declared = [value.xpl_rule for value in vars(module).values() if hasattr(value, "xpl_rule")]
     if len(declared) != 1:

@@ -1,7 +1,7 @@
-"""What a verdict says: one word for what an audit comes to, what it proves, and what it does not and why.
+"""Verdicts: the status of an audit, what it proves, and what it does not prove and why.
 
-`GREEN` is never said alone: what is proven stands behind it. A run that looked at less than everything has a word of
-its own, and so has a package that is not finished. `Word` and `CLAIMS` are all there is.
+`GREEN` is always followed by what is proven. A run that left something out has a status of its own, and so has an
+unfinished package. `VerdictStatus` and `CLAIMS` are complete lists.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from xpl_cli.packages.package import ENV, POLICY
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from xpl_cli.audit.rules.model import Circumstances, GateReport, Numbers, Result, TargetReport
+    from xpl_cli.audit.rules.model import Circumstances, GateReport, Numbers, RuleResult, TargetReport
 
 _MOST: Final = 3
-"""Codes and places that are named; of more their number is told."""
+"""Most codes and placeholders that are named; of more the number is given."""
 
 _NOTHING_WRONG: Final = "nothing wrong in what ran"
 
 
-class Word(StrEnum):
-    """What an audit comes to; docs/audit.md says what each word means. Where several apply, the first one is said."""
+class VerdictStatus(StrEnum):
+    """The status of an audit; docs/audit.md explains each. If several apply, the first one counts."""
 
     RED = "red"
     INCOMPLETE = "incomplete"
@@ -39,37 +39,37 @@ class Word(StrEnum):
 
 
 @dataclass(frozen=True)
-class Claim:
+class VerdictClaim:
     """Something that an audit can prove of a package.
 
     Attributes:
-        word: how reports call it.
+        name: its name in reports.
         subject: what is unproven without it.
-        rule: code of the rule whose proof it is; empty for what all gates prove together.
-        needs: codes of rules without which that proof is of something else.
-        details: what of the numbers of a proof is told, in words.
+        rule: code of the rule that proves it; empty for what all gates prove together.
+        needs: codes of rules that must hold for that proof.
+        details: yields the numbers of a proof in words.
     """
 
-    word: str
+    name: str
     subject: str
     rule: str = ""
     needs: tuple[str, ...] = ()
     details: Callable[[Numbers], Iterable[str]] = lambda _: ()
 
-    def told(self, numbers: Numbers) -> str:
+    def describe(self, numbers: Numbers) -> str:
         """Return the claim with the numbers of its proof, as `parity (24 pairs; assumed: gripper, frame)`."""
         detail = "; ".join(self.details(numbers))
-        return f"{self.word} ({detail})" if detail else self.word
+        return f"{self.name} ({detail})" if detail else self.name
 
 
-def _of_parity(numbers: Numbers) -> Iterable[str]:
-    """Yield the pairs that were compared, and the conventions that nobody was found to say."""
+def _parity_details(numbers: Numbers) -> Iterable[str]:
+    """Yield the number of golden pairs, and the conventions without a source."""
     yield amount(numbers.get("pairs", 0), "pair")
     if not numbers.get("conventions", True):
         yield "no convention named"
     elif numbers.get("assumptions"):
         yield f"assumed: {', '.join(numbers['assumptions'])}"
-    elif "assumed" in numbers:  # as reports of earlier versions have it
+    elif "assumed" in numbers:  # in reports of earlier versions
         yield f"{amount(numbers['assumed'], 'convention')} assumed" if numbers["assumed"] else "no convention assumed"
     if numbers.get("undetermined"):
         yield f"undetermined: {', '.join(numbers['undetermined'])}"
@@ -78,69 +78,69 @@ def _of_parity(numbers: Numbers) -> Iterable[str]:
             **numbers["margin"]
         )
     if "independent" in numbers:
-        told = listed(numbers["independent"], _MOST)
-        yield f"independent: {told}" if told else "one reading twice"
+        sources = listed(numbers["independent"], _MOST)
+        yield f"independent: {sources}" if sources else "one reading twice"
     if numbers.get(SHARED):
         yield f"one mistake may be in both ({listed(numbers[SHARED], _MOST)})"
 
 
-def _of_demonstrations(numbers: Numbers) -> Iterable[str]:
-    """Yield the episodes that the policy was held against."""
+def _demonstration_details(numbers: Numbers) -> Iterable[str]:
+    """Yield the number of demonstrations that the policy was compared with."""
     yield amount(numbers.get("episodes", 0), "episode")
 
 
-CONTRACT: Final = Claim("contract", "contract")
-PARITY: Final = Claim("parity", "conversions", rule="XPL260", needs=("XPL261",), details=_of_parity)
-CHECKED: Final = Claim("all checks", "demonstrations")
-CLAIMS: Final[Mapping[str, tuple[Claim, ...]]] = {
+CONTRACT: Final = VerdictClaim("contract", "contract")
+PARITY: Final = VerdictClaim("parity", "conversions", rule="XPL260", needs=("XPL261",), details=_parity_details)
+CHECKED: Final = VerdictClaim("all checks", "demonstrations")
+CLAIMS: Final[Mapping[str, tuple[VerdictClaim, ...]]] = {
     POLICY: (CONTRACT, PARITY),
     ENV: (CONTRACT,),
     DEMONSTRATIONS: (CHECKED,),
 }
-"""What can be proven of each kind of package, in the order in which it is told."""
+"""The claims for each kind of package, in the order of reports."""
 
-FOLLOWED: Final = Claim(
-    "demonstrations", "conventions of training", rule="XPL270", needs=("XPL271",), details=_of_demonstrations
+DEMONSTRATED: Final = VerdictClaim(
+    "demonstrations", "conventions of training", rule="XPL270", needs=("XPL271",), details=_demonstration_details
 )
-"""What is told only of who gave demonstrations. It stands in the statement; lists in reports,
-whose words are frozen, lack it."""
+"""Only for audits with demonstrations. It is in the statement, but not in the lists of the JSON report,
+whose values are fixed."""
 
-_WITNESSES: Final = {"XPL262": "kinematics of the authors' rows", FOLLOWED.rule: "demonstrations"}
-"""Rules that hold conventions against something that neither the adapter nor reference.py was written from."""
+_INDEPENDENT_EVIDENCE: Final = {"XPL262": "kinematics of the authors' rows", DEMONSTRATED.rule: "demonstrations"}
+"""Rules that compare conventions with evidence independent of the adapter and reference.py."""
 
-_OF_RULES: Final = frozenset(code for claim in (PARITY, FOLLOWED) for code in (claim.rule, *claim.needs))
+_CLAIM_RULES: Final = frozenset(code for claim in (PARITY, DEMONSTRATED) for code in (claim.rule, *claim.needs))
 
 
 @dataclass(frozen=True)
-class Proven:
+class ProvenClaim:
     """A claim that holds.
 
     Attributes:
         claim: the claim.
-        numbers: what the rule said that it proved.
+        numbers: the rule's proof.
     """
 
-    claim: Claim
+    claim: VerdictClaim
     numbers: Numbers = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return it in words."""
-        return self.claim.told(self.numbers)
+        return self.claim.describe(self.numbers)
 
 
 @dataclass(frozen=True)
-class Unproven:
-    """A claim that was not shown to hold.
+class UnprovenClaim:
+    """A claim that was not proven.
 
     Attributes:
         claim: the claim.
         reason: why.
-        is_told: whether a verdict names it; one that nobody asked for, or that the word tells, is not.
+        is_reported: whether the statement names it; not if the options left it out, or the status implies it.
     """
 
-    claim: Claim
+    claim: VerdictClaim
     reason: str
-    is_told: bool = True
+    is_reported: bool = True
 
     def __str__(self) -> str:
         """Return it in words."""
@@ -149,62 +149,62 @@ class Unproven:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What an audit of one package comes to.
+    """The verdict on one package.
 
     Attributes:
-        word: in a word.
-        about: what the word is about; for `GREEN` what is proven.
+        status: the status.
+        about: the reason of the status; for `GREEN` what is proven.
         proven, unproven: every claim of the kind of package is in one of them.
-        waived: codes of the rules with findings that the manifest accepts, each as often as it has some.
-        beside: what else was held against something that not every audit is given, proven or not.
+        waived: codes of the rules with waived findings, once per finding.
+        extra: claims that need data which not every audit has, such as demonstrations, proven or not.
     """
 
-    word: Word
+    status: VerdictStatus
     about: str
-    proven: tuple[Proven, ...] = ()
-    unproven: tuple[Unproven, ...] = ()
+    proven: tuple[ProvenClaim, ...] = ()
+    unproven: tuple[UnprovenClaim, ...] = ()
     waived: tuple[str, ...] = ()
-    beside: tuple[Proven | Unproven, ...] = ()
+    extra: tuple[ProvenClaim | UnprovenClaim, ...] = ()
 
     def __str__(self) -> str:
         """Return it as people read it: `GREEN contract; conversions unproven (no reference.py)`."""
-        return f"{self.word.upper()} {self.said}"
+        return f"{self.status.upper()} {self.details}"
 
     @property
-    def said(self) -> str:
-        """What stands behind the word."""
+    def details(self) -> str:
+        """The statement without the status."""
         parts = [self.about]
-        if self.word is not Word.GREEN:
-            parts += map(str, (*self.proven, *(item for item in self.beside if isinstance(item, Proven))))
+        if self.status is not VerdictStatus.GREEN:
+            parts += map(str, (*self.proven, *(item for item in self.extra if isinstance(item, ProvenClaim))))
         if self.waived:
-            parts.append(f"{amount(len(self.waived), 'finding')} waived ({_named(self.waived)})")
-        unproven = [*self.unproven, *(item for item in self.beside if isinstance(item, Unproven))]
-        return "; ".join([*parts, *(str(item) for item in unproven if item.is_told)])
+            parts.append(f"{amount(len(self.waived), 'finding')} waived ({_list_codes(self.waived)})")
+        unproven = [*self.unproven, *(item for item in self.extra if isinstance(item, UnprovenClaim))]
+        return "; ".join([*parts, *(str(item) for item in unproven if item.is_reported)])
 
     def as_json(self) -> dict[str, object]:
         """Return it as keys of a target in audit.schema.json."""
         return {
-            "verdict": self.word.value,
+            "verdict": self.status.value,
             "statement": str(self),
-            "proven": [{"word": item.claim.word, "numbers": dict(item.numbers)} for item in self.proven],
-            "unproven": [{"word": item.claim.word, "reason": item.reason} for item in self.unproven],
+            "proven": [{"word": item.claim.name, "numbers": dict(item.numbers)} for item in self.proven],
+            "unproven": [{"word": item.claim.name, "reason": item.reason} for item in self.unproven],
         }
 
 
 @dataclass(frozen=True)
-class Ended:
-    """What a verdict has to know of one gate.
+class GateSummary:
+    """The part of a gate's report that a verdict needs.
 
     Attributes:
         name: the gate's.
         outcome: how it ended.
-        reason: why it was not started, or had nothing to prove.
-        stood_in: what stood in for the model, in a few words; empty if everything was real.
+        reason: why it was not started, or did not apply.
+        stood_in: what replaced the model, in a few words; empty with the real model.
         failed, crashed, not_run: codes of the rules that ended so.
-        waived: codes of rules with findings that were accepted, each as often as it has some.
-        proofs: what rules said that they proved, by code.
-        doubts: why rules that prove a claim prove none here, by code.
-        shared: codes of rules that found in the golden pairs what they found in the adapter.
+        waived: codes of the rules with waived findings, once per finding.
+        proofs: the rules' proofs, by code.
+        doubts: why rules of a claim do not prove it here, by code.
+        shared: codes of rules with the same finding in the golden pairs as in the adapter.
     """
 
     name: str
@@ -221,14 +221,14 @@ class Ended:
 
     @classmethod
     def of(cls, gate: GateReport) -> Self:
-        """Return what is to be known of a gate that was carried out, or that waits for another one."""
+        """Return the summary of a gate's report."""
         of = {outcome: tuple(item.code for item in gate.results if item.outcome is outcome) for outcome in Outcome}
-        silent = next((item.reason for item in gate.results if item.reason), None)
+        unstarted_reason = next((item.reason for item in gate.results if item.reason), None)
         return cls(
             name=gate.name.value,
             outcome=gate.outcome,
-            reason=gate.reason or (silent if gate.outcome is Outcome.NOT_APPLICABLE else None),
-            stood_in="" if gate.served is None else gate.served.briefly,
+            reason=gate.reason or (unstarted_reason if gate.outcome is Outcome.NOT_APPLICABLE else None),
+            stood_in="" if gate.served is None else gate.served.short_note,
             failed=of[Outcome.FAIL],
             crashed=of[Outcome.ERROR],
             not_run=of[Outcome.NOT_RUN],
@@ -237,133 +237,143 @@ class Ended:
             shared=tuple(
                 item.code for item in gate.results if any((one.evidence or {}).get(SHARED) for one in item.findings)
             ),
-            doubts={item.code: doubt for item in gate.results if item.code in _OF_RULES and (doubt := _doubt(item))},
+            doubts={
+                item.code: doubt for item in gate.results if item.code in _CLAIM_RULES and (doubt := _doubt_of(item))
+            },
         )
 
 
-def judged(report: TargetReport) -> Verdict:
+def verdict_of(report: TargetReport) -> Verdict:
     """Return the verdict on a package that was audited."""
-    return judge(report.kind, [Ended.of(gate) for gate in report.gates], report.circumstances)
+    return judge(report.kind, [GateSummary.of(gate) for gate in report.gates], report.circumstances)
 
 
-def judge(kind: str, gates: Sequence[Ended], around: Circumstances) -> Verdict:
+def judge(kind: str, gates: Sequence[GateSummary], circumstances: Circumstances) -> Verdict:
     """Return the verdict on a package.
 
     Args:
         kind: `policy` or `env`.
         gates: how its gates ended.
-        around: what else has to be known.
+        circumstances: what else has to be known.
     """
     ran = [gate.name for gate in gates]
-    if not around.narrowed and len(ran) < len(GATES.get(kind, ())):
-        around = replace(around, narrowed=f"{' and '.join(ran) or 'no gate'} only")
-    word = _word(gates, around)
-    about = _about(word, gates, around)
-    proven: list[Proven] = []
-    unproven: list[Unproven] = []
-    found: Proven | Unproven
+    if not circumstances.narrowed and len(ran) < len(GATES.get(kind, ())):
+        circumstances = replace(circumstances, narrowed=f"{' and '.join(ran) or 'no gate'} only")
+    status = _status_of(gates, circumstances)
+    about = _describe_status(status, gates, circumstances)
+    proven: list[ProvenClaim] = []
+    unproven: list[UnprovenClaim] = []
+    item: ProvenClaim | UnprovenClaim
     for claim in CLAIMS[kind]:
         if not claim.rule:
-            found = Proven(claim) if word is Word.GREEN else Unproven(claim, about, is_told=False)
+            item = (
+                ProvenClaim(claim) if status is VerdictStatus.GREEN else UnprovenClaim(claim, about, is_reported=False)
+            )
         else:
-            found = _by_rule(claim, gates, around)
-        proven += [found] if isinstance(found, Proven) else []
-        unproven += [found] if isinstance(found, Unproven) else []
-    beside = tuple(_beside(gates, around)) if kind == POLICY else ()
-    if word is Word.GREEN:
-        held = [*proven, *(item for item in beside if isinstance(item, Proven))]
-        about = ", ".join([*map(str, held), *_asides(gates, around)])
-    elif word not in (Word.RED, Word.INCOMPLETE):
+            item = _claim_of_rule(claim, gates, circumstances)
+        proven += [item] if isinstance(item, ProvenClaim) else []
+        unproven += [item] if isinstance(item, UnprovenClaim) else []
+    extra = tuple(_demonstration_claims(gates, circumstances)) if kind == POLICY else ()
+    if status is VerdictStatus.GREEN:
+        proven_items = [*proven, *(item for item in extra if isinstance(item, ProvenClaim))]
+        about = ", ".join([*map(str, proven_items), *_limits_of_contract(gates, circumstances)])
+    elif status not in (VerdictStatus.RED, VerdictStatus.INCOMPLETE):
         about = f"{about}: {_NOTHING_WRONG}"
     waived = tuple(code for gate in gates for code in gate.waived)
-    return Verdict(word, about, tuple(proven), tuple(unproven), waived, beside)
+    return Verdict(status, about, tuple(proven), tuple(unproven), waived, extra)
 
 
-def weakest(words: Iterable[Word]) -> Word:
-    """Return the word for several packages: that of the one of which least can be said; green for none."""
-    return min(words, key=list(Word).index, default=Word.GREEN)
+def weakest(statuses: Iterable[VerdictStatus]) -> VerdictStatus:
+    """Return the lowest of several statuses; green for none."""
+    return min(statuses, key=list(VerdictStatus).index, default=VerdictStatus.GREEN)
 
 
-def _word(gates: Sequence[Ended], around: Circumstances) -> Word:
+def _status_of(gates: Sequence[GateSummary], circumstances: Circumstances) -> VerdictStatus:
     outcomes = {gate.outcome for gate in gates}
     if outcomes & {Outcome.FAIL, Outcome.ERROR}:
-        return Word.RED
+        return VerdictStatus.RED
     if Outcome.PASS not in outcomes or not outcomes <= {Outcome.PASS, Outcome.NOT_APPLICABLE}:
-        return Word.INCOMPLETE
-    if around.places or around.unknown:
-        return Word.OPEN
+        return VerdictStatus.INCOMPLETE
+    if circumstances.placeholders or circumstances.unknown:
+        return VerdictStatus.OPEN
     if any(gate.stood_in for gate in gates):
-        return Word.SHADOW
-    return Word.PARTIAL if around.narrowed else Word.GREEN
+        return VerdictStatus.SHADOW
+    return VerdictStatus.PARTIAL if circumstances.narrowed else VerdictStatus.GREEN
 
 
-def _about(word: Word, gates: Sequence[Ended], around: Circumstances) -> str:
-    """Return what a word is about, but for green."""
-    if word in (Word.RED, Word.INCOMPLETE):
-        told = [
-            _counted([code for gate in gates for code in gate.failed], "failed"),
-            _counted([code for gate in gates for code in gate.crashed], "crashed"),
-            _counted([code for gate in gates if gate.reason is None for code in gate.not_run], "could not run"),
+def _describe_status(status: VerdictStatus, gates: Sequence[GateSummary], circumstances: Circumstances) -> str:
+    """Return the reason of a status other than green."""
+    if status in (VerdictStatus.RED, VerdictStatus.INCOMPLETE):
+        counts = [
+            _count_codes([code for gate in gates for code in gate.failed], "failed"),
+            _count_codes([code for gate in gates for code in gate.crashed], "crashed"),
+            _count_codes([code for gate in gates if gate.reason is None for code in gate.not_run], "could not run"),
         ]
-        return ", ".join(filter(None, told)) or _silent(gates)
+        return ", ".join(filter(None, counts)) or _gate_reasons(gates)
     caveats = [
-        _places(around.places, "place", "to fill in"),
-        _places(around.unknown, "model_io value", "unknown"),
+        _count_places(circumstances.placeholders, "place", "to fill in"),
+        _count_places(circumstances.unknown, "model_io value", "unknown"),
         ", ".join(dict.fromkeys(gate.stood_in for gate in gates if gate.stood_in)),
-        around.narrowed,
+        circumstances.narrowed,
     ]
     return ", ".join(filter(None, caveats))
 
 
-def _silent(gates: Sequence[Ended]) -> str:
-    """Return why gates came to nothing of which no rule tells."""
+def _gate_reasons(gates: Sequence[GateSummary]) -> str:
+    """Return why gates did not start."""
     reasons = dict.fromkeys(f"{gate.name}: {gate.reason}" for gate in gates if gate.reason)
     return "; ".join(reasons) or "nothing was checked"
 
 
-def _asides(gates: Sequence[Ended], around: Circumstances) -> Iterable[str]:
-    """Yield how far the contract was tried, where that is less than usual."""
+def _limits_of_contract(gates: Sequence[GateSummary], circumstances: Circumstances) -> Iterable[str]:
+    """Yield what limits the proof of the contract."""
     for gate in gates:
         if gate.outcome is Outcome.NOT_APPLICABLE:
             yield f"not in the {gate.name} gate ({gate.reason or 'no rule of it applies'})"
-    if around.assumed and around.without_pairs is not None:
-        yield f"{amount(len(around.assumed), 'value')} assumed ({', '.join(around.assumed)})"
-    if around.settings:
-        yield f"with --set {listed(around.settings, _MOST)}"
+    if circumstances.assumed and circumstances.without_pairs is not None:
+        yield f"{amount(len(circumstances.assumed), 'value')} assumed ({', '.join(circumstances.assumed)})"
+    if circumstances.settings:
+        yield f"with --set {listed(circumstances.settings, _MOST)}"
 
 
-def _beside(gates: Sequence[Ended], around: Circumstances) -> Iterable[Proven | Unproven]:
-    """Yield what follows from demonstrations, where there were some."""
-    codes = {FOLLOWED.rule, *FOLLOWED.needs}
+def _demonstration_claims(
+    gates: Sequence[GateSummary], circumstances: Circumstances
+) -> Iterable[ProvenClaim | UnprovenClaim]:
+    """Yield the claim of demonstrations, if there are any."""
+    codes = {DEMONSTRATED.rule, *DEMONSTRATED.needs}
     if any(codes & {*gate.proofs, *gate.doubts} for gate in gates):
-        yield _by_rule(FOLLOWED, gates, around)
+        yield _claim_of_rule(DEMONSTRATED, gates, circumstances)
 
 
-def _by_rule(claim: Claim, gates: Sequence[Ended], around: Circumstances) -> Proven | Unproven:
-    """Return whether the rule of a claim has proved it; one doubt, wherever it comes from, is enough against it."""
+def _claim_of_rule(
+    claim: VerdictClaim, gates: Sequence[GateSummary], circumstances: Circumstances
+) -> ProvenClaim | UnprovenClaim:
+    """Return a claim as proven by its rule; a single doubt makes it unproven."""
     doubts = [gate.doubts[code] for code in (*claim.needs, claim.rule) for gate in gates if code in gate.doubts]
     proofs = [(gate, gate.proofs[claim.rule]) for gate in gates if claim.rule in gate.proofs]
-    is_asked = bool(not around.narrowed or doubts or proofs)
-    if claim is PARITY and around.without_pairs is not None:
-        return Unproven(claim, around.without_pairs, is_asked)
+    is_reported = bool(not circumstances.narrowed or doubts or proofs)
+    if claim is PARITY and circumstances.without_pairs is not None:
+        return UnprovenClaim(claim, circumstances.without_pairs, is_reported)
     if doubts or not proofs:
-        return Unproven(claim, doubts[0] if doubts else f"{claim.rule} proved nothing", is_asked)
+        return UnprovenClaim(claim, doubts[0] if doubts else f"{claim.rule} proved nothing", is_reported)
     stand_ins = [gate.stood_in for gate, _ in proofs if gate.stood_in]
     if stand_ins:
-        return Unproven(claim, stand_ins[0])
-    return Proven(claim, {**proofs[0][1], **_around_parity(gates)} if claim is PARITY else proofs[0][1])
+        return UnprovenClaim(claim, stand_ins[0])
+    return ProvenClaim(claim, {**proofs[0][1], **_parity_evidence(gates)} if claim is PARITY else proofs[0][1])
 
 
-def _around_parity(gates: Sequence[Ended]) -> Numbers:
-    """Return what else is known of conventions that adapter and reference.py agree on: one author may err twice."""
+def _parity_evidence(gates: Sequence[GateSummary]) -> Numbers:
+    """Return further evidence for conventions: adapter and reference.py may share one author's mistake."""
     proofs = {code for gate in gates for code in gate.proofs}
     shared = [code for gate in gates for code in gate.shared]
-    found: dict[str, object] = {"independent": [word for code, word in _WITNESSES.items() if code in proofs]}
-    return {**found, SHARED: shared} if shared else found
+    evidence: dict[str, object] = {
+        "independent": [word for code, word in _INDEPENDENT_EVIDENCE.items() if code in proofs]
+    }
+    return {**evidence, SHARED: shared} if shared else evidence
 
 
-def _doubt(result: Result) -> str | None:
-    """Return why a rule that would prove something does not; None if it does, or if it only has to hold, and does."""
+def _doubt_of(result: RuleResult) -> str | None:
+    """Return why a rule does not prove its claim; None if it does, or if it only has to hold and does."""
     if result.waived:
         return f"findings of {result.code} are waived"
     if result.findings:
@@ -371,14 +381,14 @@ def _doubt(result: Result) -> str | None:
     return None if result.outcome is Outcome.PASS else result.reason
 
 
-def _places(found: Sequence[str], noun: str, what: str) -> str:
-    return f"{amount(len(found), noun)} {what} ({listed(found, 1)})" if found else ""
+def _count_places(entries: Sequence[str], noun: str, what: str) -> str:
+    return f"{amount(len(entries), noun)} {what} ({listed(entries, 1)})" if entries else ""
 
 
-def _counted(codes: Sequence[str], what: str) -> str:
-    return f"{amount(len(codes), 'rule')} {what} ({_named(codes)})" if codes else ""
+def _count_codes(codes: Sequence[str], what: str) -> str:
+    return f"{amount(len(codes), 'rule')} {what} ({_list_codes(codes)})" if codes else ""
 
 
-def _named(codes: Sequence[str]) -> str:
-    """Return codes, each once; those that come most often are not told from others."""
+def _list_codes(codes: Sequence[str]) -> str:
+    """Return codes as text, each once, however often it occurs."""
     return listed(list(Counter(codes)), _MOST)

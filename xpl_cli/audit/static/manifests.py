@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from xpl.nested import written
+from xpl.nested import format_path
 from xpl_cli.audit.rules.model import Edit, Finding, Fix, Location
 from xpl_cli.standard import spec
 
@@ -30,7 +30,7 @@ def schema_findings(source: Source, name: str, schema: str, consequence: str) ->
 
     for problem in validate_yaml_file(source.path / name, schema):
         yield Finding(
-            f"{consequence.format(written(problem.path) or name)}: {problem.told.partition(': expected ')[0]}",
+            f"{consequence.format(format_path(problem.path) or name)}: {problem.told.partition(': expected ')[0]}",
             path=name,
             line=problem.line,
             column=problem.column,

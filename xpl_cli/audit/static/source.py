@@ -238,7 +238,7 @@ class Source:
             NotRun: if there is no such variant.
         """
         written = self.manifest_of(sdk.File.DEPLOY_YML)
-        return written if self.variant is None else variants.merged(written, self._chosen[1])
+        return written if self.variant is None else variants.merge_patch(written, self._chosen[1])
 
     @cached_property
     def manifest(self) -> Manifest:
@@ -253,7 +253,7 @@ class Source:
     def _chosen(self) -> tuple[Entry, Entry]:
         """What policy.yml says of the variant, and what that changes in deploy.yml."""
         try:
-            return variants.chosen(self.manifest_of(sdk.File.POLICY_YML), self.variant)
+            return variants.apply_variant(self.manifest_of(sdk.File.POLICY_YML), self.variant)
         except variants.VariantError as error:
             raise NotRun(str(error)) from None
 

@@ -52,29 +52,29 @@ def record(
     adapter = packages.load(policy, overrides)
     with progress() as say:
         options = recording.RecordOptions(overrides, python, policy_env, patience, say, diff)
-        done = recording.record(adapter, options)
+        result = recording.record(adapter, options)
     path = adapter.path / names.PAIRS
-    following = [shlex.join(["xpl", "audit", policy])]
-    differs = ExitCode.FINDINGS if diff and done.changes != () else ExitCode.CLEAN
+    next_steps = [shlex.join(["xpl", "audit", policy])]
+    differs = ExitCode.FINDINGS if diff and result.changes != () else ExitCode.CLEAN
     if as_json:
-        console.answer("xpl.model-io-record/1", _document(adapter.name, str(path), done), following)
+        console.answer("xpl.model-io-record/1", _document(adapter.name, str(path), result), next_steps)
         raise typer.Exit(differs)
     if diff:
-        for line in done.changes if done.changes is not None else [f"{path} is not there, or cannot be used"]:
+        for line in result.changes if result.changes is not None else [f"{path} is not there, or cannot be used"]:
             console.data(line)
         raise typer.Exit(differs)
     console.data(str(path))
-    for line in _lines(done):
+    for line in _lines(result):
         console.note(line)
-    console.note(f"next: {following[0]}")
+    console.note(f"next: {next_steps[0]}")
 
 
-def _document(name: str, path: str, done: RecordResult) -> dict[str, Any]:
+def _document(name: str, path: str, result: RecordResult) -> dict[str, Any]:
     return {
         "policy": name,
         "path": path,
-        "bytes": done.size,
-        "pairs": done.pairs.count,
+        "bytes": result.size,
+        "pairs": result.pairs.count,
         "sessions": [
             {
                 "embodiment": one.embodiment,
@@ -82,32 +82,34 @@ def _document(name: str, path: str, done: RecordResult) -> dict[str, Any]:
                 "pairs": len(one.questions),
                 "takes": one.takes,
             }
-            for one in done.pairs.sessions
+            for one in result.pairs.sessions
         ],
-        "conventions": done.conventions,
-        "assumed": list(done.assumed),
-        "noise": dict(done.noise),
-        "changes": None if done.changes is None else list(done.changes),
+        "conventions": result.conventions,
+        "assumed": list(result.assumed),
+        "noise": dict(result.noise),
+        "changes": None if result.changes is None else list(result.changes),
     }
 
 
-def _lines(done: RecordResult) -> list[str]:
+def _lines(result: RecordResult) -> list[str]:
     """Return what was recorded, for people."""
     from xpl_cli.basics.sizes import told_size
 
-    kinds = ", ".join(f"{one.embodiment} {one.action_type} ({len(one.questions)})" for one in done.pairs.sessions)
-    takes = max(one.takes for one in done.pairs.sessions)
+    kinds = ", ".join(f"{one.embodiment} {one.action_type} ({len(one.questions)})" for one in result.pairs.sessions)
+    takes = max(one.takes for one in result.pairs.sessions)
     each = f", {takes} answers each" if takes > 1 else ""
     assumed = (
-        f"{len(done.assumed)} of them assumed: {', '.join(done.assumed)}" if done.assumed else "none of them assumed"
+        f"{len(result.assumed)} of them assumed: {', '.join(result.assumed)}"
+        if result.assumed
+        else "none of them assumed"
     )
-    noise = max(done.noise.values(), default=0.0)
+    noise = max(result.noise.values(), default=0.0)
     apart = "two recordings are equal" if noise == 0 else f"two recordings differ by up to {noise:.1g} of the span"
     return [
-        f"{done.pairs.count} pairs{each}, {told_size(done.size)}: {kinds}",
-        f"{done.conventions} conventions named, {assumed}",
+        f"{result.pairs.count} pairs{each}, {told_size(result.size)}: {kinds}",
+        f"{result.conventions} conventions named, {assumed}",
         *([] if takes > 1 else [apart]),
-        *(f"changed: {sentence}" for sentence in done.changes or ()),
+        *(f"changed: {sentence}" for sentence in result.changes or ()),
     ]
 
 
@@ -137,12 +139,12 @@ def reference(policy: str = POLICY, as_json: bool = JSON) -> None:
         raise UserError(f"{adapter.path / sdk.File.POLICY_YML}: {error}") from None
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror or error}") from None
-    following = [shlex.join(["xpl", "model-io", "record", policy])]
+    next_steps = [shlex.join(["xpl", "model-io", "record", policy])]
     if as_json:
-        console.answer("xpl.model-io-reference/1", {"policy": adapter.name, "path": str(path)}, following)
+        console.answer("xpl.model-io-reference/1", {"policy": adapter.name, "path": str(path)}, next_steps)
         return
     console.data(str(path))
-    console.note(f"next: fill in what is marked, then {following[0]}")
+    console.note(f"next: fill in what is marked, then {next_steps[0]}")
 
 
 @app.command()
@@ -182,24 +184,28 @@ def show(
     overrides = packages.parse_overrides(settings)
     adapter = packages.load(policy, overrides)
     subject = of(adapter, overrides)
-    pair = None if watch or image or environment is not None else report.first_pair(subject)
-    answered = None
+    golden_pair = None if watch or image or environment is not None else report.first_pair(subject)
+    golden_action = None
     if environment is not None:
         episode = scene.EnvironmentEpisode(environment, task, seed)
         view = scene.of_environment(episode, subject.robot, subject.action_type, subject.cameras)
-    elif pair is not None:
-        view, answered = pair[0], (pair[1], pair[2])
+    elif golden_pair is not None:
+        view, golden_action = golden_pair[0], (golden_pair[1], golden_pair[2])
     else:
         view = scene.scripted(subject.package.manifest, subject.robot, subject.cameras, subject.reach)
     view = scene.photographed(view, _photos(image))
-    place = predict_run.RunOptions(python, policy_env, patience)
-    known = (
+    run_options = predict_run.RunOptions(python, policy_env, patience)
+    reference_source = (
         reference_file.read_file(adapter.path)
         if (adapter.path / names.CODE).is_file()
         else reference_file.ReferenceFile()
     )
-    conventions = cite_conventions(adapter, known, python, policy_env)
-    found = report.report_from_run(subject, view, place) if watch else report.report_from_block(subject, view, answered)
+    conventions = cite_conventions(adapter, reference_source, python, policy_env)
+    found = (
+        report.report_from_run(subject, view, run_options)
+        if watch
+        else report.report_from_block(subject, view, golden_action)
+    )
     found = replace(found, conventions=conventions)
     files = output.write(found, out)
     if as_json:
@@ -215,13 +221,13 @@ def _photos(image: list[str]) -> dict[str, Path]:
     """Return the file of each camera, of `CAMERA=FILE`."""
     from xpl_cli.basics.errors import UserError
 
-    found = {}
-    for told in image:
-        camera, equals, file = told.partition("=")
+    files = {}
+    for option in image:
+        camera, equals, file = option.partition("=")
         if not (camera and equals and file):
-            raise UserError(f"--image takes CAMERA=FILE, got {told!r}")
-        found[camera] = Path(file)
-    return found
+            raise UserError(f"--image takes CAMERA=FILE, got {option!r}")
+        files[camera] = Path(file)
+    return files
 
 
 @app.command()
@@ -239,17 +245,17 @@ def kinematics(
 
     adapter = packages.load(policy)
     try:
-        found = sample_verdicts.judge_samples(adapter.manifest, [adapter.path])
+        verdicts_found = sample_verdicts.judge_samples(adapter.manifest, [adapter.path])
     except (sample_verdicts.NotJudgeableError, ConversionError) as error:
         raise UserError(f"{adapter.path}: {error}", code=ExitCode.NOT_RUN) from None
     if as_json:
-        verdicts = [verdict.document() for verdict in found]
+        verdicts = [verdict.document() for verdict in verdicts_found]
         console.answer("xpl.model-io-kinematics/1", {"policy": adapter.name, "verdicts": verdicts}, [])
     else:
-        for verdict in found:
+        for verdict in verdicts_found:
             console.data(verdict.sentence)
     good = {consistency.AGREES, consistency.OPEN}
-    raise typer.Exit(ExitCode.CLEAN if all(one.outcome in good for one in found) else ExitCode.FINDINGS)
+    raise typer.Exit(ExitCode.CLEAN if all(one.outcome in good for one in verdicts_found) else ExitCode.FINDINGS)
 
 
 @app.command()
@@ -268,12 +274,12 @@ def sources(
     from xpl_cli.packages import package as packages
 
     adapter = packages.load(policy)
-    found = cite_conventions(adapter, reference_file.read_file(adapter.path), python, policy_env)
+    cited = cite_conventions(adapter, reference_file.read_file(adapter.path), python, policy_env)
     if as_json:
-        document = {"policy": adapter.name, "conventions": [one.document() for one in found]}
+        document = {"policy": adapter.name, "conventions": [one.document() for one in cited]}
         console.answer("xpl.model-io-sources/1", document, [])
     else:
-        for one in found:
+        for one in cited:
             for line in one.format_lines():
                 console.data(line)
-    raise typer.Exit(ExitCode.FINDINGS if any(one.problem for one in found) else ExitCode.CLEAN)
+    raise typer.Exit(ExitCode.FINDINGS if any(one.problem for one in cited) else ExitCode.CLEAN)

@@ -1,4 +1,4 @@
-"""The adapter's own evaluation loop, run in physics: does it play an episode to its end, and no further?"""
+"""The adapter's own evaluation loop in physics: does it run an episode to its end, and no further?"""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.audit.served.recorded_client import Answer, RecordedClient
 
-_LACKING = (ImportError.__name__, ModuleNotFoundError.__name__)
+_IMPORT_ERRORS = (ImportError.__name__, ModuleNotFoundError.__name__)
 
 
 @dataclass
-class Stage:
-    """A task environment that ends its episodes when it is told to, and notes who goes on.
+class ShortenedEnv:
+    """A task environment with given episode lengths, which counts actions after their end.
 
     Attributes:
-        env: the real one, reset.
+        env: the real environment, reset.
         lengths: per environment, control steps after which its episode ends.
         steps: per environment, control steps that were executed.
         late: actions for environments whose episode had ended.
@@ -42,14 +42,14 @@ class Stage:
     late: int = 0
 
     def __post_init__(self) -> None:
-        """Begin."""
+        """Start at step 0."""
         self.steps = [0] * len(self.lengths)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.env, name)
 
     def get_running_env_idx_list(self) -> list[int]:
-        """Return the environments whose episode goes on."""
+        """Return the indices of environments whose episode is running."""
         return [env for env in self.env.get_running_env_idx_list() if self.steps[env] < self.lengths[env]]
 
     def is_episode_end(self) -> bool:
@@ -61,16 +61,16 @@ class Stage:
         env_idx_list: Sequence[int] | None = None,
         last_frame: bool = False,  # noqa: FBT001, FBT002 - as loops pass it
     ) -> list[ObservationDict]:
-        """Return observations of some environments, by default of those that run."""
-        wanted = self.get_running_env_idx_list() if env_idx_list is None else env_idx_list
-        return self.env.get_obs_batch(wanted, last_frame)
+        """Return observations of some environments, by default of all running ones."""
+        indices = self.get_running_env_idx_list() if env_idx_list is None else env_idx_list
+        return self.env.get_obs_batch(indices, last_frame)
 
     def take_action(self, action: Action) -> Report:
         """Execute one action step in the only environment."""
         return self.take_action_batch([action], [0])[0]
 
     def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> list[Report]:
-        """Execute one action step in some environments; none in those that have ended."""
+        """Execute one action step in some environments, except those that have ended."""
         running = self.get_running_env_idx_list()
         ended = [env for env in env_idx_list if env not in running]
         self.late += len(ended)
@@ -83,7 +83,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class LoopClient:
-    """What an evaluation loop calls the policy by."""
+    """The policy client for an evaluation loop."""
 
     session: RecordedClient
 
@@ -91,7 +91,7 @@ class LoopClient:
         """Run an operation of the policy.
 
         Raises:
-            PolicyServerError: in place of an answer.
+            PolicyServerError: if the policy raises an error.
         """
         answer = self.session.call(func_name, obs)
         if isinstance(answer, PolicyServerError):
@@ -100,12 +100,12 @@ class LoopClient:
 
 
 @contextlib.contextmanager
-def loop_of(folder: Path, options: AuditOptions) -> Iterator[AdapterLoop]:
-    """Give the evaluation loops of an adapter's deploy.py, in a process that ends with the `with` block.
+def adapter_loop(folder: Path, options: AuditOptions) -> Iterator[AdapterLoop]:
+    """Provide the evaluation loops of an adapter's deploy.py, in a process that ends with the `with` block.
 
     Args:
         folder: of the adapter.
-        options: how it is audited, and kept within bounds.
+        options: options of the audit, with its isolation.
 
     Raises:
         NotApplicable: if there is none.
@@ -120,46 +120,46 @@ def loop_of(folder: Path, options: AuditOptions) -> Iterator[AdapterLoop]:
         yield loop
 
 
-def problem_of(loop: AdapterLoop, stage: Stage, session: RecordedClient, *, batch: bool) -> str | None:
-    """Run a loop and return what is wrong with how it plays, or None.
+def run_loop(loop: AdapterLoop, env: ShortenedEnv, session: RecordedClient, *, batch: bool) -> str | None:
+    """Run a loop and return its problem, or None.
 
     Raises:
-        NotApplicable: there is no such loop, or it needs what is not installed here.
+        NotApplicable: if there is no such loop, or it needs a library that is not installed here.
     """
     try:
         loop.load(batch=batch)
     except NotFoundError as error:
         raise NotApplicable(str(error)) from None
     except LoopRaisedError as error:
-        if error.kind in _LACKING:
+        if error.kind in _IMPORT_ERRORS:
             raise NotApplicable(f"{sdk.File.DEPLOY_PY} cannot be imported here: {error.message}") from None
         return f"cannot be imported: {error.kind}: {error.message}"
     except LoopError as error:
         return f"cannot be imported: {error}"
-    return _broken_off(loop, stage, session, batch=batch) or _misplayed(stage)
+    return _loop_error(loop, env, session, batch=batch) or _wrong_length(env)
 
 
-def _broken_off(loop: AdapterLoop, stage: Stage, session: RecordedClient, *, batch: bool) -> str | None:
+def _loop_error(loop: AdapterLoop, env: ShortenedEnv, session: RecordedClient, *, batch: bool) -> str | None:
     try:
-        loop.run_trial(stage, LoopClient(session), batch=batch)
+        loop.run_trial(env, LoopClient(session), batch=batch)
     except EndlessLoopError:
-        return "does not notice that the episode has ended, and goes on for ever"
+        return "does not detect the end of the episode, and never returns"
     except ClientError as error:
-        return f"breaks off, because the policy cannot be asked: {error}"
+        return f"fails, because the policy cannot be reached: {error}"
     except LoopRaisedError as error:
-        return f"breaks off: {error.kind}: {error.message}"
+        return f"fails: {error.kind}: {error.message}"
     except LoopError as error:
-        return f"breaks off: {error}"
+        return f"fails: {error}"
     except Exception as error:  # noqa: BLE001 - what the environment refused
-        return f"breaks off: {type(error).__name__}: {error}"
+        return f"fails: {type(error).__name__}: {error}"
     return None
 
 
-def _misplayed(stage: Stage) -> str | None:
-    short = [env for env, (done, length) in enumerate(zip(stage.steps, stage.lengths, strict=True)) if done < length]
+def _wrong_length(env: ShortenedEnv) -> str | None:
+    short = [env for env, (done, length) in enumerate(zip(env.steps, env.lengths, strict=True)) if done < length]
     if short:
-        left = stage.steps[short[0]]
-        return f"returns before the episode has ended, after {left} of {stage.lengths[short[0]]} steps"
-    if stage.late:
+        steps = env.steps[short[0]]
+        return f"returns before the episode has ended, after {steps} of {env.lengths[short[0]]} steps"
+    if env.late:
         return "executes actions of an episode that has ended"
     return None

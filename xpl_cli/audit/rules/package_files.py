@@ -1,4 +1,4 @@
-"""Whether a package is still there: one that is run may remove its own files."""
+"""Detect files that a package removed while it ran."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ _SHOWN = 3
 
 
 @dataclass(frozen=True)
-class Presence:
-    """The files that a package's folder held when it was looked at first."""
+class PackageFiles:
+    """The files directly in a package's folder before it ran."""
 
     path: Path
     names: tuple[str, ...]
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        """Look at a folder; one that cannot be read has no files that could go."""
+        """Return the files of a folder; none if it cannot be read."""
         try:
-            names = sorted(os.listdir(path))  # noqa: PTH208 - names are all that is asked for
+            names = sorted(os.listdir(path))  # noqa: PTH208 - only names are needed
         except OSError:
             names = []
         return cls(path, tuple(name for name in names if _is_file(path / name)))
 
     @property
     def loss(self) -> str | None:
-        """What has gone since, in words; None if all is there."""
+        """A sentence on files removed since, or None."""
         gone = [name for name in self.names if not _is_file(self.path / name)]
         if not gone:
             return None
@@ -40,4 +40,4 @@ class Presence:
 
 
 def _is_file(path: Path) -> bool:
-    return os.path.isfile(path)  # noqa: PTH113 - Path.is_file raises where nobody may look
+    return os.path.isfile(path)  # noqa: PTH113 - Path.is_file raises without permission

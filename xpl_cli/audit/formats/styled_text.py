@@ -1,7 +1,7 @@
-"""Text for a terminal: pieces with a style, wrapped between words and coloured where that is wanted.
+"""Text for a terminal: pieces with a style, wrapped between words and coloured if the terminal supports it.
 
-A report for people is printed at the end of every audit; a library that can do far more than this takes longer to
-import than the static gate takes to run.
+A text report is printed at the end of every audit; importing a full library for this would take longer than the static
+gate.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _CODES: Final = {"bold": 1, "dim": 2, "red": 31, "green": 32, "yellow": 33, "mag
 
 
 @dataclass(frozen=True)
-class Terminal:
-    """What output goes to.
+class OutputStyle:
+    """Width and colours of an output stream.
 
     Attributes:
-        width: columns; None where lines are not wrapped, as in a file.
+        width: columns; None if lines are not wrapped, as in a file.
         colour: whether styles are shown.
     """
 
@@ -34,7 +34,7 @@ class Terminal:
 
     @classmethod
     def of(cls, stream: TextIO) -> Self:
-        """Return what a stream leads to. `NO_COLOR` and `FORCE_COLOR` (no-color.org, force-color.org) decide first."""
+        """Return the style of a stream. `NO_COLOR` and `FORCE_COLOR` (no-color.org, force-color.org) decide first."""
         is_terminal = stream.isatty()
         colour = is_terminal and os.environ.get("TERM") != "dumb"
         if os.environ.get("NO_COLOR"):
@@ -45,11 +45,11 @@ class Terminal:
 
 
 @dataclass
-class Painted:
+class StyledText:
     """Text in pieces, each with a style such as `bold red`; may hold several lines.
 
     Attributes:
-        wraps: whether its lines may be broken; those of commands that are to be pasted may not.
+        wraps: whether its lines may be wrapped; commands to paste are not.
     """
 
     wraps: bool = True
@@ -74,22 +74,22 @@ class Painted:
         return self
 
     def height(self, width: int) -> int:
-        """Return how many lines of a terminal it takes."""
+        """Return the number of terminal lines that it needs."""
         return 1 + self.plain.count("\n") + len(self._breaks(width))
 
-    def shown(self, terminal: Terminal) -> str:
-        """Return the text as it is to be written."""
+    def render(self, terminal: OutputStyle) -> str:
+        """Return the text with wrapping and colours for a terminal."""
         breaks = self._breaks(terminal.width) if self.wraps and terminal.width is not None else {}
-        written, place = [], 0
+        written, offset_of_piece = [], 0
         for text, style in self._pieces:
             codes = [str(_CODES[word]) for word in style.split()] if terminal.colour else []
-            piece = "".join(breaks.get(place + offset, character) for offset, character in enumerate(text))
+            piece = "".join(breaks.get(offset_of_piece + offset, character) for offset, character in enumerate(text))
             written.append(f"\x1b[{';'.join(codes)}m{piece}\x1b[0m" if codes and piece else piece)
-            place += len(text)
+            offset_of_piece += len(text)
         return "".join(written)
 
     def _breaks(self, width: int) -> dict[int, str]:
-        """Return the places of spaces that have to become line ends, with the line end and the indent after it."""
+        """Return the offsets of spaces that become line ends, with the line end and the indent after it."""
         breaks: dict[int, str] = {}
         start = 0
         for line in self.plain.split("\n"):
@@ -99,7 +99,7 @@ class Painted:
                 spaces = len(word.group()) - len(word.group().lstrip(" "))
                 size = sum(map(_cells, word.group()))
                 if spaces and word.start() > 0 and column + size > width:
-                    # The last of several spaces becomes the line end; those before it are behind the last word.
+                    # The last of several spaces becomes the line end; the others stay at the end of the line.
                     breaks[start + word.start() + spaces - 1] = "\n" + " " * indent
                     column, size = indent, size - spaces
                 column += size

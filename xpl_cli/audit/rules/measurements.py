@@ -1,4 +1,4 @@
-"""Success rates and scores over whole episodes: what was measured, in what, and how sure that is."""
+"""Success rates and scores over whole episodes, with confidence intervals."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ ENVIRONMENT = "mujoco"
 
 
 @dataclass(frozen=True)
-class Course:
-    """What is driven.
+class RolloutSetup:
+    """Task, robot and setting of a rollout.
 
     Attributes:
         task: a task of the environment.
@@ -33,17 +33,17 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Figure:
-    """What was measured.
+class SuccessMeasurement:
+    """A success rate and a mean score, measured over whole episodes.
 
     Attributes:
-        course: what was driven.
-        episodes: how many episodes.
-        successes: how many of them succeeded.
+        setup: task, robot and setting.
+        episodes: number of episodes.
+        successes: number of successful ones.
         mean_score: mean of their scores, 0..1.
     """
 
-    course: Course
+    setup: RolloutSetup
     episodes: int
     successes: int
     mean_score: float
@@ -55,29 +55,29 @@ class Figure:
 
     @property
     def success_interval(self) -> Interval:
-        """Where the success rate lies, with 95 % confidence."""
+        """95 % confidence interval of the success rate."""
         return wilson(self.success_rate, self.episodes)
 
     @property
     def score_interval(self) -> Interval:
-        """Where the mean score lies, with 95 % confidence or more."""
+        """Confidence interval of the mean score, 95 % or more."""
         return wilson(self.mean_score, self.episodes)
 
     def __str__(self) -> str:
         return (
-            f"{self.course}: {self.successes} of {self.episodes} episodes succeed ({self.success_interval}), "
+            f"{self.setup}: {self.successes} of {self.episodes} episodes succeed ({self.success_interval}), "
             f"mean score {self.mean_score:.2f} ({self.score_interval.low:.2f} to {self.score_interval.high:.2f})"
         )
 
     def as_json(self) -> dict[str, object]:
-        """Return the figure as a map of plain values."""
-        course = self.course
+        """Return the measurement as a dict of plain values."""
+        setup = self.setup
         return {
             "environment": ENVIRONMENT,
-            "task": course.task,
-            "embodiment": course.embodiment,
-            sdk.Deploy.ACTION_TYPE: course.action_type,
-            "setting": course.setting,
+            "task": setup.task,
+            "embodiment": setup.embodiment,
+            sdk.Deploy.ACTION_TYPE: setup.action_type,
+            "setting": setup.setting,
             "episodes": self.episodes,
             "successes": self.successes,
             "success_rate": self.success_rate,

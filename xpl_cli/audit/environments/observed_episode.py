@@ -1,4 +1,4 @@
-"""What was seen of an environment in one episode, and where two of them differ."""
+"""Observations and result of one episode of an environment, and the difference between two of them."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """What was seen of one environment in one episode.
+class ObservedEpisode:
+    """Observations and result of one episode.
 
     Attributes:
-        seen: observations, the first and one after every step.
-        result: what the environment says of the episode.
+        observations: the first one, and one after every step.
+        result: the environment's result of the episode.
     """
 
-    seen: tuple[ObservationDict, ...]
+    observations: tuple[ObservationDict, ...]
     result: Result
 
 
-def difference(first: Trial, second: Trial, tolerance: float = 0.0) -> str | None:
-    """Return where two trials differ first, in words; None if they do not.
+def difference(first: ObservedEpisode, second: ObservedEpisode, tolerance: float = 0.0) -> str | None:
+    """Return the first difference of two episodes, in words; None if there is none.
 
-    Indices of environments do not count, nor do seeds.
+    Environment indices and seeds are not compared.
     """
-    if len(first.seen) != len(second.seen):
-        return f"one took {len(first.seen) - 1} steps, the other {len(second.seen) - 1}"
-    for step, (one, other) in enumerate(zip(first.seen, second.seen, strict=True)):
+    if len(first.observations) != len(second.observations):
+        return f"one took {len(first.observations) - 1} steps, the other {len(second.observations) - 1}"
+    for step, (one, other) in enumerate(zip(first.observations, second.observations, strict=True)):
         where = _difference(_without_index(one), _without_index(other), tolerance)
         if where is not None:
             return f"after step {step}: {where}"
@@ -47,8 +47,10 @@ def _difference(one: object, other: object, tolerance: float, where: str = "") -
     if isinstance(one, dict) and isinstance(other, dict):
         if one.keys() != other.keys():
             return f"{where or 'the observation'} has other keys"
-        found = (_difference(one[key], other[key], tolerance, f"{where}.{key}" if where else str(key)) for key in one)
-        return next((text for text in found if text is not None), None)
+        differences = (
+            _difference(one[key], other[key], tolerance, f"{where}.{key}" if where else str(key)) for key in one
+        )
+        return next((text for text in differences if text is not None), None)
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray) and np.array_equal(one, other):
         return None  # most are, and images are large
     if isinstance(one, (np.ndarray, float, int)) and not isinstance(one, bool):

@@ -1,4 +1,4 @@
-"""Where reports go: stdout, files, or both."""
+"""Output of reports: stdout, files, or both."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from xpl_cli.audit.formats import Context, check_format, for_people, names, render
+from xpl_cli.audit.formats import ReportContext, check_format, for_people, names, render
 from xpl_cli.basics import console
 from xpl_cli.basics import output as output_file
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Delivery:
-    """What is printed and what is written.
+class ReportOutput:
+    """Formats and files of a report.
 
     Attributes:
         printed: format on stdout; None for none.
@@ -30,28 +30,28 @@ class Delivery:
     files: tuple[tuple[str, Path], ...] = ()
 
     @classmethod
-    def asked(cls, wanted: str, outputs: Sequence[str]) -> Self:
-        """Read `--format` and `--output`, before an audit that may take minutes.
+    def parse(cls, report_format: str, outputs: Sequence[str]) -> Self:
+        """Parse `--format` and `--output`, before an audit that may take minutes.
 
         Args:
-            wanted: the format.
-            outputs: `FILE` takes the report instead of stdout; `FORMAT=FILE` takes it in another format besides.
+            report_format: the format.
+            outputs: `FILE` gets the report instead of stdout; `FORMAT=FILE` additionally gets it in another format.
 
         Raises:
             UserError: if there is no such format, or a file cannot be written there.
         """
-        printed: str | None = check_format(wanted)
-        files, known = [], names()
+        printed: str | None = check_format(report_format)
+        files, format_names = [], names()
         for output in outputs:
-            name, found, rest = output.partition("=")
-            other = name if found and name in known else None
+            name, separator, rest = output.partition("=")
+            other = name if separator and name in format_names else None
             path = Path(rest if other else output)
             output_file.check(path)
-            files.append((other or wanted, path))
+            files.append((other or report_format, path))
             printed = printed if other else None
         return cls(printed, tuple(files))
 
-    def deliver(self, reports: Sequence[TargetReport], context: Context) -> None:
+    def deliver(self, reports: Sequence[TargetReport], context: ReportContext) -> None:
         """Write the files, each whole or not at all, and print.
 
         Raises:

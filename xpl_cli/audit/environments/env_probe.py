@@ -1,4 +1,4 @@
-"""The fact about environments: one played in a process of its own, with a time limit on every call."""
+"""The fact `env_probe`: an environment that runs in a separate process, with a time limit on every call."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from xpl import get_embodiment, robots
 from xpl.arms.people import ASKS
 from xpl.simulator.process import EnvLostError, EnvProcess, EnvRaisedError, message
 from xpl.simulator.worker import CLOSE, MAKE, RUN
-from xpl_cli.audit.environments.trial import Trial
+from xpl_cli.audit.environments.observed_episode import ObservedEpisode
 from xpl_cli.audit.rules.model import Finding, Fix, NotApplicable, NotRun
 from xpl_cli.basics.errors import UserError
 from xpl_cli.environments.check import unsupported
@@ -33,21 +33,21 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.options import AuditOptions
 
 STEPS = 12
-"""Control steps of one trial: enough to move, few enough for every pull request."""
+"""Control steps of one episode: enough to move, few enough for every pull request."""
 MAKE_S, CALL_S = 150.0, 60.0
-_ABSENT = frozenset(("ModuleNotFoundError", "ImportError", "NotInstalledError", "RendererMissingError"))
-"""What an environment raises where the machine, and not the environment, is to blame."""
+_MISSING_REQUIREMENT = frozenset(("ModuleNotFoundError", "ImportError", "NotInstalledError", "RendererMissingError"))
+"""Exceptions of an environment that mean that the machine lacks a requirement."""
 SWING, SHIFT, OPENING = 0.02, 0.005, 0.1
-"""The motion that trials make about the start pose: rad, m, and part of the gripper's range."""
+"""Amplitudes of the motion about the start pose: rad, m, and part of the gripper's range."""
 
 
 _MANY = 5
-"""Tasks; with more, whoever waits is told why it takes long."""
+"""With more tasks than this, a message says why the audit takes long."""
 
 
 @dataclass(frozen=True)
 class Offer:
-    """One combination that env.yml offers."""
+    """One combination of task, embodiment and action type in env.yml."""
 
     task: str
     embodiment: str
@@ -62,22 +62,22 @@ class Offer:
         return get_embodiment(self.embodiment)
 
 
-class Play:
-    """An environment that was made; its operations, each of which may raise what `EnvProcess` raises."""
+class RunningEnv:
+    """The operations of an environment in a process; each may raise the errors of `EnvProcess`."""
 
     def __init__(self, process: EnvProcess, about: Announcement) -> None:
         self._process = process
         self.guarded = bool(about["guarded"])
 
     def call(self, method: str, *arguments: Any) -> Any:
-        """Call an operation and return what it returns."""
+        """Call an operation and return its result."""
         return self.calls([[method, list(arguments)]])[0]
 
-    def calls(self, asked: Sequence[Sequence[Any]]) -> list[Any]:
-        """Call several operations, one after the other, and return what each returns."""
-        # A reset may load a scene and compile code, which takes as long as making it.
-        limit_s = MAKE_S if any(method == sdk.Method.RESET for method, _ in asked) else CALL_S
-        answers: list[Any] = _ask(self._process, RUN, asked, limit_s)
+    def calls(self, requests: Sequence[Sequence[Any]]) -> list[Any]:
+        """Call several operations, one after the other, and return their results."""
+        # A reset may load a scene and compile code, which takes as long as creating the environment.
+        limit_s = MAKE_S if any(method == sdk.Method.RESET for method, _ in requests) else CALL_S
+        answers: list[Any] = _request(self._process, RUN, requests, limit_s)
         return answers
 
     def reset(self, *seeds: int) -> None:
@@ -86,29 +86,29 @@ class Play:
 
     def observe(self, *envs: int) -> list[ObservationDict]:
         """Return observations, of all running environments by default."""
-        found: list[ObservationDict] = self.call("get_obs_batch", list(envs) or None)
-        return found
+        observations: list[ObservationDict] = self.call("get_obs_batch", list(envs) or None)
+        return observations
 
     def act(self, actions: Mapping[int, Action]) -> list[object] | None:
-        """Execute one action step in some environments; return what the environment reports of each."""
-        found: list[object] | None = self.call("take_action_batch", list(actions.values()), list(actions))
-        return found
+        """Execute one action step in some environments; return the environment's reports."""
+        reports: list[object] | None = self.call("take_action_batch", list(actions.values()), list(actions))
+        return reports
 
     def running(self) -> list[int]:
-        """Return the environments whose episode goes on."""
-        found: list[int] = self.call("get_running_env_idx_list")
-        return found
+        """Return the indices of environments whose episode is running."""
+        indices: list[int] = self.call("get_running_env_idx_list")
+        return indices
 
     def results(self) -> list[Result]:
         """Return the outcome of every environment's episode."""
-        found: list[Result] = self.call("results")
-        return found
+        outcomes: list[Result] = self.call("results")
+        return outcomes
 
-    def trial(self, offer: Offer, *seeds: int, steps: int = STEPS) -> list[Trial]:
-        """Play so many steps of a small motion in every environment."""
+    def run_motion(self, offer: Offer, *seeds: int, steps: int = STEPS) -> list[ObservedEpisode]:
+        """Run so many steps of a small motion in every environment."""
         self.reset(*seeds)
         first = self.observe()
-        seen = [[obs] for obs in first]
+        observations = [[obs] for obs in first]
         for step in range(steps):
             running = self.running()
             if not running:
@@ -118,17 +118,17 @@ class Play:
                 [["take_action_batch", [list(moves.values()), running]], ["get_obs_batch", [running]]]
             )
             for env, obs in zip(running, after, strict=True):
-                seen[env].append(obs)
-        return [Trial(tuple(each), result) for each, result in zip(seen, self.results(), strict=True)]
+                observations[env].append(obs)
+        return [ObservedEpisode(tuple(each), result) for each, result in zip(observations, self.results(), strict=True)]
 
 
-class Stage:
-    """One environment package, and processes in which its environments are made.
+class EnvProbe:
+    """One environment package, and the processes that run its environments.
 
     Args:
         path: the package's folder.
-        options: how it is audited; `--set` gives keys of its configuration, of which task, embodiment and action_type
-            narrow what is tried.
+        options: options of the audit; `--set` sets keys of its configuration, of which task, embodiment and action_type
+            select offers.
     """
 
     def __init__(self, path: Path, options: AuditOptions) -> None:
@@ -136,7 +136,7 @@ class Stage:
         self.manifest = environments.manifest(path)
         self._options = options
         self._process: EnvProcess | None = None
-        self._heard = hashlib.sha256()
+        self._episode_digest = hashlib.sha256()
         self._open = contextlib.ExitStack()
 
     def close(self) -> None:
@@ -147,56 +147,56 @@ class Stage:
         self._open.close()
 
     def record(self) -> str:
-        """Return the hash of what was seen in all trials."""
-        return self._heard.hexdigest()
+        """Return the hash of all episodes."""
+        return self._episode_digest.hexdigest()
 
     @cached_property
     def offers(self) -> tuple[Offer, ...]:
-        """Every combination of task, robot and action type that env.yml offers, as far as it is asked for.
+        """Every combination of task, robot and action type in env.yml that the options select.
 
         Raises:
             NotApplicable: there is none.
-            NotRun: env.yml does not say what is offered; the static gate reports why.
+            NotRun: env.yml is invalid; the static gate reports why.
         """
         problems = validate(self.manifest.data, "env")
         unknown = [] if problems else [name for name in self.manifest.embodiments if name not in robots.names()]
         if problems or unknown:
             raise NotRun(f"env.yml is not understood: {problems[0].message if problems else f'no robot {unknown[0]}'}")
-        asked = self._options.overrides
-        found = tuple(
+        overrides = self._options.overrides
+        offers = tuple(
             Offer(task, robot, action_type)
             for task, entry in self.manifest.tasks.items()
             for robot in (get_embodiment(name).name for name in self.manifest.embodiments)
             for action_type in self.manifest.action_types
             if unsupported(entry, robot) is None
-            and asked.get("task") in (None, task)
-            and asked.get("embodiment") in (None, robot)
-            and asked.get(sdk.Deploy.ACTION_TYPE) in (None, action_type)
+            and overrides.get("task") in (None, task)
+            and overrides.get("embodiment") in (None, robot)
+            and overrides.get(sdk.Deploy.ACTION_TYPE) in (None, action_type)
         )
-        if not found:
+        if not offers:
             raise NotApplicable("env.yml offers no task with any of its robots that was asked for")
-        tasks = list(dict.fromkeys(offer.task for offer in found))
+        tasks = list(dict.fromkeys(offer.task for offer in offers))
         if len(tasks) > _MANY:
             self._options.progress.step(
                 f"{self.path.name}: most rules play each of {len(tasks)} tasks; --set task={tasks[0]} audits one"
             )
-        return found
+        return offers
 
     @property
     def is_real(self) -> bool:
-        """Whether a robot may stand behind it: there is one of it, and it repeats nothing to the last bit."""
+        """Whether it may be a real robot: there is only one, and its episodes are not repeatable."""
         return self.manifest.is_real
 
     @property
-    def give(self) -> float:
-        """How far two observations of an arm at rest may differ: not at all in a simulation."""
+    def rest_tolerance(self) -> float:
+        """Largest difference between two observations of an arm at rest: 0 in a simulation."""
         return 0.05 if self.is_real else 0.0
 
     def require_repeats(self) -> None:
-        """Stop a rule that compares episodes with one another, or plays two at once.
+        """Skip a rule that compares episodes, or runs two at once.
 
         Raises:
-            NotApplicable: a robot may stand behind the environment.
+            NotApplicable: if the environment may be a real robot.
         """
         if self.is_real:
             raise NotApplicable(
@@ -205,63 +205,68 @@ class Stage:
 
     @property
     def tasks(self) -> list[Offer]:
-        """Offers in which every task and every action type comes up, and different robots."""
-        return _covering(self.offers, lambda offer: {offer.task, offer.action_type})
+        """Offers that cover every task and every action type, with different robots."""
+        return _cover(self.offers, lambda offer: {offer.task, offer.action_type})
 
     @property
     def robots(self) -> list[Offer]:
-        """Offers in which every task comes up, and every robot with every action type."""
-        return _covering(self.offers, lambda offer: {offer.task, (offer.embodiment, offer.action_type)})
+        """Offers that cover every task, and every robot with every action type."""
+        return _cover(self.offers, lambda offer: {offer.task, (offer.embodiment, offer.action_type)})
 
     @property
     def cameras(self) -> Any:
-        """What is asked for where pictures are looked at: all, unless `--set cameras=...` says otherwise."""
+        """The value of `cameras` for rules that check images: all cameras, unless `--set cameras=...` selects some."""
         return self._options.overrides.get("cameras", True)
 
     @property
-    def truth(self) -> dict[str, bool]:
-        """Configuration that shows the simulator's truth, where env.yml says that it can be shown."""
+    def privileged_config(self) -> dict[str, bool]:
+        """Configuration that requests ground truth, if env.yml declares it."""
         return {sdk.Obs.PRIVILEGED: True} if self.manifest.privileged else {}
 
     @contextlib.contextmanager
-    def play(self, offer: Offer, *, fresh: bool = False, **config: object) -> Iterator[Play]:
-        """Make an environment.
+    def make_env(self, offer: Offer, *, fresh: bool = False, **config: object) -> Iterator[RunningEnv]:
+        """Create an environment.
 
         Args:
-            offer: what is played.
-            fresh: in a new process, where nothing was made before.
-            config: further keys of the configuration; no pictures by default.
+            offer: task, embodiment and action type.
+            fresh: use a new process.
+            config: further keys of the configuration; no images by default.
 
         Raises:
-            NotRun: the machine lacks what it needs.
-            EnvRaisedError, EnvLostError: it cannot be made.
+            NotRun: if the machine lacks a requirement.
+            EnvRaisedError, EnvLostError: if it cannot be created.
         """
-        given = {"cameras": False, **self._options.overrides, **config}
-        asked = {**given, "task": offer.task, "embodiment": offer.embodiment, sdk.Deploy.ACTION_TYPE: offer.action_type}
+        defaults = {"cameras": False, **self._options.overrides, **config}
+        config_of_env = {
+            **defaults,
+            "task": offer.task,
+            "embodiment": offer.embodiment,
+            sdk.Deploy.ACTION_TYPE: offer.action_type,
+        }
         self._options.time_limit.check()
-        process = self._started() if fresh else self._shared()
+        process = self._start_process() if fresh else self._shared_process()
         try:
-            about = _ask(process, MAKE, {"client": str(self._client()), "config": asked}, MAKE_S)
-            yield Play(process, about)
+            about = _request(process, MAKE, {"client": str(self._client()), "config": config_of_env}, MAKE_S)
+            yield RunningEnv(process, about)
             if not fresh:
-                _ask(process, CLOSE, None, CALL_S)
+                _request(process, CLOSE, None, CALL_S)
         except EnvLostError:
             self._process = None if process is self._process else self._process
             raise
         except EnvRaisedError as error:
-            if error.kind in _ABSENT:
+            if error.kind in _MISSING_REQUIREMENT:
                 raise NotRun(f"{error.message} (in the Python of the environment, {self._python})") from None
             raise
         finally:
             if fresh:
                 process.close()
 
-    def trial(self, offer: Offer, *seeds: int, fresh: bool = False, **config: object) -> list[Trial]:
-        """Make one environment for each seed, play a trial, and note what was seen."""
-        with self.play(offer, fresh=fresh, num_envs=len(seeds), **config) as play:
-            trials = play.trial(offer, *seeds)
+    def run_episodes(self, offer: Offer, *seeds: int, fresh: bool = False, **config: object) -> list[ObservedEpisode]:
+        """Run one episode for each seed in one batch, and record its digest."""
+        with self.make_env(offer, fresh=fresh, num_envs=len(seeds), **config) as running_env:
+            trials = running_env.run_motion(offer, *seeds)
         for trial in trials:
-            self._heard.update(f"{offer} {trial.result.get('digest')} {len(trial.seen)}\n".encode())
+            self._episode_digest.update(f"{offer} {trial.result.get('digest')} {len(trial.observations)}\n".encode())
         return trials
 
     def finding(self, text: str, *, expected: str, got: str, advice: str) -> Finding:
@@ -269,8 +274,8 @@ class Stage:
         file = self.manifest.client
         return Finding(text, path=file, line=1, column=1, expected=expected, got=got, fix=Fix("advice", advice))
 
-    def told(self, findings: Iterator[Finding], expected: str) -> Iterator[Finding]:
-        """Yield findings; an environment that raises or dies while they are looked for is one itself."""
+    def report_failure(self, findings: Iterator[Finding], expected: str) -> Iterator[Finding]:
+        """Yield findings, and one more if the environment raises an error or its process ends."""
         try:
             yield from findings
         except (EnvRaisedError, EnvLostError) as error:
@@ -291,29 +296,29 @@ class Stage:
             raise NotRun(f"{error}{hint}") from None
 
     @cached_property
-    def _confined(self) -> dict[str, Any]:
-        """What keeps the environment within bounds, as the options ask for it."""
+    def _sandbox(self) -> dict[str, Any]:
+        """Arguments of `EnvProcess` for the isolation that the options request."""
         options = self._options
         try:
-            kept = self._open.enter_context(options.bounds.isolate_adapter(self.path))
+            sandbox = self._open.enter_context(options.bounds.isolate_adapter(self.path))
         except UserError as error:
             raise NotRun(str(error)) from None
-        return {} if kept is None else {"prefix": kept.prefix, "environment": kept.environment(os.environ)}
+        return {} if sandbox is None else {"prefix": sandbox.prefix, "environment": sandbox.environment(os.environ)}
 
     def _client(self) -> Path:
         return self.path / self.manifest.client
 
-    def _shared(self) -> EnvProcess:
+    def _shared_process(self) -> EnvProcess:
         if self._process is None:
-            self._process = self._started()
+            self._process = self._start_process()
         return self._process
 
-    def _started(self) -> EnvProcess:
+    def _start_process(self) -> EnvProcess:
         try:
-            # A robot that --move lets move is moved by rules, not by trials that people lay out and judge.
-            confined = {"environment": os.environ, **self._confined}
-            confined["environment"] = {**confined["environment"], ASKS: "no"}
-            return EnvProcess(self._python, **confined)
+            # With --move, rules move the robot; no person is asked to lay out and judge trials.
+            sandbox = {"environment": os.environ, **self._sandbox}
+            sandbox["environment"] = {**sandbox["environment"], ASKS: "no"}
+            return EnvProcess(self._python, **sandbox)
         except OSError as error:
             raise NotRun(f"{self._python} cannot be started: {error.strerror}") from None
 
@@ -322,7 +327,7 @@ def motion(offer: Offer, first: ObservationDict, step: int) -> dict[str, np.ndar
     """Return the action of a small motion around the state of an episode's first observation.
 
     Raises:
-        NotRun: the state lacks what actions of this type command; the rule `env-observations` reports that.
+        NotRun: the state lacks a key of the action; the rule `env-observations` reports that.
     """
     state = first[sdk.Obs.STATE]
     action = {}
@@ -341,18 +346,18 @@ def motion(offer: Offer, first: ObservationDict, step: int) -> dict[str, np.ndar
     return action
 
 
-def _covering(offers: Sequence[Offer], aspects: Callable[[Offer], set[object]]) -> list[Offer]:
-    """Return few offers with every aspect that any offer has, changing robots from one to the next."""
-    left = set().union(*(aspects(offer) for offer in offers))
+def _cover(offers: Sequence[Offer], aspects: Callable[[Offer], set[object]]) -> list[Offer]:
+    """Return few offers that have all aspects of all offers, with different robots if possible."""
+    missing = set().union(*(aspects(offer) for offer in offers))
     chosen: list[Offer] = []
-    while left:
+    while missing:
         used = [offer.embodiment for offer in chosen]
-        best = max(offers, key=lambda offer: (len(left & aspects(offer)), -used.count(offer.embodiment)))
+        best = max(offers, key=lambda offer: (len(missing & aspects(offer)), -used.count(offer.embodiment)))
         chosen.append(best)
-        left -= aspects(best)
+        missing -= aspects(best)
     return chosen
 
 
-def _ask(process: EnvProcess, op: str, value: object, limit_s: float) -> Any:
+def _request(process: EnvProcess, op: str, value: object, limit_s: float) -> Any:
     process.send(message(op, value), limit_s)
     return process.receive()
