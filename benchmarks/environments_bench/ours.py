@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.environments_bench.clock import alternate, wall
 from xpl import get_embodiment
-from xpl_cli.basics.content import load_module, room
+from xpl_cli.basics.content import content_folder, load_module
 
 ROBOT = "arx_x5"
 RAYCAST = "raycast"
@@ -22,7 +22,7 @@ SEED = 0
 
 def tasks() -> list[str]:
     """Return the names of all tasks that two arms can play."""
-    facts = load_module(room("envs") / "mujoco" / "manifest.py").manifest().data
+    facts = load_module(content_folder("envs") / "mujoco" / "manifest.py").manifest().data
     return [name for name, entry in facts["tasks"].items() if 2 in entry["arms"]]
 
 
@@ -143,7 +143,7 @@ def pictures(task: str, size: tuple[int, int], renderer: str, rounds: int) -> fl
 def _experts_actions(task: str, action_type: str) -> list[dict[str, Any]]:
     """Return the actions with which the expert solves the task."""
     env = _make(task, action_type, cameras=False, privileged=True)
-    expert = load_module(room("policy") / "scripted_expert" / "model.py").Model(
+    expert = load_module(content_folder("policy") / "scripted_expert" / "model.py").Model(
         {"env_cfg_type": ROBOT, "action_type": action_type}
     )
     actions: list[dict[str, Any]] = []
@@ -155,7 +155,7 @@ def _experts_actions(task: str, action_type: str) -> list[dict[str, Any]]:
 
 
 def _make(task: str, action_type: str, **config: Any) -> Any:
-    make = load_module(room("envs") / "mujoco" / "client.py").make
+    make = load_module(content_folder("envs") / "mujoco" / "client.py").make
     settings = {"task": task, "embodiment": ROBOT, "action_type": action_type, "max_steps": 10**9}
     env = make({**settings, **config})
     env.reset([SEED])

@@ -14,12 +14,12 @@ _FAST = "fast"
 
 
 class CameraRenderer:
-    """Draws what the cameras of a setting see.
+    """Renders the cameras of a setting.
 
     Args:
         physics: dm_control's.
-        setup: which size; the manifest's by default.
-        words: of the setting; "fast" draws without anti-aliasing and shadows.
+        setup: image size; the manifest's by default.
+        words: of the setting; "fast" renders without anti-aliasing and shadows.
     """
 
     def __init__(self, physics: Any, setup: Setup, words: Sequence[str]) -> None:

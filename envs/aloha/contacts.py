@@ -1,4 +1,4 @@
-"""Who touches whom, for gym-aloha's own reward: the same numbers and names as of its physics, read once a step."""
+"""Contacts for gym-aloha's own reward: the same numbers and names as of its physics, read once a step."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ class _Contact(NamedTuple):
 
 
 class ContactTable:
-    """What gym-aloha's `get_reward` asks a physics for: contacts and names of geoms.
+    """The parts of a physics that gym-aloha's `get_reward` reads: contacts and names of geoms.
 
-    It asks for the list of contacts twice for each, and the list is made anew each time; names are looked up in each
-    step, and never change.
+    The reward reads the list of contacts twice for each contact, and the list is made anew each time; names are looked
+    up in each step, and never change.
 
     Attributes:
         data: itself.
@@ -34,6 +34,6 @@ class ContactTable:
         self.look()
 
     def look(self) -> None:
-        """See who touches whom now."""
+        """Read the present contacts."""
         self.contact = list(map(_Contact._make, self._physics.data.contact.geom.tolist()))
         self.ncon = len(self.contact)

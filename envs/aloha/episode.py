@@ -1,4 +1,4 @@
-"""One task of gym-aloha, played in its own simulator; its numbers become the standard's here and nowhere else."""
+"""One task of gym-aloha in its own simulator; its numbers are converted to the standard's here and nowhere else."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class AlohaEpisode(Episode):
     def truth(self) -> dict[str, Any]:
         """Return gym-aloha's reward and the poses of its objects, quaternions [w, x, y, z].
 
-        A privileged policy is told, too, what an expert does that plans by them.
+        A privileged policy also gets the action of an expert that plans by them.
         """
         values = {"reward": self._reward, **self._objects()}
         return {**values, "expert": self._expert.action()} if self.setup.privileged else values
@@ -155,7 +155,7 @@ class AlohaEpisode(Episode):
 
 
 def _rewarded(own: Callable[[Any], int], touching: ContactTable) -> Callable[[Any], int]:
-    """Return gym-aloha's own reward, told of contacts by what tells of them faster."""
+    """Return gym-aloha's own reward with faster access to contacts."""
 
     def reward(_physics: Any) -> int:
         touching.look()

@@ -1,6 +1,6 @@
-"""An expert for gym-aloha's tasks: way points of our own from where the objects lie, and kinematics in between.
+"""An expert for gym-aloha's tasks: waypoints computed from the objects' poses, and inverse kinematics in between.
 
-gym-aloha has none. ACT's scripts moved hands that were pulled, in a simulation of its own, and played the joints again.
+gym-aloha has none. ACT's scripts moved mocap-driven hands, in a simulation of its own, and replayed the joints.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _PLAIN, _ROLLED = 0.0, np.pi / 2  # rad
 
 @dataclass(frozen=True)
 class Point:
-    """Where one arm's fingertips are to be.
+    """A waypoint of one arm's fingertips.
 
     Attributes:
         step: control step of the episode.
-        place: of the point between the fingers, in the world, m.
-        down: how far the hand looks down from level, rad.
-        roll: about the direction in which it looks, rad.
+        place: position between the fingers, in the world, m.
+        down: pitch of the hand below horizontal, rad.
+        roll: about the direction of the hand, rad.
         opening: of the gripper.
     """
 
@@ -45,7 +45,7 @@ class Point:
 
 
 class Expert:
-    """Plans once, when an episode begins, and says each step's joints.
+    """Plans once, when an episode begins, and returns each step's joints.
 
     Args:
         chain: of one arm; both are alike.
@@ -69,7 +69,7 @@ class Expert:
         self._step += 1
 
     def action(self) -> dict[str, NDArray[np.float64]]:
-        """Return the action step for now, the same however often it is asked for."""
+        """Return the action of the present step; repeated calls return the same."""
         rows = {arm: _between(way, self._step + 1) for arm, way in self._ways.items()}
         joints = {f"{arm}_{spec.State.ARM_JOINT_STATE}": row[:-1] for arm, row in rows.items()}
         return {**joints, **{f"{arm}_{spec.State.EE_JOINT_STATE}": row[-1:] for arm, row in rows.items()}}

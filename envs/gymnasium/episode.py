@@ -1,4 +1,4 @@
-"""One Gymnasium environment, played through its mapping file."""
+"""One Gymnasium environment, run through its mapping file."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class GymnasiumEpisode(Episode):
         self._told: NDArray[np.float64] | None = None
 
     def state(self) -> dict[str, NDArray[np.float64]]:
-        """Return the robot's state as the mapping says."""
+        """Return the robot's state according to the mapping."""
         return {key: join(values, self._sources) for key, values in self.mapping.state.items()}
 
     def step(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
@@ -86,7 +86,7 @@ class GymnasiumEpisode(Episode):
         return self._ended
 
     def vision(self) -> dict[str, dict[str, Any]]:
-        """Return the mapped pictures, each pixel as it is or, where a size is asked for, the nearest."""
+        """Return the mapped images, unchanged or, if a size is requested, resized by nearest neighbour."""
         return {name: {spec.Camera.COLOR: self._picture(name)} for name in self.mapping.cameras}
 
     def truth(self) -> dict[str, Any]:
@@ -94,7 +94,7 @@ class GymnasiumEpisode(Episode):
         return {name: source.numbers(self._sources) for name, source in self.mapping.truth.items()}
 
     def simulated(self) -> Simulated:
-        """Return Gymnasium's own observation, and the action that it was given last."""
+        """Return Gymnasium's own observation, and its last action."""
         return Simulated(self._sources[spec.Payload.OBS], self._told)
 
     def close(self) -> None:

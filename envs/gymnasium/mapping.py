@@ -23,7 +23,7 @@ _OF_FILE = frozenset(("id", "import", "kwargs", "variables", "state", "cameras",
 
 
 class MappingError(ValueError):
-    """A mapping file says what cannot be done; the message names the place."""
+    """A mapping file is invalid; the message names the entry."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Value:
         """Parse a value: a number, a path, or a map with `from`.
 
         Raises:
-            MappingError: it is none of these.
+            MappingError: it is invalid.
         """
         if isinstance(entry, (int, float)) and not isinstance(entry, bool):
             return cls(float(entry))
@@ -165,7 +165,7 @@ class EnvMapping:
         """Read a mapping file.
 
         Raises:
-            MappingError: it says what cannot be done.
+            MappingError: it is invalid.
         """
         import yaml
 

@@ -15,14 +15,14 @@ _RAW, _ROTATED, _FAST = "raw", "rotated", "fast"
 
 
 class CameraRenderer(RobosuiteCameras):
-    """CameraRenderer of the manifest's cameras.
+    """Renders the cameras of the manifest.
 
-    LIBERO gives them upside down, as OpenGL does. The standard's are upright. `raw` leaves them as they are, and
-    `rotated` turns them by 180 degrees, which mirrors what is upright: both only for policies that were trained so.
-    Matrices of cameras are told where pictures are upright.
+    LIBERO's images are upside down, as OpenGL's are. The standard's are upright. `raw` leaves them as they are, and
+    `rotated` turns them by 180 degrees, which mirrors upright images: both only for policies that were trained so.
+    Camera matrices are included if images are upright.
 
     Args:
-        setup: which size; the manifest's by default.
+        setup: image size; the manifest's by default.
         words: of the setting.
     """
 

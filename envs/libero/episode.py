@@ -1,4 +1,4 @@
-"""One task of LIBERO, played in its own simulator; its numbers become the standard's here and nowhere else."""
+"""One task of LIBERO in its own simulator; its numbers are converted to the standard's here and nowhere else."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class LiberoEpisode(Episode):
         return {name: value for name, value in self._obs.items() if not name.endswith("_image")}
 
     def simulated(self) -> Simulated:
-        """Return LIBERO's own observation, and the action (7,) that it was given last."""
+        """Return LIBERO's own observation, and its last action (7,)."""
         return Simulated(self._obs, self._told)
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""One arm of ManiSkill: its state in the standard's words, and what its controller is told."""
+"""One arm of ManiSkill: its state in the standard's terms, and the command of its controller."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Fingers:
         return float(np.clip((angles[-2] + angles[-1]) / _STROKE, 0.0, 1.0))
 
     def command(self, opening: float) -> list[float]:
-        """Return what the controller of the fingers is told."""
+        """Return the command of the fingers' controller."""
         return [2.0 * opening - 1.0]
 
     def change(self, opening: float, _range: NDArray[np.float64]) -> list[float]:
@@ -37,12 +37,12 @@ class Fingers:
         return self.command(opening)
 
     def opening_for(self, command: NDArray[np.float64]) -> float:
-        """Return the opening that a command asks for."""
+        """Return the opening of a command."""
         return float(command[0] + 1.0) / 2.0
 
 
 class Stick:
-    """A stick in place of fingers: it reads as closed, and is told nothing."""
+    """A stick in place of fingers: it reads as closed, and takes no command."""
 
     def __init__(self, _agent: Any) -> None:
         pass
@@ -141,7 +141,7 @@ class Arm:
         return compose(invert(self.base), compose(np.asarray(flange, dtype=np.float64), self._tool))
 
     def told(self, action: Mapping[str, Any]) -> Told:
-        """Return what ManiSkill's controller is told for this arm's part of an action step."""
+        """Return the command of ManiSkill's controller for this arm's part of an action."""
         return self._control.told({name.removeprefix(self.prefix): value for name, value in action.items()}, self)
 
     @property
@@ -153,7 +153,7 @@ class Arm:
 
 
 def _tcp(agent: Any) -> Any:
-    """Return where a robot's tool is; robots of ManiSkill tell it in two ways."""
+    """Return the pose of a robot's tool; robots of ManiSkill have it in one of two attributes."""
     try:
         return agent.tcp_pose
     except AttributeError:

@@ -15,11 +15,11 @@ _ONLY_COLOR = {spec.Camera.DEPTH: False, "position": False, "segmentation": Fals
 
 
 class CameraRenderer:
-    """Draws what the manifest's cameras see, as far as the task has them; nothing is drawn that nobody asks for.
+    """Renders the cameras of the manifest that the task has, if images are requested.
 
     Args:
-        setup: which size; the manifest's by default, which is ManiSkill's.
-        words: of the setting: with `goal` the markers of goals are drawn, which ManiSkill hides from policies.
+        setup: image size; the manifest's by default, which is ManiSkill's.
+        words: of the setting: `goal` renders the markers of goals, which ManiSkill hides from policies.
     """
 
     def __init__(self, setup: Setup, words: Sequence[str]) -> None:

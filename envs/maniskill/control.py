@@ -26,7 +26,7 @@ _BY_ANGLES = ("so100",)  # robots for which ManiSkill has no controller of poses
 _NEAR = 1e-3  # m: a pose that is met by this much is met
 
 Told = tuple["NDArray[np.float64]", dict[str, float]]
-"""What a controller is told for the arm (its gripper comes after it), and what had to be changed."""
+"""The command of the arm's controller (its gripper comes after it), and the corrections."""
 
 
 class Control(Protocol):
@@ -39,7 +39,7 @@ class Control(Protocol):
         """Begin an episode."""
 
     def told(self, action: Mapping[str, Any], arm: Arm) -> Told:
-        """Return what the controller is told for an action step of this arm."""
+        """Return the controller's command for an action of this arm."""
 
 
 class Joints:
@@ -120,7 +120,7 @@ class PoseChanges:
 
 
 class SolvedPoses:
-    """Poses for an arm that ManiSkill commands by angles alone: these are found here, as near as the arm can."""
+    """Poses for an arm that ManiSkill commands by joint angles alone: inverse kinematics, as near as possible."""
 
     mode = "pd_joint_pos"
 
@@ -142,7 +142,7 @@ class SolvedPoses:
 
 
 def control_of(action_type: str, words: Sequence[str], robot: str) -> Control:
-    """Return how an arm is commanded.
+    """Return the control of an arm.
 
     Args:
         action_type: of the standard.

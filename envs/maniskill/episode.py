@@ -1,4 +1,4 @@
-"""One task of ManiSkill, played in its own simulator; its numbers become the standard's in arm.py and control.py."""
+"""One task of ManiSkill in its own simulator; arm.py and control.py convert its numbers to the standard's."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ROOM = 400  # steps: ManiSkill's planners need more than its limits for policie
 
 
 class ManiSkillEpisode(Episode):
-    """An episode of the task `NAME-v1`, in the control mode that action type and setting ask for."""
+    """An episode of the task `NAME-v1`, in the control mode of action type and setting."""
 
     def __init__(self, setup: Setup) -> None:
         words = setup.setting.split("_")
@@ -95,9 +95,9 @@ class ManiSkillEpisode(Episode):
         return self._renderer.seen(self._env)
 
     def truth(self) -> dict[str, Any]:
-        """Return ManiSkill's own observation for policies of states: poses of objects and goals, [x, y, z, w, i, j, k].
+        """Return ManiSkill's own state observation: poses of objects and goals, [x, y, z, w, i, j, k].
 
-        A privileged policy is told, too, what the task's planner does, where there is one.
+        A privileged policy also gets the action of the task's planner, if there is one.
         """
         values = {"observation": _plain(self._obs)}
         if self._planner is None or self._planner.command is None:
@@ -105,7 +105,7 @@ class ManiSkillEpisode(Episode):
         return {**values, "expert": self._expert(self._planner.command)}
 
     def simulated(self) -> Simulated:
-        """Return ManiSkill's own observation, and what its controllers were told last, one arm after the other."""
+        """Return ManiSkill's own observation, and the last commands of its controllers, one arm after the other."""
         return Simulated(_plain(self._obs), self._told)
 
     def close(self) -> None:
@@ -161,10 +161,10 @@ def _plain(seen: Any) -> Any:
 
 
 def _require_assets(setup: Setup) -> None:
-    """Check that what a task is made of is there: ManiSkill would ask at the terminal whether to download it.
+    """Check that the assets of a task are there: ManiSkill would ask at the terminal whether to download them.
 
     Raises:
-        NotInstalledError: it is not.
+        NotInstalledError: they are not.
     """
     names = setup.facts.get("assets", ())
     if not names:

@@ -1,4 +1,4 @@
-"""ManiSkill's own motion planners, asked for one step at a time."""
+"""ManiSkill's own motion planners, executed one step at a time."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class _Scene:
 
 
 class Planner:
-    """Runs a planner beside an episode: it and the episode take turns, and never run at the same time.
+    """Runs a planner beside an episode: the two take turns, and never run at the same time.
 
     A planner is a program that steps its environment until it is done. Here it runs in a thread of its own, and
     each of its steps waits until the episode has made one.
@@ -66,8 +66,8 @@ class Planner:
         env: the simulation.
 
     Attributes:
-        command: what it would do now: angles, then its gripper's command; None before its first step. When it has come
-            to its end, or cannot go on, it stays with the last.
+        command: its present command: angles, then its gripper's command; None before its first step. After its end or
+            failure it stays at the last command.
     """
 
     def __init__(self, solve: Callable[..., Any], env: Any) -> None:
@@ -85,7 +85,7 @@ class Planner:
         self._go_on()
 
     def stepped(self, outcome: Any) -> None:
-        """Tell it that the episode has made a step, and what ManiSkill returned; let it plan up to the next."""
+        """Report a step of the episode with ManiSkill's return value; let the planner continue to the next."""
         self._outcome = outcome
         if self._thread is not None and self._thread.is_alive():
             self._go_on()

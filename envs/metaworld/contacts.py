@@ -1,4 +1,4 @@
-"""Whether both fingers press on an object, as Meta-World's own reward asks in each step, by numbers read at once."""
+"""Whether both fingers press on an object, for Meta-World's own reward in each step, from arrays read at once."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ _PADS = ("leftpad_geom", "rightpad_geom")
 
 
 class GraspContacts:
-    """Answers as `SawyerXYZEnv.touching_object` does.
+    """Replaces `SawyerXYZEnv.touching_object`.
 
-    That one goes twice through all contacts, and asks each of them up to four times who touches: a fifth of what a
-    step of Meta-World takes.
+    That method iterates twice over all contacts, and reads each of them up to four times: a fifth of the time of a step
+        of
+    Meta-World.
 
     Args:
         env: Meta-World's.

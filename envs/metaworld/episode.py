@@ -1,4 +1,4 @@
-"""One task of Meta-World, played in its own simulator; its numbers become the standard's here and nowhere else."""
+"""One task of Meta-World in its own simulator; its numbers are converted to the standard's here and nowhere else."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class MetaWorldEpisode(Episode):
         from metaworld.env_dict import ALL_V3_ENVIRONMENTS
         from metaworld.policies import ENV_POLICY_MAP
 
-        warnings.filterwarnings("ignore", module="metaworld.policies")  # each says once that it wants more than it may
+        warnings.filterwarnings("ignore", module="metaworld.policies")  # each warns once of a range violation
         name = f"{setup.task}-v3"
         words = setup.setting.split("_")
         self._env = env = ALL_V3_ENVIRONMENTS[name]()
@@ -127,13 +127,13 @@ class MetaWorldEpisode(Episode):
     def truth(self) -> dict[str, Any]:
         """Return Meta-World's own observation with the goal, and the pose that the hand is pulled to.
 
-        A privileged policy is told, too, what the task's scripted policy does.
+        A privileged policy also gets the action of the task's scripted policy.
         """
         values = {"observation": self._obs, "pulled": np.array(self._pulled)}
         return {**values, "expert": self._expert()} if self.setup.privileged else values
 
     def simulated(self) -> Simulated:
-        """Return Meta-World's own observation (39,), and the action (4,) that it was given last."""
+        """Return Meta-World's own observation (39,), and its last action (4,)."""
         return Simulated(self._obs, self._told)
 
     def close(self) -> None:
@@ -142,9 +142,9 @@ class MetaWorldEpisode(Episode):
         self._env.close()
 
     def _look(self, obs: NDArray[np.float64]) -> None:
-        """Take in the present moment; it is asked for several times.
+        """Read the present state, which is used several times.
 
-        `_pulled` is where the flange would be if the hand were where it is pulled to.
+        `_pulled` is the flange's pose if the hand were where it is pulled to.
         """
         self._obs, previous = obs, self._seen
         x, y, z = previous.pulled.tolist()
@@ -160,7 +160,7 @@ class MetaWorldEpisode(Episode):
 
     def _expert(self) -> dict[str, NDArray[np.float64]]:
         """Return what the task's scripted policy does now, as an action step of the standard."""
-        # Some of these policies shift what they are given: who looks twice at one observation would see it elsewhere.
+        # Some of these policies modify the observation in place.
         action = np.clip(self._policy.get_action(self._obs.copy()), -1.0, 1.0).astype(np.float64)
         begun = np.array(self._changes.base(self._pulled)[: spec.POSITION_DIM])
         position = begun + self._env.action_scale * action[:3]

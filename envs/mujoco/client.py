@@ -49,11 +49,11 @@ class MujocoEnv(EnvironmentBase["_Place"]):
         return tuple(slot.episode for slot in self._envs)
 
     def render(self, env_idx: int = 0, camera: str | None = None) -> NDArray[np.uint8]:
-        """Return what a camera of env.yml sees now, (H, W, 3) uint8 RGB, for people; observations do not change.
+        """Return a camera of env.yml, (H, W, 3) uint8 RGB, for people; observations do not change.
 
         Args:
             env_idx: the environment.
-            camera: name; by default the one that looks at the whole robot.
+            camera: name; by default the one with the whole robot in view.
 
         Raises:
             ValueError: there is no such camera.

@@ -1,7 +1,6 @@
-"""What tasks ask about objects and hands: how high, how far off, how upright, let go.
+"""Predicates of tasks on objects and hands: height, distance, tilt, released.
 
-Plain numbers and no arrays: these questions are asked after every control step, whose physics takes a tenth of a
-millisecond.
+Plain numbers and no arrays: they are evaluated after every control step, whose physics takes a tenth of a millisecond.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def vision(
 
 
 def segmentation(physics: Physics, frames: Mapping[str, Frame]) -> dict[str, Any]:
-    """Return what every pixel shows, for privileged observations; empty without cameras.
+    """Return the object in every pixel, for privileged observations; empty without cameras.
 
     Returns:
         ``segmentation``: (H, W) int16 for each camera, index into ``bodies``, the names; 0 is the world, -1 nothing.

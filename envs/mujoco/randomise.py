@@ -1,4 +1,4 @@
-"""The setting `randomized`: what looks and stands differently in every episode, while the task stays the same."""
+"""The setting `randomized`: appearance and positions vary in every episode, while the task stays the same."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def vary(facts: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
 
 
 def instruction(entry: Mapping[str, Any], rng: np.random.Generator) -> str:
-    """Return one of a task's paraphrases, which the setting `clean` never shows."""
+    """Return one of a task's paraphrases, which the setting `clean` never uses."""
     wordings: list[str] = entry["paraphrases"]
     return wordings[rng.integers(len(wordings))]
 
@@ -128,7 +128,7 @@ def _parts(body: Any, frame: NDArray[np.float64]) -> Iterator[_Thing]:
 def _free_position(
     rng: np.random.Generator, area: Mapping[str, Any], start: float, taken: list[NDArray[np.float64]]
 ) -> NDArray[np.float64] | None:
-    """Return a place (2,) of an area that keeps its distance from all that stands there; None if there is no room."""
+    """Return a position (2,) of an area that keeps its distance from all objects; None if there is no room."""
     for _ in range(_TRIES):
         position = np.array([rng.uniform(*area["x"]), start + rng.uniform(*area["ahead"])])
         if all(math.dist(position, other) >= area["apart"] for other in taken):

@@ -76,7 +76,7 @@ class OfflineEnv:
             self._obs[env] = advance(self._obs[env], action, self._steps)
 
     def is_episode_end(self) -> bool:
-        """Tell whether every environment has ended."""
+        """Return whether every environment has ended."""
         return self._steps >= self._max_steps
 
     def get_running_env_idx_list(self) -> list[int]:

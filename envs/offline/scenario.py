@@ -1,4 +1,4 @@
-"""Scripted observations in which every mistake shows.
+"""Scripted observations that reveal every mistake.
 
 No two environments, steps, arms, joints or cameras look alike; nothing is zero, quaternions are unit but not the
 identity, images are asymmetric and have different red, green and blue. Everything follows from the arguments, without

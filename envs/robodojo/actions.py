@@ -55,7 +55,7 @@ def dimensions(robot: Embodiment) -> dict[str, int]:
 
 
 def kind(action: Mapping[str, Any], robot: Embodiment) -> str:
-    """Return "joint" or "ee", as RoboDojo tells it by the keys of any arm: poses of the tool and changes are neither.
+    """Return "joint" or "ee" by the keys of an action, as RoboDojo does; poses of the tool and deltas are neither.
 
     Raises:
         ActionError: it is neither, or both.

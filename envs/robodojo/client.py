@@ -1,4 +1,4 @@
-"""The stand-in of RoboDojo as a TASK_ENV: `make(config)`."""
+"""The mock of RoboDojo as a TASK_ENV: `make(config)`."""
 
 from __future__ import annotations
 

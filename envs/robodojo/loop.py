@@ -1,7 +1,8 @@
-"""RoboDojo's own evaluation loop, around the stand-in: batches of layouts, two resets, deploy.py called by keyword.
+"""RoboDojo's own evaluation loop, with the mock: batches of layouts, two resets, deploy.py called by keyword.
 
-Source: RoboDojo-Benchmark/RoboDojo, src/eval_client/main.py and run_eval of eval_env.py at 36bfcb7. What raises there
-is printed, and the layouts of its batch count as played; here it ends the run.
+Source: RoboDojo-Benchmark/RoboDojo, src/eval_client/main.py and run_eval of eval_env.py at 36bfcb7. There, exceptions
+    are
+printed and the layouts of their batch count as finished; here they end the run.
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ SINGLE, BATCH = "eval_one_episode", "eval_one_episode_batch"
 
 
 def evaluate(env: RoboDojoEnv, deploy: Any, model_client: Any, layouts: Sequence[int]) -> list[dict[str, Any]]:
-    """Play layouts, as many at once as there are environments.
+    """Run layouts, as many at once as there are environments.
 
     Args:
-        env: the stand-in; `eval_batch` decides which function of deploy.py plays.
+        env: the mock; `eval_batch` selects the function of deploy.py.
         deploy: the adapter's deploy.py, a module.
         model_client: `call(func_name=..., obs=...)` runs an operation of the policy.
-        layouts: their numbers, in the order in which they are played.
+        layouts: their numbers, in order.
 
     Returns:
-        what `RoboDojoEnv.results` tells of each layout.
+        results of each layout, as of `RoboDojoEnv.results`.
 
     Raises:
         AttributeError: deploy.py has no such function.
@@ -39,6 +40,6 @@ def evaluate(env: RoboDojoEnv, deploy: Any, model_client: Any, layouts: Sequence
         play(TASK_ENV=env, model_client=model_client)
         running = env.get_running_env_idx_list()
         if running:
-            raise RuntimeError(f"{play.__name__} returned while environments {running} still run; play to the end")
+            raise RuntimeError(f"{play.__name__} returned while environments {running} still run; run them to the end")
         results += env.results()[: len(batch)]
     return results

@@ -1,7 +1,7 @@
-"""Takes what RoboDojo's scripts/eval_policy.sh takes, and plays its loop with the stand-in, against a policy server.
+"""Take the arguments of RoboDojo's scripts/eval_policy.sh, and run its loop with the mock and a policy server.
 
-Run as a program. It writes no result: what it says on stdout is how far episodes came. It runs the adapter's deploy.py,
-so it is a process of its own.
+Run as a program. It writes no result file; stdout says how far episodes came. It runs the adapter's deploy.py, so it is
+a process of its own.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ STEP_LIM = 20  # as long as the ecosystem's debug client plays
 
 
 def main(words: list[str]) -> int:
-    """Play some layouts and tell how they ended."""
+    """Run some layouts and print how they ended."""
     import yaml
 
     from xpl import Client
@@ -29,7 +29,7 @@ def main(words: list[str]) -> int:
 
     arguments = _arguments(words)
     folder = Path(arguments.policy_dir)
-    # RoboDojo reads this from the deploy.yml beside the simulator, whatever the server was told.
+    # RoboDojo reads this from the deploy.yml beside the simulator, not from the server's.
     deploy_yml: dict[str, Any] = yaml.safe_load((folder / spec.File.DEPLOY_YML).read_text(encoding="utf-8")) or {}
     count = NUM_ENVS if deploy_yml.get(spec.Deploy.EVAL_BATCH) else 1
     package = load_module(HERE / "client.py").__package__
@@ -71,7 +71,7 @@ def _arguments(words: list[str]) -> argparse.Namespace:
         parser.add_argument(f"--{name}", default="")
     parser.add_argument("--additional_info", default="")
     parser.add_argument("--run_id", default="rehearsal")
-    parser.add_argument("--seed", type=int, default=0, help="set of layouts; the stand-in has one")
+    parser.add_argument("--seed", type=int, default=0, help="set of layouts; the mock has one")
     parser.add_argument("--episodes", type=int, default=1)
     parser.add_argument("--step_lim", type=int, default=STEP_LIM)
     parser.add_argument("--height", type=int, default=480, help="of pictures; RoboDojo's are 480 x 640")

@@ -1,4 +1,4 @@
-"""Observations in RoboDojo's form, by a script: no two environments, layouts, steps, arms or cameras look alike.
+"""Scripted observations in RoboDojo's form: no two environments, layouts, steps, arms or cameras look alike.
 
 Source: RoboDojo-Benchmark/RoboDojo, env/observation_manager/obs_manager.py at 36bfcb7.
 """
@@ -20,13 +20,13 @@ _OPENING = 1.0  # every episode begins with open grippers (env/robot_manager/rob
 
 
 class Scene:
-    """What one environment shows in one episode.
+    """The observations of one environment in one episode.
 
     Args:
         robot: of the benchmark.
-        layout: number of the layout, which decides where everything is.
-        size: height and width of pictures; None for no pictures.
-        matrices: whether cameras tell their matrices.
+        layout: number of the layout, which determines all positions.
+        size: height and width of images; None for no images.
+        matrices: whether cameras have their matrices.
     """
 
     def __init__(self, robot: Embodiment, layout: int, size: tuple[int, int] | None, *, matrices: bool) -> None:

@@ -1,4 +1,4 @@
-"""A stand-in of RoboDojo's TASK_ENV: what its loops may ask, what they are answered, and how episodes end.
+"""A mock of RoboDojo's TASK_ENV: operations of its loops, their results, and how episodes end.
 
 Source: RoboDojo-Benchmark/RoboDojo, src/eval_client/eval_env.py at 36bfcb7. There is no simulator behind it. Layouts
 with an odd number end by script before the step limit, where RoboDojo's would by success, so that lists shrink;
@@ -102,11 +102,11 @@ class RoboDojoEnv:
         env_idx_list: Sequence[int] | None = None,
         last_frame: bool = False,  # noqa: FBT001, FBT002 - RoboDojo's own signature
     ) -> list[dict[str, Any]]:
-        """Return observations of some environments, of all by default, those that have ended too.
+        """Return observations of some environments, of all by default, also of those that have ended.
 
         Args:
-            env_idx_list: which; each observation has its `env_idx`, and is nobody else's.
-            last_frame: whether the picture of an environment that has ended still belongs to its film.
+            env_idx_list: which; each observation has its `env_idx` and shares no array with others.
+            last_frame: whether the image of an environment that has ended still belongs to its video.
         """
         observations = []
         for index in self._indices(env_idx_list):
@@ -128,7 +128,7 @@ class RoboDojoEnv:
     def take_action_batch(
         self, actions_list: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int] | None = None
     ) -> None:
-        """Execute one action step in each of some environments, of all by default, and look who has ended.
+        """Execute one action in each of some environments, of all by default, and update which have ended.
 
         Raises:
             ActionError: RoboDojo refuses an action; or one is missing, or is for an environment that has ended while
@@ -147,7 +147,7 @@ class RoboDojoEnv:
             ended = [index for index in indices if index not in moves]
             raise ActionError(
                 f"environments {ended} have ended and {list(moves)} have not: RoboDojo takes actions for those that "
-                "run only, so ask get_running_env_idx_list() before each step"
+                "run only, so call get_running_env_idx_list() before each step"
             )
         for index, controls in moves.items():
             self.take_action_cnt[index] += 1
@@ -155,7 +155,7 @@ class RoboDojoEnv:
         self.is_episode_end()
 
     def is_episode_end(self) -> bool:
-        """Look who has ended, and tell whether all have."""
+        """Update which environments have ended, and return whether all have."""
         changed = []
         for index, scene_layout in enumerate(self._layouts):
             if self.end_flag[index] or scene_layout is None:

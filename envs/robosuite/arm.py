@@ -40,7 +40,7 @@ class Arm:
         self._changes = PoseDeltas(counted_from)
 
     def find(self, env: Any) -> None:
-        """Look up what is in a model that was loaded."""
+        """Read the indices of a loaded model."""
         self._sim, robot = env.sim, env.robots[self._number]
         model = self._sim.model
         self._link = model.body_name2id(f"robot{self._number}_link7")

@@ -9,7 +9,7 @@ _FAST = "fast"
 
 
 class CameraRenderer(RobosuiteCameras):
-    """CameraRenderer of the manifest's cameras for so many arms.
+    """Renders the manifest's cameras for the number of arms.
 
     Args:
         setup: which robot and size; the manifest's by default.

@@ -1,4 +1,4 @@
-"""One task of robosuite, played in its own simulator; its numbers become the standard's here and nowhere else."""
+"""One task of robosuite in its own simulator; its numbers are converted to the standard's here and nowhere else."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class RobosuiteEpisode(Episode):
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         choose_opengl()
-        logging.disable(logging.WARNING)  # it warns of what is not installed, and tells of each episode what it loads
+        logging.disable(logging.WARNING)  # it warns of missing libraries, and logs the assets of each episode
         import robosuite
         from robosuite.controllers import load_composite_controller_config
 
@@ -90,7 +90,7 @@ class RobosuiteEpisode(Episode):
                 corrections[arm.prefix] = {ACTION_RANGE: past}
         self._told = np.concatenate(parts)
         obs, _, self._is_over, _ = self._env.step(self._told)
-        self._success = bool(self._env._check_success())  # noqa: SLF001 - it is not told otherwise
+        self._success = bool(self._env._check_success())  # noqa: SLF001 - there is no public access
         self._look(obs)
         return corrections
 
@@ -111,7 +111,7 @@ class RobosuiteEpisode(Episode):
         return {name: value for name, value in self._obs.items() if not name.endswith("_image")}
 
     def simulated(self) -> Simulated:
-        """Return robosuite's own observation, and the action that it was given last, its first robot's first."""
+        """Return robosuite's own observation, and its last action, its first robot's first."""
         return Simulated(self._obs, self._told)
 
     def close(self) -> None:

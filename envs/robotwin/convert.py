@@ -1,8 +1,8 @@
-"""RoboTwin's words and numbers as the standard's, and back: `conventions` in env.yml, in code.
+"""Convert RoboTwin's observations and actions to the standard's, and back: `conventions` in env.yml, in code.
 
 Source: RoboTwin-Platform/RoboTwin, scripts/eval_policy_xpolicylab.py at cf47ab5, which converts for the ecosystem's
 client. Two things differ: extrinsic matrices get their fourth row, and an action that lacks an arm is refused, where
-RoboTwin holds that arm without a word.
+RoboTwin silently holds that arm.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ def observation(  # noqa: PLR0913 - by keyword, what RoboTwin keeps in several p
     frequency: float,
     env_idx: int = 0,
 ) -> dict[str, Any]:
-    """Return the standard observation of what RoboTwin's `get_obs` returned.
+    """Return the standard observation of RoboTwin's `get_obs`.
 
     Args:
-        theirs: it.
+        theirs: RoboTwin's observation.
         cameras: those of env.yml.
-        robot: RoboTwin's robot, which knows where the tools are; None to leave that out.
+        robot: RoboTwin's robot, which has the poses of the tools; None to omit them.
         instruction: of the episode.
-        frequency: as policies are told, Hz.
+        frequency: that policies get, Hz.
         env_idx: index of the environment.
     """
     return {
@@ -53,13 +53,13 @@ def observation(  # noqa: PLR0913 - by keyword, what RoboTwin keeps in several p
 
 
 def vision(theirs: Mapping[str, Any], cameras: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return what cameras see: colour (H, W, 3) uint8 RGB and, where RoboTwin tells them, matrices, float32."""
+    """Return the cameras: colour (H, W, 3) uint8 RGB and, if RoboTwin has them, matrices, float32."""
     seen = theirs.get("observation", {})
     return {name: _camera(seen[facts["source"]]) for name, facts in cameras.items() if facts["source"] in seen}
 
 
 def of_robot(robot: Any) -> dict[str, Any]:
-    """Return what RoboTwin's `get_obs` tells of its robot, from the same operations, without having cameras draw."""
+    """Return the robot's part of RoboTwin's `get_obs`, by the same operations, without rendering cameras."""
     joints, poses = {}, {}
     for side in SIDES:
         *joints[f"{side}_arm"], joints[f"{side}_gripper"] = getattr(robot, f"get_{side}_arm_jointState")()

@@ -1,4 +1,4 @@
-"""One task of RoboTwin as an episode: `xpl eval` plays it seed by seed, by the standard's loop."""
+"""One task of RoboTwin as an episode: `xpl eval` runs it seed by seed, with the standard's loop."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ from .upstream import UpstreamSource, quiet
 from .without_gpu import SourceWithoutGpu
 
 UNREACHED = "unreached"
-_NEAR = 0.01  # m; farther from where it was sent, an arm has not found a way, about which RoboTwin says nothing
+_NEAR = 0.01  # m; farther from its target, an arm has found no path, which RoboTwin does not report
 
 
 class RoboTwinEpisode(Episode):
     """An episode of RoboTwin.
 
     Args:
-        setup: what is played.
-        source: where the task comes from; by default RoboTwin's own code, in a setting of `stand_ins` with another
-            robot than its own.
+        setup: task, setting and robot.
+        source: of the task; by default RoboTwin's own code, in a setting of `stand_ins` with a mock robot.
 
     Raises:
         NotInstalledError: its code or its assets are missing.
@@ -50,10 +49,10 @@ class RoboTwinEpisode(Episode):
         self._played: int | None = None
 
     def reset(self, seed: int) -> None:
-        """Begin an episode, if RoboTwin's expert solves the seed; with a robot that stands in nobody has to.
+        """Begin an episode, if RoboTwin's expert solves the seed; with the mock robot it need not.
 
         Raises:
-            RuntimeError: it does not, or things do not come to rest: RoboTwin does not count such a seed.
+            RuntimeError: it does not, or objects do not come to rest: RoboTwin does not count such a seed.
         """
         with quiet():
             self._leave()
@@ -92,7 +91,7 @@ class RoboTwinEpisode(Episode):
         return convert.vision(self._observed(), self.setup.manifest.cameras)
 
     def simulated(self) -> Simulated:
-        """Return RoboTwin's own observation, and the flat vector that it was told last."""
+        """Return RoboTwin's own observation, and its last flat command."""
         return Simulated(self._observed(), self._told)
 
     def close(self) -> None:
@@ -100,7 +99,7 @@ class RoboTwinEpisode(Episode):
         self._leave()
 
     def _begun(self, seed: int) -> Mapping[str, Any]:
-        """Set a seed up, and return what RoboTwin's expert calls things."""
+        """Set a seed up, and return the names of objects in RoboTwin's expert."""
         task = self._task
         self._played = (self._played or 0) + 1
         try:
@@ -116,13 +115,13 @@ class RoboTwinEpisode(Episode):
         return info
 
     def _leave(self) -> None:
-        """Close the scene of the episode before; what SAPIEN keeps of it goes as often as in RoboTwin's own loop."""
+        """Close the scene of the episode before; SAPIEN's caches are cleared as often as in RoboTwin's own loop."""
         if self._played is not None:
             every = int(self._arguments.get("clear_cache_freq") or 0)
             self._task.close_env(clear_cache=bool(every) and self._played % every == 0)
 
     def _observed(self) -> dict[str, Any]:
-        """Return RoboTwin's observation, for which its cameras draw once after each step, and only if somebody asks."""
+        """Return RoboTwin's observation, whose cameras are rendered at most once per step, on demand."""
         if self._seen is None:
             with quiet():
                 self._seen = self._task.get_obs()

@@ -1,7 +1,7 @@
-"""RoboTwin's own evaluation loop, against any object with the interface of its Base_Task.
+"""RoboTwin's own evaluation loop, for any object with the interface of its Base_Task.
 
-Source: RoboTwin-Platform/RoboTwin, eval_remote_policy of scripts/eval_policy_xpolicylab.py at cf47ab5; a test plays
-both side by side where a checkout is there. Differences: the wording of an instruction is drawn by the seed and not by
+Source: RoboTwin-Platform/RoboTwin, eval_remote_policy of scripts/eval_policy_xpolicylab.py at cf47ab5; a test runs
+both side by side if there is a checkout. Differences: the wording of an instruction is drawn by the seed and not by
 NumPy's global generator; a seed that is unstable after the expert has solved it is skipped and does not end the run;
 and the search for seeds ends.
 """
@@ -28,11 +28,11 @@ UNSTABLE, EXPERT_RAISED, EXPERT_FAILED = "unstable", "expert_error", "expert_fai
 
 
 class Source(Protocol):
-    """Where tasks come from: RoboTwin's own code, or a stand-in.
+    """The source of tasks: RoboTwin's own code, or a mock.
 
     Attributes:
-        unstable: what a task raises where its objects do not come to rest.
-        has_expert: whether the tasks' expert can solve seeds; a robot that stands in is none that it was written for.
+        unstable: exception of a task whose objects do not come to rest.
+        has_expert: whether the tasks' expert can solve seeds; it was not written for the mock robot.
     """
 
     unstable: type[Exception]
@@ -50,7 +50,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class EvalOptions:
-    """What is played.
+    """Options of an evaluation.
 
     Attributes:
         task, setting: RoboTwin's names.
@@ -58,8 +58,8 @@ class EvalOptions:
         seed: of the run.
         test_num: episodes that count.
         instruction_type: which wordings: seen or unseen.
-        expert_check: whether seeds that the expert does not solve are skipped.
-        frequency: as policies are told, Hz.
+        expert_check: whether to skip seeds that the expert does not solve.
+        frequency: that policies get, Hz.
     """
 
     task: str
@@ -74,10 +74,10 @@ class EvalOptions:
 
 @dataclass
 class EvalResult:
-    """What came of it.
+    """The result of an evaluation.
 
     Attributes:
-        episodes: of each: seed, instruction, success, steps, and error, a sentence where the policy's side raised.
+        episodes: of each: seed, instruction, success, steps, and error, a sentence if the policy's side raised.
         skipped: seeds that do not count, with the reason.
     """
 
@@ -94,18 +94,18 @@ class EvalResult:
 def evaluate(
     source: Source, client: Any, options: EvalOptions, robot: Embodiment, cameras: Mapping[str, Mapping[str, Any]]
 ) -> EvalResult:
-    """Play seeds until enough episodes count.
+    """Run seeds until enough episodes count.
 
     Args:
-        source: where the task comes from.
+        source: of the task.
         client: `call(func_name=..., obs=...)` runs an operation of the policy.
-        options: what is played.
+        options: of the evaluation.
         robot: of the standard.
         cameras: those of env.yml.
 
     Raises:
         ClientError: the connection is lost; RoboTwin would count all that follow as failed.
-        RuntimeError: so many seeds were skipped that there is something wrong.
+        RuntimeError: too many seeds were skipped.
     """
     task, played = source.make(options.task), EvalResult()
     arguments = {**source.arguments(options.task, options.setting), "eval_mode": True}
@@ -134,7 +134,7 @@ def evaluate(
 def _checked(  # noqa: PLR0913, PLR0917 - private
     source: Source, task: Any, arguments: Mapping[str, Any], seed: int, number: int, options: EvalOptions
 ) -> tuple[Mapping[str, Any], str | None]:
-    """Return what the expert says of a seed, and why the seed does not count, or None."""
+    """Return the expert's information on a seed, and why the seed does not count, or None."""
     if not options.expert_check:
         return {}, None
     try:
@@ -151,17 +151,17 @@ def _checked(  # noqa: PLR0913, PLR0917 - private
 
 
 def ask_expert(source: Source, task: Any) -> tuple[Mapping[str, Any], bool]:
-    """Let the expert of a task that is set up play; where it cannot, let it only tell.
+    """Let the expert of a task run; without a robot, let it only name objects.
 
-    RoboTwin looks at the outcome after it has closed the task. The runtime's tasks have no robot any more by then, so
-    that they are looked at before.
+    RoboTwin reads the outcome after it has closed the task. The runtime's tasks have no robot any more by then, so that
+    their outcome is read before.
 
     Args:
-        source: where the task is from.
-        task: it.
+        source: of the task.
+        task: the task, set up.
 
     Returns:
-        what the expert calls things, and whether it has solved the seed; where it only told, nothing has moved, and
+        names of objects, and whether the expert has solved the seed; if it only named objects, nothing has moved, and
         the seed counts.
     """
     if not source.has_expert:
@@ -191,7 +191,7 @@ def _episode(  # noqa: PLR0913, PLR0917 - private
     cameras: Mapping[str, Mapping[str, Any]],
     seed: int,
 ) -> dict[str, Any]:
-    """Play one episode as RoboTwin does, and return what came of it."""
+    """Run one episode as RoboTwin does, and return its result."""
     case = {
         spec.Deploy.TASK_NAME: options.task,
         spec.Deploy.SEED: seed,
@@ -217,7 +217,7 @@ def _episode(  # noqa: PLR0913, PLR0917 - private
             show()
             chunk = client.call(func_name=spec.Method.GET_ACTION)
             if len(chunk) == 0:
-                raise ActionError("the policy returned an empty chunk")  # noqa: TRY301 - told like all that it raises
+                raise ActionError("the policy returned an empty chunk")  # noqa: TRY301 - reported like its other errors
             for index, action in enumerate(chunk):
                 vector, kind = convert.command(action, robot, options.action_type)
                 task.take_action(vector, action_type=kind)

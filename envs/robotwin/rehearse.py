@@ -1,6 +1,6 @@
-"""Takes what RoboTwin's scripts/eval_policy.sh takes, and plays its loop with a stand-in, against a policy server.
+"""Take the arguments of RoboTwin's scripts/eval_policy.sh, and run its loop with a mock and a policy server.
 
-Run as a program. It writes no result: what it says on stdout is how far episodes came.
+Run as a program. It writes no result file; stdout says how far episodes came.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def main(words: list[str]) -> int:
-    """Play some seeds and tell how they ended."""
+    """Run some seeds and print how they ended."""
     from xpl import Client, get_embodiment
     from xpl.environment import read_manifest
     from xpl.process.modules import load_module

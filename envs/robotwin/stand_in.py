@@ -1,7 +1,7 @@
-"""A task with the interface of RoboTwin's Base_Task, and nothing behind it: for rehearsals and tests of the loop.
+"""A mock with the interface of RoboTwin's Base_Task, for rehearsals and tests of the loop.
 
 Commands become the state. Of five seeds one is unstable and one is not solved by the expert. There is no success,
-unless a test asks for one.
+unless a test requests one.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ _FLAT = {"qpos": 2 * (_JOINTS + 1), "ee": 2 * (_POSE + 1)}
 
 
 class UnstableError(Exception):
-    """Stands for RoboTwin's UnStableError."""
+    """Mock of RoboTwin's UnStableError."""
 
 
 class MockSource:
-    """Where stand-ins come from.
+    """The source of mock tasks.
 
     Args:
         step_lim: control steps of an episode.
         succeeds_at: control step with which an episode succeeds; None for never.
-        size: height and width of pictures.
+        size: height and width of images.
     """
 
     unstable = UnstableError
@@ -54,11 +54,11 @@ class MockTask:
     """One task, one episode after the other; names are RoboTwin's.
 
     Attributes:
-        eval_success, take_action_cnt, step_lim: how far the episode is.
-        plan_success: whether the expert found its ways.
-        joints, grippers, poses: what was commanded, left arm first.
-        robot: tells that, and where the tools are.
-        eval_video_path, render_freq: no films, no window.
+        eval_success, take_action_cnt, step_lim: state of the episode.
+        plan_success: whether the expert found its paths.
+        joints, grippers, poses: commanded values, left arm first.
+        robot: has these, and the poses of the tools.
+        eval_video_path, render_freq: no videos, no window.
     """
 
     def __init__(self, name: str, step_lim: int, succeeds_at: int | None, size: tuple[int, int]) -> None:
@@ -83,11 +83,11 @@ class MockTask:
         self.poses = [np.array([0.1 * side, 0.2, 0.9, 1.0, 0.0, 0.0, 0.0]) for side in (-1, 1)]
 
     def play_once(self) -> dict[str, Any]:
-        """Let the expert play, who tells what things are called."""
+        """Let the expert run; return the names of objects."""
         return {"info": {"{A}": "the red block"}}
 
     def check_success(self) -> bool:
-        """Tell whether the expert has solved it."""
+        """Return whether the expert has solved it."""
         return bool(self.seed % 5 != 4)
 
     def close_env(self, clear_cache: bool = False) -> None:  # noqa: FBT001, FBT002 - RoboTwin's own signature

@@ -1,8 +1,8 @@
-"""A robot that stands in for RoboTwin's own, whose description is a download: two arms of boxes, in a folder of assets.
+"""A mock of RoboTwin's own robot, whose description is a download: two arms of boxes, in a folder of assets.
 
-Kinematics, limits and travel of the fingers are those of the standard's `aloha_agilex`; how thick things are, where
-the cameras sit and what the hands look like is made up. RoboTwin's tasks without objects of their own play with it.
-What comes of that says whether code fits together, and nothing of RoboTwin's benchmark.
+Kinematics, limits and finger travel are those of the standard's `aloha_agilex`; sizes, camera poses and hands are
+invented. RoboTwin's tasks without objects of their own run with it. The results show whether code works together, and
+are no results of RoboTwin.
 
 Source of the contract: rlinf-robotwin-runtime 0.1.3, robotwin/envs/robot/robot.py, camera/camera.py and assets.py.
 """
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 ROBOT = "aloha_agilex"
 MARKER = "STAND_IN_ROBOT"
-"""File in a folder of assets whose robot is none of RoboTwin's."""
+"""File that marks a folder of assets with the mock robot."""
 FOLDERS = ("assets/background_texture", "assets/objects", "assets/embodiments/aloha-agilex")
 SIDES = {"left": "fl", "right": "fr"}
 """Arms, and what their links and joints are called in AgileX's description."""
 
 _ROOT = pose([0.0, -0.65, 0.0], [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])
-"""Where RoboTwin stands the robot, facing +y of its world."""
+"""Pose of the robot in RoboTwin's world, facing +y."""
 # Base of the arms on AgileX's platform, m: agilexrobotics/mobile_aloha_sim at 9085f5ed, fl_base_joint. How far the
 # arms are apart is in the standard.
 _AHEAD, _HIGH = 0.233, 0.7775
@@ -191,7 +191,7 @@ def _joint(  # noqa: PLR0913, PLR0917 - private, in the order of URDF
 
 
 def _config() -> dict[str, Any]:
-    """Return what RoboTwin reads of a robot: names, drives, where it stands, cameras."""
+    """Return the configuration that RoboTwin reads of a robot: names, drives, pose, cameras."""
     data = get_embodiment(ROBOT).data
     dof = int(data["arm"]["dof"])
     names = [[f"{name}_joint{number}" for number in range(1, dof + 1)] for name in SIDES.values()]

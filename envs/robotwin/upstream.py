@@ -38,7 +38,7 @@ class UpstreamSource:
     """
 
     has_expert = True
-    """Tasks have an expert who solves seeds: with RoboTwin's robot, for which it was written."""
+    """Tasks have an expert that solves seeds with RoboTwin's robot, for which it was written."""
 
     def __init__(self) -> None:
         self._begin(*check())
@@ -75,7 +75,7 @@ class UpstreamSource:
             **apart,
             sdk.Deploy.TASK_NAME: task,
             "task_config": setting,
-            # The three that the ecosystem's client asks for (ensure_xpolicylab_observation_flags).
+            # The three that the ecosystem's client requires (ensure_xpolicylab_observation_flags).
             "data_type": {**config.get("data_type", {}), "rgb": True, "qpos": True, "endpose": True},
             "head_camera_h": camera["h"],
             "head_camera_w": camera["w"],
@@ -87,7 +87,7 @@ class UpstreamSource:
         }
 
     def describe(self, task: str, info: Mapping[str, Any], count: int, seed: int) -> Mapping[str, list[str]]:
-        """Return RoboTwin's wordings of an instruction; none where none of them goes with what the expert told."""
+        """Return RoboTwin's wordings of an instruction; empty if none matches the expert's names of objects."""
         name = "generate_episode_instructions" if self._root is not None else "robotwin.description.instructions"
         generate = importlib.import_module(name).generate_episode_descriptions
         before = random.getstate()
@@ -113,7 +113,7 @@ class UpstreamSource:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keep what RoboTwin prints, a line for each step among it, from whoever reads our errors."""
+    """Keep RoboTwin's output, a line for each step among it, from stderr."""
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
             yield
@@ -152,9 +152,7 @@ def _assets(folder: Path) -> Path:
             f"them, and {ASSETS} names their folder for {RUNTIME}"
         )
     if (root / MARKER).exists():
-        raise NotInstalledError(
-            f"RoboTwin's assets are not here: {root} has a robot that stands in for RoboTwin's, for another setting"
-        )
+        raise NotInstalledError(f"RoboTwin's assets are not here: {root} has the mock robot of another setting")
     return root
 
 

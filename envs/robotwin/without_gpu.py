@@ -1,7 +1,7 @@
-"""RoboTwin's runtime with the robot that stands in, on a machine with neither a GPU nor RoboTwin's assets.
+"""RoboTwin's runtime with the mock robot, on a machine with neither a GPU nor RoboTwin's assets.
 
 The runtime is written for a ray tracer, for planners on a GPU and for libraries that its tasks do not use. Here cameras
-rasterise, mplib plans, and what is imported and never used may be missing.
+rasterise, mplib plans, and unused imports may be missing.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from xpl.rendering import VULKAN_COMPLAINTS, choose_vulkan, no_vulkan
 from . import stand_in_robot
 from .upstream import UpstreamSource, quiet
 
-_UNUSED = ("open3d",)  # of point clouds, which no setting here asks for
+_UNUSED = ("open3d",)  # of point clouds, which no setting here uses
 _NO_WAY = {"status": "Fail"}
 _SEARCH = 1  # seed of every search for a way
 

@@ -9,11 +9,11 @@ import pytest
 from xpl import _spec as spec
 from xpl import get_embodiment
 from xpl.poses import invert, transform
-from xpl_cli.basics.content import load_module, room
+from xpl_cli.basics.content import content_folder, load_module
 
 mujoco = pytest.importorskip("mujoco")
 
-FOLDER = room("envs") / "mujoco"
+FOLDER = content_folder("envs") / "mujoco"
 FACTS = load_module(FOLDER / "manifest.py").manifest().data
 make = load_module(FOLDER / "client.py").make
 camera_module = load_module(FOLDER / "camera.py")

@@ -10,7 +10,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from xpl.manifest import Task
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.environments import check, rollout
 from xpl_cli.main import app
@@ -18,7 +18,7 @@ from xpl_cli.packages import environments
 
 pytest.importorskip("mujoco")
 
-FOLDER = room("envs") / "mujoco"
+FOLDER = content_folder("envs") / "mujoco"
 FACTS = environments.manifest(FOLDER).data
 LIFT = ("--task", "lift_cube", "--embodiment", "franka_single", "--setting", "clean")
 

@@ -15,16 +15,16 @@ from xpl import get_embodiment
 from xpl.action import ActionError
 from xpl.observation import ObservationError
 from xpl.poses import transform
-from xpl_cli.basics.content import load_module, room
+from xpl_cli.basics.content import content_folder, load_module
 
 pytest.importorskip("mujoco")
 
 from benchmarks.environments_bench import ours
 
-FOLDER = room("envs") / "mujoco"
+FOLDER = content_folder("envs") / "mujoco"
 FACTS = load_module(FOLDER / "manifest.py").manifest().data
 TASKS = sorted(FACTS["tasks"])
-Expert = load_module(room("policy") / "scripted_expert" / "model.py").Model
+Expert = load_module(content_folder("policy") / "scripted_expert" / "model.py").Model
 make = load_module(FOLDER / "client.py").make
 
 
@@ -277,7 +277,7 @@ def test_a_state_beyond_all_measure_is_none() -> None:
     """Physics that ran away is noticed, and numpy does not warn of the sum."""
     env = _env()
     env.reset([0])
-    physics = env._places[0].episode.physics
+    physics = env._envs[0].episode.physics
     assert physics.is_finite()
     physics.data.qvel[:] = 1e200
     physics.changed()

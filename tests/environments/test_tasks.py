@@ -10,7 +10,7 @@ import pytest
 from xpl import _spec as spec
 from xpl import get_embodiment
 from xpl.manifest import Task
-from xpl_cli.basics.content import load_module, room
+from xpl_cli.basics.content import content_folder, load_module
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.environments import check, rollout
@@ -18,7 +18,7 @@ from xpl_cli.environments.rollout import Scenario
 
 pytest.importorskip("mujoco")
 
-FOLDER = room("envs") / "mujoco"
+FOLDER = content_folder("envs") / "mujoco"
 FACTS = load_module(FOLDER / "manifest.py").manifest().data
 TASKS = list(FACTS["tasks"])
 SETTINGS = FACTS["settings"]
@@ -52,7 +52,7 @@ def test_a_task_declares_itself(task: str) -> None:
     names = {tuple(sorted(re.findall(r"{(\w+)}", wording))) for wording in wordings}
     assert len(names) == 1  # what is drawn is said in every wording
     assert (FOLDER / "tasks" / f"{task}.py").is_file()
-    assert (room("policy") / "scripted_expert" / "programs" / f"{task}.py").is_file()
+    assert (content_folder("policy") / "scripted_expert" / "programs" / f"{task}.py").is_file()
 
 
 def test_a_pair_that_is_not_offered_says_why() -> None:

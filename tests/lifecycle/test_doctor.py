@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.peer import xpl
 from xpl_cli.lifecycle.doctor import machine, programs, run
-from xpl_cli.lifecycle.doctor.check import Check, Status
+from xpl_cli.lifecycle.doctor.check import MachineCheck, Status
 
 HEAVY = ("numpy", "mujoco", "torch", "copier", "huggingface_hub", "jsonschema", "PIL")
 
@@ -64,7 +64,7 @@ def test_people_get_a_line_for_each_and_what_to_do(tmp_path: Path, programs_fold
     lines = done.stdout.splitlines()
     place = next(number for number, line in enumerate(lines) if line.startswith("absent  uv "))
     assert "not on PATH" in lines[place]
-    assert "mend: pip install uv" in lines[place + 1]
+    assert "fix: pip install uv" in lines[place + 1]
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_places_that_cannot_be_written_are_told(monkeypatch: pytest.MonkeyPatch)
 def test_this_machine_can_run_its_own_tests(probe: object) -> None:
     """What these tests need themselves works where they run."""
     check = probe()  # type: ignore[operator]
-    assert isinstance(check, Check)
+    assert isinstance(check, MachineCheck)
     assert check.status is Status.OK, check
 
 
@@ -150,7 +150,7 @@ def test_isolation_is_proven_or_the_reason_told() -> None:
 
 
 def test_a_probe_that_fails_itself_spoils_no_other() -> None:
-    def fail() -> Check:
+    def fail() -> MachineCheck:
         raise ValueError("odd machine")
 
     check = run._guarded("x", fail)

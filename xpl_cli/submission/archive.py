@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, cast
 
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.basics.sizes import told_size
+from xpl_cli.basics.sizes import format_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -89,7 +89,7 @@ def unpack(path: Path, folder: Path, *, limit: int) -> dict[str, str]:
         UserError: it is invalid, damaged, too large, or holds anything but files with plain names.
     """
     try:
-        stream = files.opened(path, most=limit)
+        stream = files.open_regular(path, most=limit)
     except FileNotFoundError:
         raise NotFoundError(f"there is no bundle {path}") from None
     except OSError as error:
@@ -145,14 +145,14 @@ def _checked_entries(archive: zipfile.ZipFile, path: Path, folder: Path, limit: 
     total = sum(entry.file_size for entry in entries)
     if total > limit or len(entries) > _MOST_FILES:
         raise UserError(
-            f"{path} would unpack to {told_size(total)} in {len(entries)} files, more than the limit of "
-            f"{told_size(limit)}" + (f" or of {_MOST_FILES} files" if len(entries) > _MOST_FILES else ""),
+            f"{path} would unpack to {format_size(total)} in {len(entries)} files, more than the limit of "
+            f"{format_size(limit)}" + (f" or of {_MOST_FILES} files" if len(entries) > _MOST_FILES else ""),
             hint="raise it with --max-size" if total > limit else None,
         )
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if total > (free := shutil.disk_usage(existing).free):
         raise UserError(
-            f"{path} would unpack to {told_size(total)}, and {folder} has {told_size(free)} free",
+            f"{path} would unpack to {format_size(total)}, and {folder} has {format_size(free)} free",
             hint="--unpack names a new folder elsewhere",
             code=ExitCode.NOT_RUN,
         )

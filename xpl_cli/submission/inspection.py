@@ -137,7 +137,7 @@ def _checkpoints(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[st
     adapter = package.load(unpacked.adapter, runs[0].plan.policy.config)
     if checkpoints.declared != [entry.data for entry in adapter.manifest.checkpoints]:
         yield f"{bundle.CHECKPOINTS} does not declare what the adapter's policy.yml declares"
-    specified = specification.declared(adapter)
+    specified = specification.declared_checkpoints(adapter)
     if checkpoints.loaded is not None and (
         checkpoints.name not in specified or specified[checkpoints.name].digest != checkpoints.loaded
     ):

@@ -129,7 +129,7 @@ def _problems(package: Package, runs: Sequence[Run]) -> Iterator[str]:
     digest = fingerprints.package_digest(package.path)
     if len({run.plan.policy.variant for run in runs}) > 1:
         yield "the runs are of different variants: a bundle is about one"
-    declared = specification.declared(_variant_package(package, runs[0]))
+    declared = specification.declared_checkpoints(_variant_package(package, runs[0]))
     if len({run.plan.policy.weights for run in runs}) > 1:
         yield "the runs loaded different checkpoints: a bundle is about one"
     for run in runs:
@@ -223,7 +223,7 @@ def _files(request: SubmitRequest, runs: Sequence[Run], report: TargetReport) ->
 
 
 def _checkpoints(package: Package, run: Run) -> bundle.BundledCheckpoints:
-    declared = specification.declared(package)
+    declared = specification.declared_checkpoints(package)
     loaded = run.plan.policy.weights
     name = next((name for name, one in declared.items() if loaded is not None and one.digest == loaded), None)
     return bundle.BundledCheckpoints(loaded, name, [dict(entry.data) for entry in package.manifest.checkpoints])

@@ -136,8 +136,8 @@ class ReplayRunner:
 
     def _link(self, digest: str) -> None:
         """Let the adapter of a bundle find a checkpoint that was fetched."""
-        for one in specification.declared(self._package).values():
-            if one.digest == digest and (path := fetch.here(one)) is not None:
+        for one in specification.declared_checkpoints(self._package).values():
+            if one.digest == digest and (path := fetch.local_path(one)) is not None:
                 fetch.link(self._package.path, one.name, path)
 
 

@@ -29,7 +29,7 @@ def _command(obs: dict[str, Any]) -> dict[str, Any]:
 
 
 def _bases(env: Any) -> dict[str, np.ndarray]:
-    episode = env._places[0]._episode
+    episode = env._envs[0]._episode
     return {arm: episode._body(episode._physics.model.name2id(f"vx300s_{arm}", "body")) for arm in ARMS}
 
 
@@ -83,7 +83,7 @@ def _still() -> dict[str, Any]:
 def _rewards(env: Any) -> list[list[int]]:
     """Return the rewards of the expert's episode as they come, once each, ours and those that gym-aloha computes."""
     env.reset([0])
-    episode, found = env._places[0]._episode, []
+    episode, found = env._envs[0]._episode, []
     while not env.is_episode_end():
         obs = env.get_obs()
         env.take_action({key: value.astype(np.float32) for key, value in obs["privileged"]["expert"].items()})
@@ -110,7 +110,7 @@ def _seen() -> dict[str, Any]:
         obs = env.get_obs()
         different += int((theirs["agent_pos"] != env.simulated().observation["agent_pos"]).any())
         different += int((theirs["pixels"]["top"] != obs["vision"]["cam_head"]["color"]).any())
-    physics = env._places[0]._episode._physics
+    physics = env._envs[0]._episode._physics
     found: dict[str, Any] = {"different": different, "box": {"cam_head": _color_of_the_box(obs, "cam_head")}}
     for side, arm in (("left", "vx300s_right"), ("right", "vx300s_left")):
         seen, point = obs["vision"][f"cam_{side}_wrist"], physics.named.data.xpos[f"{arm}/shoulder_link"]

@@ -20,7 +20,7 @@ def _moved() -> dict[str, Any]:
     env = make("libero", **KNOWN)
     found: dict[str, Any] = {"replayed": _replayed(env), "axes": looking.along_axes(env, 0.05, steps=STEPS)}
     found["openings"], found["turns"] = looking.openings(env, steps=STEPS), looking.turns(env, steps=STEPS)
-    found["range"] = env._places[0]._episode._env.robots[0].controller.output_max.tolist()
+    found["range"] = env._envs[0]._episode._env.robots[0].controller.output_max.tolist()
     found |= {**_told(env), "guessed": looking.guessed(env, episodes=3, max_steps=100)}
     env.close()
     return found
@@ -29,7 +29,7 @@ def _moved() -> dict[str, Any]:
 def _told(env: Any) -> dict[str, Any]:
     """What joints and poses say now, here and in LIBERO's own words, and where the arm stands."""
     found: dict[str, Any] = {}
-    episode = env._places[0]._episode
+    episode = env._envs[0]._episode
     obs = env.get_obs()
     base = episode._env.sim.data
     body = episode._env.sim.model.body_name2id("robot0_base")
@@ -43,7 +43,7 @@ def _glimpsed(steps: int = 8) -> dict[str, Any]:
     """What one scene shows that is loaded once: the arm is sent along +x and its fingers close; then one picture."""
     env = make("libero", **KNOWN)
     found: dict[str, Any] = {"travelled": looking.travelled(env, (0.05, 0, 0), opening=0.0, steps=steps), **_told(env)}
-    episode = env._places[0]._episode
+    episode = env._envs[0]._episode
     found["states"] = len(episode._states)
     found["result"] = env.results()[0]
     try:
@@ -60,8 +60,8 @@ def _replayed(env: Any) -> dict[str, int]:
     """Play random actions here, and what LIBERO was told in its own wrapper; count steps whose state differs at all."""
     from libero.libero.envs.env_wrapper import ControlEnv
 
-    commands, states = looking.played(env, lambda env: env._places[0]._episode._env.get_sim_state(), STEPS)
-    episode = env._places[0]._episode
+    commands, states = looking.played(env, lambda env: env._envs[0]._episode._env.get_sim_state(), STEPS)
+    episode = env._envs[0]._episode
     theirs = ControlEnv(
         bddl_file_name=episode._env.env.bddl_file_name, has_offscreen_renderer=False, use_camera_obs=False
     )
@@ -92,7 +92,7 @@ def _seen() -> dict[str, Any]:
 
 def _shown(env: Any, head: dict[str, Any]) -> dict[str, Any]:
     """Whether a known point lies in the picture where its projection says, by what MuJoCo says each pixel shows."""
-    sim, truth = env._places[0]._episode._env.sim, env.get_obs()["privileged"]
+    sim, truth = env._envs[0]._episode._env.sim, env.get_obs()["privileged"]
     height, width = head["color"].shape[:2]
     drawn = {"camera_name": "agentview", "height": height, "width": width}
     shown = sim.render(**drawn, segmentation=True)[::-1]

@@ -17,7 +17,7 @@ SIZE = 128
 
 
 def _episode(env: Any) -> Any:
-    return env._places[0]._episode
+    return env._envs[0]._episode
 
 
 def _kinematics(env: Any) -> dict[str, Any]:

@@ -15,7 +15,7 @@ def _moved() -> dict[str, Any]:
     env = make("metaworld", task="reach", embodiment=ROBOT)
     found: dict[str, Any] = {"axes": looking.along_axes(env, 0.05), "openings": looking.openings(env)}
     found["state"] = looking.listed(env.get_obs()["state"])
-    found["hand"] = env._places[0]._episode._env.data.body("hand").xpos.tolist()
+    found["hand"] = env._envs[0]._episode._env.data.body("hand").xpos.tolist()
     env.close()
     return found
 
@@ -32,7 +32,7 @@ def _touched() -> dict[str, int]:
     """How often fingers press on an object that a scripted policy grasps, here and by Meta-World's own code."""
     env = make("metaworld", task="pick-place", embodiment=ROBOT)
     env.reset([0])
-    theirs = env._places[0]._episode._env
+    theirs = env._envs[0]._episode._env
     puck, found = theirs._get_id_main_object(), {"steps": 0, "pressed": 0, "different": 0}
     while not env.is_episode_end():
         env.take_action(env.get_obs()["privileged"]["expert"])
@@ -51,7 +51,7 @@ def _seen() -> dict[str, Any]:
     obs = env.get_obs()
     puck = obs["privileged"]["observation"][4:7]
     head, wrist = obs["vision"]["cam_head"], obs["vision"]["cam_wrist"]
-    simulator = env._places[0]._episode._env
+    simulator = env._envs[0]._episode._env
     from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer  # after ours has drawn: both load OpenGL
 
     theirs = MujocoRenderer(simulator.model, simulator.data, width=240, height=240, camera_name="corner2")

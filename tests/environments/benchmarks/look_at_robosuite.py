@@ -28,7 +28,7 @@ def _still() -> dict[str, Any]:
     """What one arm says of itself."""
     env = make("robosuite", **KNOWN)
     found: dict[str, Any] = {"openings": looking.openings(env, steps=STEPS)}
-    obs, episode = env.get_obs(), env._places[0]._episode
+    obs, episode = env.get_obs(), env._envs[0]._episode
     sim = episode._env.sim
     body = sim.model.body_name2id("robot0_base")
     found["base"] = [sim.data.body_xpos[body].tolist(), sim.data.body_xquat[body].tolist()]
@@ -42,7 +42,7 @@ def _still() -> dict[str, Any]:
 
 def _state(env: Any) -> np.ndarray:
     """Return positions, speeds and time."""
-    state: np.ndarray = env._places[0]._episode._env.sim.get_state().flatten()
+    state: np.ndarray = env._envs[0]._episode._env.sim.get_state().flatten()
     return state
 
 
@@ -93,7 +93,7 @@ def _seen() -> dict[str, Any]:
     env = make("robosuite", **KNOWN, cameras=[128, 128])
     env.reset([0])
     obs = env.get_obs()
-    sim, found = env._places[0]._episode._env.sim, {}
+    sim, found = env._envs[0]._episode._env.sim, {}
     cube = obs["privileged"]["cube_pos"]
     for name, source in (("cam_head", "agentview"), ("cam_wrist", "robot0_eye_in_hand")):
         shown = sim.render(camera_name=source, height=128, width=128, segmentation=True)[::-1]

@@ -29,7 +29,7 @@ def _env(task: str = "stack_blocks_two", **config: Any) -> Any:
 
 def _task(env: Any) -> Any:
     """Return RoboTwin's own task."""
-    return env._places[0]._episode._task
+    return env._envs[0]._episode._task
 
 
 def _hold(obs: Mapping[str, Any], part: str = "arm_joint_state") -> dict[str, Any]:

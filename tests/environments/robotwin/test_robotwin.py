@@ -441,7 +441,7 @@ def test_without_code_or_assets_one_sentence_says_so(tmp_path: Path, monkeypatch
         (tmp_path / folder).mkdir(parents=True)
     assert UPSTREAM.check() == (tmp_path, tmp_path)
     STAND_IN_ROBOT.write(tmp_path)
-    with pytest.raises(NotInstalledError, match="a robot that stands in for RoboTwin's"):
+    with pytest.raises(NotInstalledError, match="the mock robot"):
         UPSTREAM.check()
 
 

@@ -1,1 +1,1 @@
-"""Commands that install, serve and play."""
+"""Commands that install, serve and run rollouts."""

@@ -1,4 +1,4 @@
-"""`xpl checkpoint`: bring the weights that policy.yml specifies, check them, say where they are."""
+"""`xpl checkpoint`: download the weights that policy.yml specifies, verify them, print their path."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from xpl_cli.basics.endings import ends
 from xpl_cli.commands.options import JSON, PATIENCE_HELP, POLICY, POLICY_ENV, PYTHON, SETTINGS
 
 if TYPE_CHECKING:
-    from xpl_cli.lifecycle.checkpoints.specification import Specification
+    from xpl_cli.lifecycle.checkpoints.specification import CheckpointSpec
 
 app = typer.Typer(help="Fetch, verify and locate the checkpoints of policy.yml.", no_args_is_help=True)
 
@@ -33,7 +33,9 @@ def fetch(
     every: bool = _ALL,
     settings: list[str] = SETTINGS,
     force: bool = typer.Option(False, "--force", help="Have the hub's client bring it again although it is there."),
-    unverified: bool = typer.Option(False, "--unverified", help="Take what comes where no sha256 is given; prints it."),
+    unverified: bool = typer.Option(
+        False, "--unverified", help="Accept any content if policy.yml has no sha256; prints its sha256."
+    ),
     as_json: bool = JSON,
 ) -> None:
     """Bring a checkpoint, check it, and make it what its name means in this adapter; prints where it is."""
@@ -79,7 +81,7 @@ def verify(
         path = _located(one, policy)
         if one.digest is None and not one.files:
             raise UserError(f"checkpoint {one.name!r} has no sha256 in policy.yml: nothing can be compared")
-        differing = [asdict(difference) for difference in fetching.differences(one, *fetching.read(one, path))]
+        differing = [asdict(difference) for difference in fetching.differences(one, *fetching.hash_local(one, path))]
         answers.append({"name": one.name, "path": str(path), "differences": differing})
     damaged = any(answer["differences"] for answer in answers)
     if as_json:
@@ -164,8 +166,8 @@ def tiny(
         raise typer.Exit(ExitCode.FINDINGS)
 
 
-def _fetch(one: Specification, *, unverified: bool, again: bool) -> dict[str, Any]:
-    """Bring one checkpoint and return what there is to say of it; remarks go to stderr."""
+def _fetch(one: CheckpointSpec, *, unverified: bool, again: bool) -> dict[str, Any]:
+    """Fetch one checkpoint and return its description; remarks go to stderr."""
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
     from xpl_cli.lifecycle.checkpoints import fetch as fetching
@@ -177,9 +179,9 @@ def _fetch(one: Specification, *, unverified: bool, again: bool) -> dict[str, An
     except UserError as error:
         console.note(f"warning: {error}")
     if one.digest is None:
-        console.note(f"{one.name}: nobody has checked this; write it into policy.yml: sha256: {brought.digest}")
+        console.note(f"{one.name}: not verified; to pin it, add to policy.yml: sha256: {brought.digest}")
     if not one.licence:
-        console.note(f"{one.name}: policy.yml does not say under which licence it is")
+        console.note(f"{one.name}: policy.yml declares no licence for it")
     return {
         "name": one.name,
         "state": brought.state,
@@ -191,11 +193,11 @@ def _fetch(one: Specification, *, unverified: bool, again: bool) -> dict[str, An
     }
 
 
-def _located(one: Specification, policy: str) -> Path:
+def _located(one: CheckpointSpec, policy: str) -> Path:
     from xpl_cli.basics.errors import NotFoundError
     from xpl_cli.lifecycle.checkpoints import fetch as fetching
 
-    path = fetching.located(one)
+    path = fetching.linked_checkpoint(one)
     if path is None:
         raise NotFoundError(
             f"checkpoint {one.name!r} was not fetched", hint=f"`xpl checkpoint fetch {policy} {one.name}`"

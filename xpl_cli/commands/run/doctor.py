@@ -30,6 +30,6 @@ def doctor(as_json: bool = JSON) -> None:
         for check in checks:
             console.data(f"{check.status:<6}  {check.name:<{width}}  {check.found}")
             if check.status is not Status.OK:
-                console.data(f"{'':<{8 + width}}  for {check.serves}" + (f"; mend: {check.mend}" if check.mend else ""))
+                console.data(f"{'':<{8 + width}}  for {check.serves}" + (f"; fix: {check.mend}" if check.mend else ""))
     if broken:
         raise typer.Exit(ExitCode.FINDINGS)

@@ -267,7 +267,7 @@ def evaluate(
 
 
 def _check_instruction(instruction: str | None, *, is_recorded: bool) -> None:
-    """Raise where a policy cannot be told something else than what it is to do."""
+    """Raise if the instruction cannot be replaced."""
     if instruction is None:
         return
     from xpl_cli.basics.errors import UserError
@@ -280,7 +280,7 @@ def _check_instruction(instruction: str | None, *, is_recorded: bool) -> None:
 
 
 def _is_here(policy: str) -> bool:
-    """Tell whether there is an adapter of this name or at this path."""
+    """Return whether there is an adapter of this name or at this path."""
     from xpl_cli.basics.errors import NotFoundError
     from xpl_cli.packages import package
 
@@ -292,7 +292,7 @@ def _is_here(policy: str) -> bool:
 
 
 def questions_for(environment: str | None) -> contextlib.AbstractContextManager[object]:
-    """Return a desk for questions to people, where the environment may be a robot."""
+    """Return a context that serves questions to the operator, if the environment may be a robot."""
     from xpl_cli.packages import environments
 
     if environment is None or not environments.manifest(environments.find(environment)).is_real:
@@ -303,7 +303,7 @@ def questions_for(environment: str | None) -> contextlib.AbstractContextManager[
 
 
 def _run_recorded_eval(request: suite.EvalRequest, *, as_json: bool) -> None:
-    """Play what a recorded run lacks, and tell what all of it comes to."""
+    """Run what a recorded run lacks, and print its summary."""
     import shlex
 
     from xpl_cli.basics import console
@@ -324,7 +324,7 @@ def _run_recorded_eval(request: suite.EvalRequest, *, as_json: bool) -> None:
 
 
 def _run_quick_eval(request: quick_eval.QuickEvalRequest, policy: str, *, as_json: bool) -> None:
-    """Evaluate, and tell what came of it; `policy` is the adapter as it was named."""
+    """Evaluate and print the result; `policy` is the adapter as the user named it."""
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError
     from xpl_cli.basics.progress import progress

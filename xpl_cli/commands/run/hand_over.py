@@ -1,4 +1,4 @@
-"""`xpl env hand-over`: have a benchmark's own launcher evaluate a policy, and record what it found."""
+"""`xpl env hand-over`: let a benchmark's own launcher evaluate a policy, and record its result."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def hand_over(
 
 
 def play(request: HandOverRequest, *, as_json: bool) -> None:
-    """Hand over, and tell what came of it."""
+    """Run the launcher and print the result."""
     from dataclasses import asdict
 
     from xpl_cli.basics import console
@@ -117,21 +117,21 @@ def try_hand_over(
     *,
     as_json: bool,
 ) -> tuple[str | None, bool]:
-    """Hand over in the place of an evaluation, where the environment only stands in for what a known workspace has.
+    """Hand over instead of evaluating, if the environment is a mock and the benchmark's workspace is configured.
 
     Args:
-        policy: the adapter, as it was named.
-        environment: as it was named; None takes the one of the benchmark that deploy.yml names, if one plays its task.
+        policy: the adapter, as the user named it.
+        environment: as the user named it; None for that of the benchmark in deploy.yml, if one here has its task.
         overrides: of deploy.yml.
-        unfit: options of an evaluation that are the benchmark's own business, with what was given for them.
-        request: makes the request of `package`, `environment` and `overrides`.
+        unfit: options that the launcher does not support, with their values.
+        request: makes the request from `package`, `environment` and `overrides`.
         as_json: whether the answer is a JSON object.
 
     Returns:
         the environment, if one was named or found, and whether it was handed over to.
 
     Raises:
-        UserError: it was, and an option does not fit.
+        UserError: it was, and an option is not supported.
     """
     import os
 
@@ -150,7 +150,9 @@ def try_hand_over(
     if is_replaced and os.environ.get(Launcher.read(facts).entry.workspace.variable):
         unsupported = [option for option, value in unfit.items() if value is not None]
         if unsupported:
-            raise UserError(f"{name} plays in its own workspace, by its own launcher, which takes no {unsupported[0]}")
+            raise UserError(
+                f"{name} runs in its own workspace, by its own launcher, which does not support {unsupported[0]}"
+            )
         play(request(package=adapter, environment=name, overrides=overrides), as_json=as_json)
         return name, True
     if facts.stand_in is not None:

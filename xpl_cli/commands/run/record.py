@@ -121,10 +121,10 @@ def record(
 
 
 def _size(images: str | None) -> tuple[int, int] | bool | None:
-    """Return the size of images that is asked for.
+    """Return the requested size of images.
 
     Raises:
-        UserError: it is none.
+        UserError: it is invalid.
     """
     import re
 

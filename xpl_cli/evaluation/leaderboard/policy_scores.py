@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.evaluation.leaderboard.result_trees import ROBODOJO
 from xpl_cli.packages import environments
 
@@ -101,7 +101,7 @@ class Protocol:
 @cache
 def protocol() -> Protocol:
     """Return how RoboDojo counts, from its environment package."""
-    facts = environments.manifest(room("envs") / ROBODOJO)
+    facts = environments.manifest(content_folder("envs") / ROBODOJO)
     counts, suffix = facts.data["counts"], facts.data["hand_over"]["randomized"]
     tasks = {task: entry.dimension for task, entry in facts.tasks.items()}
     dimensions = {

@@ -66,14 +66,14 @@ def checkpoint_of(package: Package, config: Config) -> LoadedCheckpoint | None:
     Raises:
         UserError: a name in it cannot be written down.
     """
-    from xpl_cli.lifecycle.checkpoints.content import hashed
+    from xpl_cli.lifecycle.checkpoints.content import hash_checkpoint
 
     try:
         path = checkpoint.resolve(config, package.path)
     except checkpoint.CheckpointError:
         return None
     name = path.relative_to(package.path) if path.is_relative_to(package.path) else path
-    return LoadedCheckpoint(name.as_posix(), hashed(path)[0])
+    return LoadedCheckpoint(name.as_posix(), hash_checkpoint(path)[0])
 
 
 def machine_facts() -> Facts:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.sizes import told_size
+from xpl_cli.basics.sizes import format_size
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -89,7 +89,7 @@ def _arrays(content: bytes) -> dict[str, np.ndarray]:
     with zipfile.ZipFile(io.BytesIO(content)) as stored:
         total = sum(entry.file_size for entry in stored.infolist())
         if total > _MOST_BYTES:
-            raise ValueError(f"it would unpack to {told_size(total)}, more than {told_size(_MOST_BYTES)}")
+            raise ValueError(f"it would unpack to {format_size(total)}, more than {format_size(_MOST_BYTES)}")
         arrays = {name.removesuffix(".npy"): _array(stored.read(name), name) for name in stored.namelist()}
     for name, values in arrays.items():
         depth = 0 if name == sdk.Obs.FREQUENCY else 1 if name in _STEPS else 2
