@@ -42,7 +42,7 @@ def test_the_command_plays_what_the_table_shows() -> None:
     wishes = plan.PlanRequest(given["task"], given["setting"], given["episodes"], horizon=given["horizon"])
     planned = plan.make_plan(adapter, find(given["env"]), adapter.config(), wishes).plan
     rows = [line.split()[:3] for line in _block("table").splitlines()]
-    expected = [[*cell.place, f"{given['episodes']}/{given['episodes']}"] for cell in planned.cells]
+    expected = [[*cell.cell_key, f"{given['episodes']}/{given['episodes']}"] for cell in planned.cells]
     assert [row for row in rows if row in expected] == expected
     assert all(cell.frozen for cell in planned.cells)
     assert f"{len(planned.slots())} episodes" in TEXT
