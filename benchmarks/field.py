@@ -80,7 +80,7 @@ def main() -> None:
     )
     rows = []
     for name in names:
-        row = _audited(arguments.checkout / "policy" / name, arguments)
+        row = _audit_adapter(arguments.checkout / "policy" / name, arguments)
         _compare(row, [defect for defect in defects if defect["adapter"] == name])
         rows.append(row)
         _tell(row)
@@ -89,7 +89,7 @@ def main() -> None:
     _sum_up(rows)
 
 
-def _audited(folder: Path, arguments: argparse.Namespace) -> Row:
+def _audit_adapter(folder: Path, arguments: argparse.Namespace) -> Row:
     with tempfile.TemporaryDirectory(prefix="xpl-field-") as name:
         if arguments.copied:
             copy = Path(name) / "policy" / folder.name

@@ -42,7 +42,7 @@ def observation(manifest: Mapping[str, Any], robot: Any, action_type: str, env: 
     }
 
 
-def measured(folder: Path, manifest: Mapping[str, Any], config: Mapping[str, Any], rounds: int) -> list[dict[str, Any]]:
+def measure(folder: Path, manifest: Mapping[str, Any], config: Mapping[str, Any], rounds: int) -> list[dict[str, Any]]:
     """Return a row for each size of a batch; runs in the policy's Python."""
     from xpl import get_embodiment
     from xpl.worker.loading import load_model_class
@@ -52,13 +52,13 @@ def measured(folder: Path, manifest: Mapping[str, Any], config: Mapping[str, Any
     observations = [observation(manifest, robot, config["action_type"], env) for env in range(max(BATCHES))]
     predict, inside = model.predict, []
 
-    def timed(*arguments: Any) -> Any:
+    def time_calls(*arguments: Any) -> Any:
         begun = time.perf_counter()
         answer = predict(*arguments)
         inside.append(time.perf_counter() - begun)
         return answer
 
-    model.predict = timed
+    model.predict = time_calls
     spent: dict[int, list[tuple[float, float]]] = {size: [] for size in BATCHES}
     for _ in range(rounds + WARM_UP):
         for size in BATCHES:
@@ -85,7 +85,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if INSIDE in os.environ:
         handed = json.loads(os.environ[INSIDE])
-        print(json.dumps(measured(Path(arguments.policy), handed["manifest"], handed["config"], arguments.rounds)))
+        print(json.dumps(measure(Path(arguments.policy), handed["manifest"], handed["config"], arguments.rounds)))
         return
     from xpl_cli.lifecycle import interpreter
     from xpl_cli.packages import package

@@ -231,7 +231,7 @@ def _variables() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))}
 
 
-def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
+def parse_arguments(arguments: list[str] | None = None) -> argparse.Namespace:
     """Return what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policy", choices=sorted({policy for policy, _ in RECIPES}), help="POLICY or POLICY:VARIANT")
@@ -258,7 +258,7 @@ def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
     return options
 
 
-def changed(recipe: Recipe, arguments: argparse.Namespace) -> Recipe:
+def apply_arguments(recipe: Recipe, arguments: argparse.Namespace) -> Recipe:
     """Return a recipe with the numbers that the command line has for it."""
     if arguments.episodes is not None:
         recipe = replace(recipe, record=dict.fromkeys(recipe.record, arguments.episodes))
@@ -267,13 +267,13 @@ def changed(recipe: Recipe, arguments: argparse.Namespace) -> Recipe:
 
 def main() -> None:
     """List the recipes, or follow one."""
-    arguments = parsed()
+    arguments = parse_arguments()
     if arguments.policy is None:
         for (policy, task), recipe in RECIPES.items():
             settings = "  ".join(f"{key} {value:g}" for key, value in recipe.train.items())
             print(f"--policy {policy} --task {task}".ljust(58), f"{sum(recipe.record.values())} episodes  {settings}")
         return
-    result = run(changed(RECIPES[arguments.policy, arguments.task], arguments), arguments)
+    result = run(apply_arguments(RECIPES[arguments.policy, arguments.task], arguments), arguments)
     files = [Path(result["out"]) / "result.json", *([] if arguments.json is None else [arguments.json])]
     for file in files:
         write(file, result)

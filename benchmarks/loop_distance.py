@@ -60,13 +60,15 @@ def distance(written: Mapping[str, ast.FunctionDef], references: Sequence[Mappin
     differ = size = 0
     for name in LOOPS:
         two = nodes(name, written) if name in written else []
-        each = [(unmatched(one, two), len(one) + len(two)) for one in (nodes(name, known) for known in references)]
+        each = [
+            (count_unmatched(one, two), len(one) + len(two)) for one in (nodes(name, known) for known in references)
+        ]
         nearest = min(each, key=lambda pair: pair[0] / pair[1])
         differ, size = differ + nearest[0], size + nearest[1]
     return differ / size
 
 
-def unmatched(one: Sequence[str], other: Sequence[str]) -> int:
+def count_unmatched(one: Sequence[str], other: Sequence[str]) -> int:
     """Return how many elements must be removed from the two sequences until they are equal.
 
     Twice the longest common subsequence is what stays; its length comes from one row of the table kept as the bits of
@@ -110,7 +112,7 @@ class _Writer:
     def __init__(
         self, function: ast.FunctionDef, passed: Sequence[str], functions: Mapping[str, ast.FunctionDef]
     ) -> None:
-        self.function = inlined(function)
+        self.function = inline(function)
         self.called: list[tuple[str, list[str]]] = []
         self._known = functions
         names = [argument.arg for argument in (*function.args.posonlyargs, *function.args.args)]
@@ -214,15 +216,15 @@ class _Put(ast.NodeTransformer):
         return self.value if node.id == self.name and isinstance(node.ctx, ast.Load) else node
 
 
-def inlined(function: ast.FunctionDef) -> ast.FunctionDef:
+def inline(function: ast.FunctionDef) -> ast.FunctionDef:
     """Return a copy in which no name is left that only hands a value to the next statement."""
     function = copy.deepcopy(function)
     fields = [getattr(node, name, None) for node in ast.walk(function) for name in ("body", "orelse", "finalbody")]
     blocks = [field for field in fields if isinstance(field, list)]
-    handed = Counter(_handed(*pair) for block in blocks for pair in pairwise(block))
+    handed = Counter(_passed_arguments(*pair) for block in blocks for pair in pairwise(block))
     for block in blocks:
         for first, second in list(pairwise(block)):
-            name = _handed(first, second)
+            name = _passed_arguments(first, second)
             if name and handed[name] == _reads(function, name):
                 _Put(name, first.value).visit(second)
                 block.remove(first)
@@ -230,7 +232,7 @@ def inlined(function: ast.FunctionDef) -> ast.FunctionDef:
     return function
 
 
-def _handed(first: ast.stmt, second: ast.stmt) -> str:
+def _passed_arguments(first: ast.stmt, second: ast.stmt) -> str:
     """Return the name by which a statement hands a value to the next one, which reads it once; "" if it does not."""
     if not isinstance(first, ast.Assign) or not isinstance(second, _SIMPLE):
         return ""

@@ -80,10 +80,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="xpl-bench-") as name:
         folder = Path(name)
         surroundings = _surroundings(folder)
-        subjects = _given(arguments.paths) if arguments.paths else _generated(folder, arguments.adapters)
+        subjects = (
+            _load_adapters(arguments.paths) if arguments.paths else _generate_adapters(folder, arguments.adapters)
+        )
         print(f"{'subject':<22} {'command':<24} {'median ms':>9} {'min':>7} {'max':>7} {'CPU ms':>7} {'x ruff':>7}")
         for title, adapters in subjects:
-            rows += _measured(title, _commands(adapters), arguments.runs, surroundings)
+            rows += _measure(title, _commands(adapters), arguments.runs, surroundings)
     print(
         f"{arguments.runs} runs each on {CORES} cores; ruff without its cache, and without the folders' configuration"
     )
@@ -102,7 +104,7 @@ def main() -> None:
         arguments.json.write_text(json.dumps({"rows": [asdict(row) for row in rows], "targets": targets}, indent=2))
 
 
-def _measured(title: str, commands: dict[str, list[str]], runs: int, surroundings: dict[str, str]) -> list[_Row]:
+def _measure(title: str, commands: dict[str, list[str]], runs: int, surroundings: dict[str, str]) -> list[_Row]:
     """Measure the commands on one subject and print a line for each."""
     figures = _in_turn(commands, runs, surroundings)
     base = statistics.median(figures[RUFF].wall)
@@ -113,7 +115,7 @@ def _measured(title: str, commands: dict[str, list[str]], runs: int, surrounding
     return rows
 
 
-def _generated(folder: Path, count: int) -> list[tuple[str, list[Path]]]:
+def _generate_adapters(folder: Path, count: int) -> list[tuple[str, list[Path]]]:
     """Return a fresh scaffold, and the tree."""
     chance = random.Random(7)  # noqa: S311 - filler, no secret
     policies = folder / "tree" / "policy"
@@ -155,7 +157,7 @@ def _code(chance: random.Random, functions: int) -> str:
     return "\n".join(lines)
 
 
-def _given(paths: list[Path]) -> list[tuple[str, list[Path]]]:
+def _load_adapters(paths: list[Path]) -> list[tuple[str, list[Path]]]:
     """Return the folders one by one, and all of them."""
     adapters = [path.resolve() for path in paths]
     together = [(_title(len(adapters)), adapters)] if len(adapters) > 1 else []

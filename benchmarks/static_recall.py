@@ -28,7 +28,7 @@ def main() -> int:
     arguments = parser.parse_args()
     defects = json.loads(arguments.defects.read_text())["defects"]
     names = arguments.adapters or sorted({defect["adapter"] for defect in defects})
-    findings = audited([arguments.checkout / "policy" / name for name in names])
+    findings = audit_adapters([arguments.checkout / "policy" / name for name in names])
     print(f"{'adapter':<20} {'defects':>7} {'found':>5} {'fails':>5} {'warns':>5}")
     total = 0
     missed: list[dict[str, Any]] = []
@@ -47,7 +47,7 @@ def main() -> int:
     return 0
 
 
-def audited(adapters: list[Path]) -> list[dict[str, Any]]:
+def audit_adapters(adapters: list[Path]) -> list[dict[str, Any]]:
     """Return every finding of the static gate on these adapters, with its adapter and outcome."""
     command = [sys.executable, "-m", "xpl_cli", "audit", *map(str, adapters)]
     done = subprocess.run(

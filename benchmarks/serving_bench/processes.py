@@ -63,7 +63,7 @@ class End:
             self._process.stdin.write(json.dumps(order).encode() + b"\n")
             self._process.stdin.flush()
         except OSError:
-            raise EndError(self._said()) from None
+            raise EndError(self._read_reply()) from None
 
     def answer(self, wait_s: float) -> dict[str, Any]:
         """Return the answer to the order that was sent."""
@@ -99,17 +99,17 @@ class End:
         with selectors.DefaultSelector() as selector:
             selector.register(self._process.stdout, selectors.EVENT_READ)
             if not selector.select(limit_s):
-                raise EndError(f"no answer within {limit_s:g} s; {self._said()}")
+                raise EndError(f"no answer within {limit_s:g} s; {self._read_reply()}")
         line = self._process.stdout.readline()
         if not line:
             self._process.wait()
-            raise EndError(self._said())
+            raise EndError(self._read_reply())
         answer: dict[str, Any] = json.loads(line)
         if "failed" in answer:
             raise EndError(answer["failed"])
         return answer
 
-    def _said(self) -> str:
+    def _read_reply(self) -> str:
         self._log.seek(0)
         lines = self._log.read().decode(errors="replace").strip().splitlines()
         return lines[-1] if lines else "it printed nothing"

@@ -54,7 +54,7 @@ def grades(task: Task, project: Project) -> Iterator[Grade]:
 
 
 def _audit(project: Project, target: str) -> str:
-    document = _audited(project, target)
+    document = _check_audit(project, target)
     if not document:
         return f"there is no {target} to audit"
     (audited,) = document["targets"]
@@ -63,24 +63,28 @@ def _audit(project: Project, target: str) -> str:
         return f"the model was not loaded in {', '.join(stood_in)}"
     if waived := [result["code"] for result in _results(document) if result["waived"]]:
         return f"waived: {', '.join(waived)}"
-    return "" if document["exit_code"] == 0 else f"{audited['verdict']}: {', '.join(_failed(document)) or 'no finding'}"
+    return (
+        ""
+        if document["exit_code"] == 0
+        else f"{audited['verdict']}: {', '.join(_check_failed(document)) or 'no finding'}"
+    )
 
 
 def _rule(project: Project, about: Mapping[str, str]) -> str:
     profile = ("--profile", about["profile"]) if "profile" in about else ()
-    document = _audited(project, about["target"], "--select", about["code"], *profile)
+    document = _check_audit(project, about["target"], "--select", about["code"], *profile)
     outcomes = [result["outcome"] for result in _results(document) if result["code"] == about["code"]]
     return "" if outcomes == ["pass"] else f"{about['code']}: {', '.join(outcomes) or 'not asked'}"
 
 
-def _unchanged(project: Project, folder: str) -> str:
+def _check_unchanged(project: Project, folder: str) -> str:
     changed = project.changed(folder)
     return f"changed: {', '.join(changed)}" if changed else ""
 
 
 def _names_findings(project: Project, target: str) -> str:
     report = _report(project)
-    codes = _failed(_audited(project, target, "--keep-going"))
+    codes = _check_failed(_check_audit(project, target, "--keep-going"))
     missing = [code for code in codes if code not in report]
     return f"not named: {', '.join(missing)}" if missing else "" if codes else "the audit has no finding to name"
 
@@ -97,7 +101,7 @@ def _answer(project: Project, pattern: str, *, must: bool) -> str:
 _KINDS: dict[str, Callable[[Project, Any], str]] = {
     "audit": _audit,
     "rule": _rule,
-    "unchanged": _unchanged,
+    "unchanged": _check_unchanged,
     "names_findings": _names_findings,
     "answer": partial(_answer, must=True),
     "answer_not": partial(_answer, must=False),
@@ -109,7 +113,7 @@ def _report(project: Project) -> str:
     return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
 
-def _audited(project: Project, target: str, *options: str) -> dict[str, Any]:
+def _check_audit(project: Project, target: str, *options: str) -> dict[str, Any]:
     """Return the report of an audit, by this xpl and not by the one that the agent had; empty if it was refused."""
     done = subprocess.run(
         [sys.executable, "-m", "xpl_cli", "audit", target, "--json", *options],
@@ -129,5 +133,5 @@ def _results(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [result for gate in gates for result in gate["results"]]
 
 
-def _failed(document: Mapping[str, Any]) -> list[str]:
+def _check_failed(document: Mapping[str, Any]) -> list[str]:
     return [result["code"] for result in _results(document) if result["outcome"] == "fail"]

@@ -126,14 +126,14 @@ def _query(query: Query, agent: Agent, skills: Sequence[SkillBundle], limit_s: f
     listed = "\n".join(f"- {skill.name}: {skill.description}" for skill in skills)
     with project(empty, "none") as sandbox:
         output = agent.ask(_ASK.format(skills=listed, query=query.text), sandbox.folder, sandbox.environment, limit_s)
-    result.observed = _named(output.output, [skill.name for skill in skills])
+    result.observed = _parse_skill(output.output, [skill.name for skill in skills])
     if result.observed is None and output.code:
         raise NotRunError(_failure(output))
     result.status, result.passed = RAN, result.observed == (query.wanted or "none")
-    _measured(output, result)
+    _record_measurements(output, result)
 
 
-def _named(output: str, names: Sequence[str]) -> str | None:
+def _parse_skill(output: str, names: Sequence[str]) -> str | None:
     """Return the skill, or "none", that is named last; the prompt may be printed before."""
     names_found = re.findall(rf"\b({'|'.join([*map(re.escape, names), 'none'])})\b", output)
     return names_found[-1] if names_found else None
@@ -152,7 +152,7 @@ def _task(task: Task, agent: Agent, condition: str, limit_s: float, result: Resu
         result.first_rollout_s = _first_rollout(calls, output)
         result.written_lines = effort.written_lines(task, sandbox.folder)
         result.model_lines = effort.model_lines(sandbox.folder)
-    _measured(output, result)
+    _record_measurements(output, result)
 
 
 def _failure(output: Told) -> str:
@@ -160,7 +160,7 @@ def _failure(output: Told) -> str:
     return f"the agent did nothing and ended with {output.code}: {last[-200:]}"
 
 
-def _measured(output: Told, result: Result) -> None:
+def _record_measurements(output: Told, result: Result) -> None:
     result.seconds, result.in_time, result.tokens = round(output.seconds, 1), output.in_time, output.tokens
 
 

@@ -166,7 +166,7 @@ BARE = {
 }
 
 
-def timed(loop: Loop, commands: Sequence[Any]) -> list[float]:
+def time_steps(loop: Loop, commands: Sequence[Any]) -> list[float]:
     """Return the processor time of each step, ms; the reset is not counted."""
     reset, step = loop
     reset()
@@ -197,7 +197,7 @@ def main() -> None:
             env.get_obs()
 
         mine, theirs = ((lambda: env.reset([SEED]), play), actions), (bare, values)
-        timings = [(timed(*mine), timed(*theirs)) for _ in range(int(rounds))]
+        timings = [(time_steps(*mine), time_steps(*theirs)) for _ in range(int(rounds))]
     ours_ms, bare_ms = (mean_step(times) for times in zip(*timings, strict=True))
     print(json.dumps({"ours_ms": ours_ms, "bare_ms": bare_ms, "ratio": bare_ms / ours_ms}))
 

@@ -57,8 +57,8 @@ class AlohaEpisode(Episode):
 
         self._env = AlohaEnv(task=setup.task, obs_type="pixels_agent_pos")
         self._task, self._physics = self._env._env.task, self._env._env.physics  # noqa: SLF001 - it offers neither
-        self._task.get_observation = self._undrawn
-        self._task.get_reward = _rewarded(self._task.get_reward, ContactTable(self._physics))
+        self._task.get_observation = self._without_rendering
+        self._task.get_reward = _with_contact_table(self._task.get_reward, ContactTable(self._physics))
         self._renderer = CameraRenderer(self._physics, setup, setup.setting.split("_"))
         chain = Chain.from_embodiment(setup.embodiment.data)
         ahead = chain.tcp_from_flange(pose(np.zeros(_PLACE), rotation.identity()))
@@ -67,7 +67,9 @@ class AlohaEpisode(Episode):
         self._hands = [self._hand(index, arm) for index, arm in enumerate(self._arms)]
         names, rows = setup.facts["objects"], self._physics.data.qpos[_ROBOT:].reshape(-1, spec.POSE_DIM)
         self._rows = dict(zip(names, rows, strict=True))
-        self._expert = Expert(chain, {arm: self._body(self._named(f"vx300s_{arm}")) for arm in self._arms}, setup.task)
+        self._expert = Expert(
+            chain, {arm: self._body(self._named_values(f"vx300s_{arm}")) for arm in self._arms}, setup.task
+        )
 
     def reset(self, seed: int) -> None:
         """Begin an episode; the seed draws where the objects lie."""
@@ -119,7 +121,7 @@ class AlohaEpisode(Episode):
         self._env.close()
         self._physics.free()
 
-    def _undrawn(self, physics: Any) -> OrderedDict[str, Any]:
+    def _without_rendering(self, physics: Any) -> OrderedDict[str, Any]:
         """Return what gym-aloha's task observes, without its three pictures of 480 x 640."""
         return OrderedDict(qpos=self._task.get_qpos(physics), images={"top": _NO_PICTURE})
 
@@ -140,11 +142,11 @@ class AlohaEpisode(Episode):
             self._state[f"{hand.arm}_{spec.State.TCP_POSE}"] = np.array([*between, *turn])
 
     def _hand(self, number: int, arm: str) -> _Hand:
-        body, data = self._named(f"vx300s_{arm}/gripper_link"), self._physics.data
+        body, data = self._named_values(f"vx300s_{arm}/gripper_link"), self._physics.data
         numbers = slice(_ARM * number, _ARM * (number + 1))
         return _Hand(arm, numbers, data.xpos[body], data.xquat[body], data.xmat[body].reshape(3, 3))
 
-    def _named(self, body: str) -> int:
+    def _named_values(self, body: str) -> int:
         number: int = self._physics.model.name2id(body, "body")
         return number
 
@@ -154,7 +156,7 @@ class AlohaEpisode(Episode):
         return pose(data.xpos[body], data.xquat[body])
 
 
-def _rewarded(own: Callable[[Any], int], touching: ContactTable) -> Callable[[Any], int]:
+def _with_contact_table(own: Callable[[Any], int], touching: ContactTable) -> Callable[[Any], int]:
     """Return gym-aloha's own reward with faster access to contacts."""
 
     def reward(_physics: Any) -> int:

@@ -102,7 +102,7 @@ def transfer(objects: Mapping[str, NDArray[np.float64]]) -> dict[str, list[Point
     """Return the way points: the right hand takes the cube to the middle, and the left one, rolled, takes it there."""
     x, y = objects["box"][:2]
     meeting = np.array([0.05, 0.5, 0.3])
-    right = [*_grasped(x, y), Point(190, meeting, _LEVEL, _PLAIN, SHUT)]
+    right = [*_grasp_points(x, y), Point(190, meeting, _LEVEL, _PLAIN, SHUT)]
     left = [
         Point(140, (-0.25, 0.5, 0.3), _LEVEL, _ROLLED, OPEN),
         Point(190, meeting - [0.15, 0.0, 0.0], _LEVEL, _ROLLED, OPEN),
@@ -120,11 +120,11 @@ def insertion(objects: Mapping[str, NDArray[np.float64]]) -> dict[str, list[Poin
     for arm, (name, side, height) in parts.items():
         apart, together = (0.19 * side, 0.5, height), (0.042 * side, 0.5, height)
         lifted = [Point(190, apart, _STEEP, _PLAIN, SHUT), Point(280, together, _STEEP, _PLAIN, SHUT)]
-        ways[arm] = [*_grasped(*objects[name][:2]), *lifted]
+        ways[arm] = [*_grasp_points(*objects[name][:2]), *lifted]
     return ways
 
 
-def _grasped(x: float, y: float) -> list[Point]:
+def _grasp_points(x: float, y: float) -> list[Point]:
     """Return the way points of a hand that takes what lies on the table."""
     return [
         Point(60, (x, y, 0.12), _STEEP, _PLAIN, OPEN),

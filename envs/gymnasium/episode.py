@@ -39,7 +39,7 @@ class GymnasiumEpisode(Episode):
         if setup.action_type not in self.mapping.action:
             offered = ", ".join(self.mapping.action)
             raise MappingError(f"{setup.facts['mapping']} maps {offered} actions, and not {setup.action_type}")
-        self._env = _made(self.mapping)
+        self._env = _make_env(self.mapping)
         space = self._env.action_space
         if not all(hasattr(space, name) for name in ("low", "high")) or len(space.shape) != 1:
             raise MappingError(f"{self.mapping.id} takes actions of {space}: only a vector of numbers can be mapped")
@@ -103,7 +103,7 @@ class GymnasiumEpisode(Episode):
 
     def _picture(self, name: str) -> NDArray[np.uint8]:
         source = self.mapping.cameras[name]
-        image = self._rendered() if source.names == (RENDER,) else source.value(self._sources)
+        image = self._render() if source.names == (RENDER,) else source.value(self._sources)
         if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != len(("H", "W", "C")):
             got = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
             raise MappingError(f"{source.text} must be a picture, (H, W, 3) uint8 RGB; got {got}")
@@ -116,7 +116,7 @@ class GymnasiumEpisode(Episode):
             image = image[rows[:, None], columns]
         return np.ascontiguousarray(image[..., : spec.COLOR_CHANNELS])
 
-    def _rendered(self) -> Any:
+    def _render(self) -> Any:
         try:
             return self._env.render()
         except Exception as error:
@@ -125,7 +125,7 @@ class GymnasiumEpisode(Episode):
             ) from error
 
 
-def _made(mapping: EnvMapping) -> Any:
+def _make_env(mapping: EnvMapping) -> Any:
     for name, value in mapping.variables.items():
         os.environ.setdefault(name, value)
     gymnasium = importlib.import_module("gymnasium")

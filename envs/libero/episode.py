@@ -69,7 +69,7 @@ class LiberoEpisode(Episode):
         self._success = False
         self._told: np.ndarray | None = None
         self._look(obs)
-        self._changes.begin(self._reached(self._state[spec.State.EE_POSE].astype(np.float32)))
+        self._changes.begin(self._clipped_delta(self._state[spec.State.EE_POSE].astype(np.float32)))
 
     def state(self) -> dict[str, NDArray[np.float64]]:
         """Return joints (rad), opening, the pose of the flange and of the point between the fingers."""
@@ -77,8 +77,8 @@ class LiberoEpisode(Episode):
 
     def step(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Execute one action step: send the tool to a pose, or as far as the command went on from the one before."""
-        target = self._reached(action[spec.State.EE_POSE])
-        change = self._changes.delta(target, self._reached(self._flange())) / _SCALE
+        target = self._clipped_delta(action[spec.State.EE_POSE])
+        change = self._changes.delta(target, self._clipped_delta(self._flange())) / _SCALE
         move, past = clip(change.tolist(), together=self._changes.counted_from == MEASURED)
         self._told = np.append(move, 1.0 - 2.0 * float(action[spec.State.EE_JOINT_STATE][0]))
         obs, _, self._success, _ = self._env.step(self._told)
@@ -130,7 +130,7 @@ class LiberoEpisode(Episode):
         data = self._env.sim.data
         return pose(data.site_xpos[self._site], from_matrix(data.site_xmat[self._site].reshape(3, 3)))
 
-    def _reached(self, flange: Any) -> NDArray[np.float64]:
+    def _clipped_delta(self, flange: Any) -> NDArray[np.float64]:
         """Return where that point is for a pose of the flange."""
         return compose(flange, self._tool)
 

@@ -10,7 +10,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl.poses import compose, invert, pose
 
-from .control import Control, Told
+from .control import Control, ControllerCommand
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -140,9 +140,11 @@ class Arm:
         """Return where the point between the fingers is in the base, for a pose (7,) of the flange in the world."""
         return compose(invert(self.base), compose(np.asarray(flange, dtype=np.float64), self._tool))
 
-    def told(self, action: Mapping[str, Any]) -> Told:
+    def controller_command(self, action: Mapping[str, Any]) -> ControllerCommand:
         """Return the command of ManiSkill's controller for this arm's part of an action."""
-        return self._control.told({name.removeprefix(self.prefix): value for name, value in action.items()}, self)
+        return self._control.controller_command(
+            {name.removeprefix(self.prefix): value for name, value in action.items()}, self
+        )
 
     @property
     def largest_change(self) -> NDArray[np.float64]:

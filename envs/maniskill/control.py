@@ -25,7 +25,7 @@ _DELTA = "delta"
 _BY_ANGLES = ("so100",)  # robots for which ManiSkill has no controller of poses
 _NEAR = 1e-3  # m: a pose that is met by this much is met
 
-Told = tuple["NDArray[np.float64]", dict[str, float]]
+ControllerCommand = tuple["NDArray[np.float64]", dict[str, float]]
 """The command of the arm's controller (its gripper comes after it), and the corrections."""
 
 
@@ -38,7 +38,7 @@ class Control(Protocol):
     def begin(self, arm: Arm) -> None:
         """Begin an episode."""
 
-    def told(self, action: Mapping[str, Any], arm: Arm) -> Told:
+    def controller_command(self, action: Mapping[str, Any], arm: Arm) -> ControllerCommand:
         """Return the controller's command for an action of this arm."""
 
 
@@ -50,7 +50,7 @@ class Joints:
     def begin(self, arm: Arm) -> None:
         """Nothing is carried over."""
 
-    def told(self, action: Mapping[str, Any], arm: Arm) -> Told:
+    def controller_command(self, action: Mapping[str, Any], arm: Arm) -> ControllerCommand:
         """Return angles as they are."""
         angles = action[spec.State.ARM_JOINT_STATE].astype(np.float64)
         return np.append(angles, arm.gripper.command(float(action[spec.State.EE_JOINT_STATE][0]))), {}
@@ -66,7 +66,7 @@ class JointChanges:
         self._range = arm.largest_change
         self._before = arm.state[spec.State.ARM_JOINT_STATE].astype(np.float32).astype(np.float64)
 
-    def told(self, action: Mapping[str, Any], arm: Arm) -> Told:
+    def controller_command(self, action: Mapping[str, Any], arm: Arm) -> ControllerCommand:
         """Return how far the command went on from the one before."""
         target = action[spec.State.ARM_JOINT_STATE].astype(np.float64)
         change, past = clip(((target - self._before) / self._range[: len(target)]).tolist(), together=False)
@@ -83,7 +83,7 @@ class Poses:
     def begin(self, arm: Arm) -> None:
         """Nothing is carried over."""
 
-    def told(self, action: Mapping[str, Any], arm: Arm) -> Told:
+    def controller_command(self, action: Mapping[str, Any], arm: Arm) -> ControllerCommand:
         """Return position, and angles about x, then the new y, then the new z."""
         pose = arm.reached(action[spec.State.EE_POSE].astype(np.float64))
         command = np.append(pose[: spec.POSITION_DIM], euler(pose[spec.POSITION_DIM :]))
@@ -108,7 +108,7 @@ class PoseChanges:
         self._move, self._turn = config.pos_upper, config.rot_lower
         self._changes.begin(arm.reached(arm.state[spec.State.EE_POSE].astype(np.float32)))
 
-    def told(self, action: Mapping[str, Any], arm: Arm) -> Told:
+    def controller_command(self, action: Mapping[str, Any], arm: Arm) -> ControllerCommand:
         """Return how far the command went on from the one before."""
         present = arm.reached(arm.state[spec.State.EE_POSE])
         change = self._changes.delta(arm.reached(action[spec.State.EE_POSE]), present)
@@ -131,7 +131,7 @@ class SolvedPoses:
         """Search from where the joints are."""
         self._angles = arm.state[spec.State.ARM_JOINT_STATE]
 
-    def told(self, action: Mapping[str, Any], arm: Arm) -> Told:
+    def controller_command(self, action: Mapping[str, Any], arm: Arm) -> ControllerCommand:
         """Return angles."""
         flange = compose(invert(arm.base), action[spec.State.EE_POSE].astype(np.float64))
         solution = self._chain.solve(flange, self._angles)

@@ -45,7 +45,7 @@ class ManiSkillEpisode(Episode):
         self._torch = torch
         controls = [control_of(setup.action_type, words, setup.embodiment.name) for _ in setup.embodiment.arms]
         self._renderer = CameraRenderer(setup, words)
-        self._env = self._made(make, controls[0].mode)
+        self._env = self._make_env(make, controls[0].mode)
         agents = getattr(self._env.agent, "agents", [self._env.agent])
         self._arms = [
             Arm(agent, arm.prefix, arm.dof, control)
@@ -72,8 +72,8 @@ class ManiSkillEpisode(Episode):
 
     def step(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Execute one action step."""
-        told = [arm.told(_of(arm, action)) for arm in self._arms]
-        commands = [command.astype(np.float32) for command, _ in told]
+        pairs = [arm.controller_command(_of(arm, action)) for arm in self._arms]
+        commands = [command.astype(np.float32) for command, _ in pairs]
         self._told = np.concatenate(commands)
         self._torch.set_rng_state(self._random)
         outcome = self._env.step(self._as_agents(commands))
@@ -84,7 +84,7 @@ class ManiSkillEpisode(Episode):
             arm.look()
         if self._planner is not None:
             self._planner.stepped(outcome)
-        return {arm.prefix: corrections for arm, (_, corrections) in zip(self._arms, told, strict=True) if corrections}
+        return {arm.prefix: corrections for arm, (_, corrections) in zip(self._arms, pairs, strict=True) if corrections}
 
     def score(self) -> float:
         """Return 1 on success, else 0: rewards of ManiSkill are no share of a task."""
@@ -114,7 +114,7 @@ class ManiSkillEpisode(Episode):
             self._planner.end()
         self._env.close()
 
-    def _made(self, make: Any, mode: str) -> Any:
+    def _make_env(self, make: Any, mode: str) -> Any:
         try:
             return make(
                 f"{self.setup.task}-v1",

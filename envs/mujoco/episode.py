@@ -198,10 +198,10 @@ def _layout(truth: Mapping[str, Any], table_top: float) -> dict[str, Any]:
     """Return what the seed drew, as plain numbers to a micrometre: poses of objects, places of goals, the table."""
     return {
         "table_top": round(float(table_top), _DIGITS),
-        "objects": {name: _rounded(entry["pose"]) for name, entry in truth["objects"].items()},
-        "goals": {name: _rounded(entry["position"]) for name, entry in truth["goals"].items()},
+        "objects": {name: _round_floats(entry["pose"]) for name, entry in truth["objects"].items()},
+        "goals": {name: _round_floats(entry["position"]) for name, entry in truth["goals"].items()},
     }
 
 
-def _rounded(values: Any) -> list[float]:
+def _round_floats(values: Any) -> list[float]:
     return [round(float(value), _DIGITS) + 0.0 for value in values]  # -0.0 becomes 0.0

@@ -175,12 +175,12 @@ class RoboDojoEnv:
 
     def get_running_env_idx_list(self) -> list[int]:
         """Return the indices of the environments whose episode goes on."""
-        self._started()
+        self._start_episode()
         return [index for index in range(self.num_envs) if not self.end_flag[index]]
 
     def results(self) -> list[dict[str, Any]]:
         """Return one result per environment; there is nothing to succeed at, and no number of RoboDojo's."""
-        self._started()
+        self._start_episode()
         return [
             {
                 spec.Obs.ENV_IDX: index,
@@ -220,14 +220,14 @@ class RoboDojoEnv:
         self._config = config
 
     def _indices(self, requested: Sequence[int] | None) -> list[int]:
-        self._started()
+        self._start_episode()
         chosen = list(range(self.num_envs)) if requested is None else list(requested)
         unknown = [index for index in chosen if not 0 <= index < self.num_envs]
         if unknown:
             raise ValueError(f"there is no environment {unknown[0]}; indices go from 0 to {self.num_envs - 1}")
         return chosen
 
-    def _started(self) -> None:
+    def _start_episode(self) -> None:
         if not self._scenes:
             raise RuntimeError("no episode has begun: call reset first")
 

@@ -60,7 +60,7 @@ class RobosuiteEpisode(Episode):
         self._renderer.prepare(self._env)
         counted = COMMANDED if setup.setting == _DELTA else MEASURED
         self._arms = [Arm(prefix, number, counted) for number, prefix in enumerate(prefixes)]
-        self._step = self._sent if setup.setting == _ABSOLUTE else self._changed
+        self._step = self._absolute_command if setup.setting == _ABSOLUTE else self._delta_command
 
     def reset(self, seed: int) -> None:
         """Begin an episode; the seed draws all that robosuite draws."""
@@ -118,10 +118,10 @@ class RobosuiteEpisode(Episode):
         """Release the simulator."""
         self._env.close()
 
-    def _changed(self, arm: Arm, target: Any) -> tuple[NDArray[np.float64], float]:
+    def _delta_command(self, arm: Arm, target: Any) -> tuple[NDArray[np.float64], float]:
         return arm.change(target)
 
-    def _sent(self, arm: Arm, target: Any) -> tuple[NDArray[np.float64], float]:
+    def _absolute_command(self, arm: Arm, target: Any) -> tuple[NDArray[np.float64], float]:
         reached = arm.reached(target)
         turn = rotation.to_axis_angle(reached[spec.POSITION_DIM :])
         return np.concatenate([reached[: spec.POSITION_DIM], turn]), 0.0

@@ -56,7 +56,7 @@ class RoboTwinEpisode(Episode):
         """
         with quiet():
             self._leave()
-            info = self._begun(seed)
+            info = self._set_up(seed)
             wordings = self._source.describe(self.setup.task, info, 1, seed).get(SEEN)
         task = self._task
         task.set_instruction(instruction=wordings[seed % len(wordings)] if wordings else self.setup.task)
@@ -80,7 +80,7 @@ class RoboTwinEpisode(Episode):
         with quiet():
             self._task.take_action(self._told, action_type=kind)
         self._seen = None
-        return {} if kind != convert.ACTION_TYPES["ee"] or self._task.eval_success else self._missed(action)
+        return {} if kind != convert.ACTION_TYPES["ee"] or self._task.eval_success else self._missed_targets(action)
 
     def score(self) -> float:
         """Return 1 for RoboTwin's success, else 0."""
@@ -88,17 +88,17 @@ class RoboTwinEpisode(Episode):
 
     def vision(self) -> dict[str, dict[str, Any]]:
         """Return what RoboTwin's cameras see."""
-        return convert.vision(self._observed(), self.setup.manifest.cameras)
+        return convert.vision(self._observe(), self.setup.manifest.cameras)
 
     def simulated(self) -> Simulated:
         """Return RoboTwin's own observation, and its last flat command."""
-        return Simulated(self._observed(), self._told)
+        return Simulated(self._observe(), self._told)
 
     def close(self) -> None:
         """Close RoboTwin's scene."""
         self._leave()
 
-    def _begun(self, seed: int) -> Mapping[str, Any]:
+    def _set_up(self, seed: int) -> Mapping[str, Any]:
         """Set a seed up, and return the names of objects in RoboTwin's expert."""
         task = self._task
         self._played = (self._played or 0) + 1
@@ -120,14 +120,14 @@ class RoboTwinEpisode(Episode):
             every = int(self._arguments.get("clear_cache_freq") or 0)
             self._task.close_env(clear_cache=bool(every) and self._played % every == 0)
 
-    def _observed(self) -> dict[str, Any]:
+    def _observe(self) -> dict[str, Any]:
         """Return RoboTwin's observation, whose cameras are rendered at most once per step, on demand."""
         if self._seen is None:
             with quiet():
                 self._seen = self._task.get_obs()
         return self._seen
 
-    def _missed(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    def _missed_targets(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Return how far each arm is from where it was sent, m, where that is far."""
         state, found = self.state(), {}
         for side in convert.SIDES:

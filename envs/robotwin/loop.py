@@ -116,7 +116,7 @@ def evaluate(
             raise RuntimeError(
                 f"of {len(played.skipped)} seeds {options.task} took {len(played.episodes)}: {_why(played)}"
             )
-        info, reason = _checked(source, task, arguments, seed, len(played.episodes), options)
+        info, reason = _check_seed(source, task, arguments, seed, len(played.episodes), options)
         if reason is None:
             reason = _set_up(source, task, {**arguments, "now_ep_num": len(played.episodes), spec.Deploy.SEED: seed})
         if reason is None:
@@ -131,7 +131,7 @@ def evaluate(
     return played
 
 
-def _checked(  # noqa: PLR0913, PLR0917 - private
+def _check_seed(  # noqa: PLR0913, PLR0917 - private
     source: Source, task: Any, arguments: Mapping[str, Any], seed: int, number: int, options: EvalOptions
 ) -> tuple[Mapping[str, Any], str | None]:
     """Return the expert's information on a seed, and why the seed does not count, or None."""

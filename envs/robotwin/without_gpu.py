@@ -57,7 +57,7 @@ class SourceWithoutGpu(UpstreamSource):
             try:
                 scene(**kwargs)
             except RuntimeError as error:
-                raise _explained(error) from error
+                raise _explain(error) from error
             sapien.render.set_camera_shader_dir("default")
 
         def load_robot(**kwargs: Any) -> None:
@@ -102,6 +102,6 @@ def _assets() -> tempfile.TemporaryDirectory[str]:
     return made
 
 
-def _explained(error: RuntimeError) -> RuntimeError:
+def _explain(error: RuntimeError) -> RuntimeError:
     is_about_vulkan = any(complaint in str(error) for complaint in VULKAN_COMPLAINTS)
     return no_vulkan("RoboTwin", error) if is_about_vulkan else error

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def test_every_recipe_records_prepares_trains_and_judges(which: tuple[str, str], tmp_path: Path) -> None:
     """With what its package reads: cameras, or what the simulator tells."""
     policy, task = which
-    asked = learned.parsed(["--policy", policy, "--task", task])
+    asked = learned.parse_arguments(["--policy", policy, "--task", task])
     package, _, variant = policy.partition(":")
     found = list(learned.stages(learned.RECIPES[which], ROOT / "policy" / package, tmp_path, asked))
     names = [stage.words[0] for stage in found]
@@ -36,7 +36,7 @@ def test_every_recipe_records_prepares_trains_and_judges(which: tuple[str, str],
 
 def test_who_reads_is_judged_with_other_instructions_too(tmp_path: Path) -> None:
     policy, task = "Tiny_VLA", "pick_by_language"
-    asked = learned.parsed(["--policy", policy, "--task", task])
+    asked = learned.parse_arguments(["--policy", policy, "--task", task])
     found = learned.stages(learned.RECIPES[policy, task], tmp_path, tmp_path, asked)
     judged = [stage.words for stage in found if stage.words[0] == "eval"]
     told = [words[words.index("--instruction") + 1] if "--instruction" in words else None for words in judged]
@@ -56,7 +56,7 @@ def test_what_there_is_not_is_refused_with_what_there_is(
     words: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        learned.parsed(words)
+        learned.parse_arguments(words)
     assert ended.value.code == 2
     assert said in capsys.readouterr().err
 
@@ -80,7 +80,7 @@ def test_it_goes_on_after_what_is_done_and_never_with_other_settings(
     monkeypatch.setattr(subprocess, "run", ran)
     recipe = learned.RECIPES["ACT:state", "lift_cube"]
     given = ["--policy", "ACT:state", "--task", "lift_cube", "--out", str(tmp_path), "--judge", "2"]
-    asked = learned.parsed(given)
+    asked = learned.parse_arguments(given)
     with pytest.raises(SystemExit, match="train ended with exit code 4"):
         learned.run(recipe, asked)
     codes.clear()
@@ -89,7 +89,7 @@ def test_it_goes_on_after_what_is_done_and_never_with_other_settings(
     assert called[4:] == ["train", "eval", "report"]
     assert set(result["reports"]) == {"clean"}
     with pytest.raises(SystemExit, match="other settings"):
-        learned.run(recipe, learned.parsed([*given[:-1], "3"]))
+        learned.run(recipe, learned.parse_arguments([*given[:-1], "3"]))
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.loop_distance import REFERENCES, distance, functions, unmatched
+from benchmarks.loop_distance import REFERENCES, count_unmatched, distance, functions
 from tests.support.places import ROOT
 
 LOOP = (ROOT / "policy/demo_policy/deploy.py").read_text(encoding="utf-8")
@@ -100,7 +100,7 @@ def test_unmatched_is_the_edit_distance_without_replacement(one: list[str], othe
         before, row = row, [i]
         for j, right in enumerate(other, start=1):
             row.append(before[j - 1] if left == right else 1 + min(before[j], row[j - 1]))
-    assert unmatched(one, other) == row[-1]
+    assert count_unmatched(one, other) == row[-1]
 
 
 def test_files_are_listed_with_their_distance(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl import json_text
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.basics.parallel import in_processes
+from xpl_cli.basics.parallel import map_in_processes
 from xpl_cli.environments import rollout
 from xpl_cli.environments.rollout import Scenario, unsupported
 from xpl_cli.packages import environments
@@ -156,7 +156,7 @@ def _results(jobs: Sequence[_Job], workers: int | None) -> Iterator[_Played]:
     if workers == 1 or len(jobs) <= 1:
         yield from map(_play, jobs)
         return
-    for (what, _), answer in zip(jobs, in_processes(_play, jobs, workers), strict=True):
+    for (what, _), answer in zip(jobs, map_in_processes(_play, jobs, workers), strict=True):
         if answer is None:
             raise UserError(
                 f"the process that ran {what.task} with {what.embodiment} ({what.setting}) died",

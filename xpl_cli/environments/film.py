@@ -114,11 +114,11 @@ class FilmRecorder:
         Args:
             out: file, whose ending is one of `FORMATS`.
         """
-        content = self.encoded(_format(out))
+        content = self.encode(_format(out))
         if content is not None:
             atomic.write_file(out, content)
 
-    def encoded(self, kind: str = FORMATS[0].lstrip(".")) -> bytes | None:
+    def encode(self, kind: str = FORMATS[0].lstrip(".")) -> bytes | None:
         """Return the film as the content of a file, None where nothing was seen."""
         import io
 

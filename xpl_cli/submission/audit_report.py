@@ -18,7 +18,7 @@ from xpl_cli.audit.rules.profiles import Profile, ServedProfile
 from xpl_cli.audit.rules.registry import builtin_entries, entries
 from xpl_cli.audit.rules.verdict import PARITY, Verdict, VerdictStatus, verdict_of
 from xpl_cli.audit.static.source import Source
-from xpl_cli.basics.words import listed
+from xpl_cli.basics.phrases import join_limited
 from xpl_cli.model_io import pairs
 from xpl_cli.packages.package import POLICY
 
@@ -81,7 +81,7 @@ class BundledAudit:
             yield f"the audit ran without the gates {', '.join(missing)}"
         if verdict.status in (VerdictStatus.RED, VerdictStatus.INCOMPLETE):
             open_rules = [f"{one.code} {one.outcome.value}" for one in report.results if one.outcome in _FAILING]
-            failed_rules = listed(open_rules, _MOST_LISTED) or "nothing passed"
+            failed_rules = join_limited(open_rules, _MOST_LISTED) or "nothing passed"
             yield f"the audit is not green: its rules make it {verdict.status} ({failed_rules})"
         yield from self._overstatements(verdict, adapter)
         for gate in report.gates:
@@ -130,9 +130,9 @@ def _missing_rules(gate: GateReport) -> Iterator[str]:
     here = [entry for entry in builtin if not (entry.closes or entry.needs_demonstrations) and entry.runs_in(gate.name)]
     expected = {entry.code for entry in here}
     if lacking := sorted(expected.difference(codes)):
-        yield f"the audit's {gate.name} gate is without the rules {listed(lacking, _MOST_LISTED)}"
+        yield f"the audit's {gate.name} gate is without the rules {join_limited(lacking, _MOST_LISTED)}"
     if twice := sorted({code for code in codes if codes.count(code) > 1}):
-        yield f"the audit's {gate.name} gate has two results of {listed(twice, _MOST_LISTED)}"
+        yield f"the audit's {gate.name} gate has two results of {join_limited(twice, _MOST_LISTED)}"
 
 
 def _static_gate_differences(report: TargetReport, adapter: Path, variant: str | None) -> Iterator[str]:

@@ -194,6 +194,6 @@ def open_bundle(path: Path, folder: Path, *, limit: int) -> SubmissionBundle:
 
 def _json(path: Path, name: str, most: int) -> Any:
     try:
-        return json_text.parse(files.content(path, most), finite=True)
+        return json_text.parse(files.read_regular(path, most), finite=True)
     except (OSError, json_text.JsonError) as error:
         raise UserError(f"{name} of the bundle cannot be read: {error}", code=ExitCode.FINDINGS) from None

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
-from xpl_cli.basics.words import listed
+from xpl_cli.basics.phrases import join_limited
 from xpl_cli.evaluation.records import containment, fingerprints, run_mode
 from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.evaluation.records.failures import MAX_INFRASTRUCTURE_SHARE, contradiction
@@ -41,7 +41,7 @@ def problems(run: Run) -> Iterator[str]:
         yield f"it ran {unusual}: its episodes cannot be replayed one by one"
     yield from _attempts(run)
     yield from _copies(run)
-    yield from _unjudged(run)
+    yield from _without_outcome(run)
     if run.has_too_many_infrastructure_errors:
         counts = f"{run.infrastructure_errors} of its {len(run.finals)} episodes ended with an infrastructure error"
         yield f"{counts}, more than {MAX_INFRASTRUCTURE_SHARE:.0%}"
@@ -93,9 +93,10 @@ def _copies(run: Run) -> Iterator[str]:
                 yield f"episode {line.index} has {file.path} of episode {first.index}: it was copied"
 
 
-def _unjudged(run: Run) -> Iterator[str]:
+def _without_outcome(run: Run) -> Iterator[str]:
     """Yield episodes that have neither success nor failure in a task where others have: they would not count."""
     for cell in cells(run):
         silent = [str(line.index) for line in cell.counted if line.success is None and line.failure is None]
         if silent and cell.outcomes:
-            yield f"episodes {listed(silent, _MOST_LISTED)} have neither success nor failure; others in {cell.task} do"
+            names = join_limited(silent, _MOST_LISTED)
+            yield f"episodes {names} have neither success nor failure; others in {cell.task} do"

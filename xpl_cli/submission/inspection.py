@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import NotFoundError, UserError
-from xpl_cli.basics.words import listed
+from xpl_cli.basics.phrases import join_limited
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.evaluation.runs import protocol
 from xpl_cli.lifecycle.checkpoints import specification
@@ -128,7 +128,7 @@ def _unaccounted_files(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Itera
         extras = (file.path for line in run.attempts for file in (line.trace, line.film) if file is not None)
         accounted |= {f"{entry.folder}/{name}" for name in (bundle.RECORDS, *extras)}
     if others := sorted(unpacked.digests.keys() - accounted):
-        yield f"{listed(others, _MOST_LISTED)}: neither the adapter's own files nor the records account for it"
+        yield f"{join_limited(others, _MOST_LISTED)}: neither the adapter's own files nor the records account for it"
 
 
 def _checkpoints(unpacked: SubmissionBundle, runs: Sequence[Run]) -> Iterator[str]:

@@ -33,10 +33,10 @@ def lock_of(folder: Path, environment: PythonEnvironment, *, python: str | None 
     interpreter_path = interpreter.resolve(folder, environment, python=python, env=env)
     declared = environment.lock
     lock = None if declared is None else {"path": declared, "sha256": _sha256(folder / declared)}
-    return {**_installed(interpreter_path), "lock": lock}
+    return {**_installed_packages(interpreter_path), "lock": lock}
 
 
-def _installed(python: str) -> dict[str, Any]:
+def _installed_packages(python: str) -> dict[str, Any]:
     """Return an interpreter's version, and its packages with theirs."""
     # -I: neither the working directory nor the user's variables add packages.
     command = [python, "-I", "-c", installers.LISTING]

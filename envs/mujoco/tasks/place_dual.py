@@ -45,13 +45,13 @@ class PlaceDual(Task):
             physics.grasped(block.name, arm) and height(physics, block.name) > block.half[2] + _LIFTED
             for arm, block in enumerate(_BLOCKS)
         ]
-        red, blue = self._placed(physics)
+        red, blue = self._is_placed(physics)
         ready = self.stages["both_lifted"]
         return {"both_lifted": all(flying), "red_placed": ready and red, "blue_placed": ready and blue}
 
     def solved(self, physics: Physics) -> bool:
         """Both lie on their pads, let go."""
-        return self.stages["both_lifted"] and all(self._placed(physics)) and let_go(physics, *self.objects)
+        return self.stages["both_lifted"] and all(self._is_placed(physics)) and let_go(physics, *self.objects)
 
     def truth(self, physics: Physics) -> dict[str, Any]:
         """Return blocks and pads."""
@@ -64,7 +64,7 @@ class PlaceDual(Task):
         }
         return {"objects": blocks, "goals": pads}
 
-    def _placed(self, physics: Physics) -> list[bool]:
+    def _is_placed(self, physics: Physics) -> list[bool]:
         return [
             off(physics, block.name, target) < _ON_PAD
             and abs(height(physics, block.name) - block.half[2]) < _ON_TABLE

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import JSON, PATIENCE_HELP, POLICY, POLICY_ENV, PYTHON, SETTINGS
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def fetch(
 
 
 @app.command()
-@ends(clean="whole", findings="differs", not_found="not fetched")
+@exit_codes(clean="whole", findings="differs", not_found="not fetched")
 def verify(
     policy: str = POLICY,
     name: str | None = _NAME,
@@ -78,7 +78,7 @@ def verify(
     adapter = package.load(policy, package.parse_overrides(settings))
     answers: list[dict[str, Any]] = []
     for one in specification.choose(adapter, name, every=every):
-        path = _located(one, policy)
+        path = _require_path(one, policy)
         if one.digest is None and not one.files:
             raise UserError(f"checkpoint {one.name!r} has no sha256 in policy.yml: nothing can be compared")
         differing = [asdict(difference) for difference in fetching.differences(one, *fetching.hash_local(one, path))]
@@ -102,7 +102,7 @@ def verify(
 
 
 @app.command("path")
-@ends(not_found="not fetched")
+@exit_codes(not_found="not fetched")
 def path_of(
     policy: str = POLICY, name: str | None = _NAME, settings: list[str] = SETTINGS, as_json: bool = JSON
 ) -> None:
@@ -113,7 +113,7 @@ def path_of(
 
     adapter = package.load(policy, package.parse_overrides(settings))
     (one,) = specification.choose(adapter, name)
-    path = str(_located(one, policy))
+    path = str(_require_path(one, policy))
     if as_json:
         following = [shlex.join(["xpl", "checkpoint", "verify", policy, one.name])]
         answer = {"policy": adapter.name, "checkpoints": [{"name": one.name, "path": path}]}
@@ -123,7 +123,7 @@ def path_of(
 
 
 @app.command()
-@ends(clean="every input moves the answer", findings="some input does not", not_found="no tiny.py")
+@exit_codes(clean="every input moves the answer", findings="some input does not", not_found="no tiny.py")
 def tiny(
     policy: str = POLICY,
     settings: list[str] = SETTINGS,
@@ -193,7 +193,7 @@ def _fetch(one: CheckpointSpec, *, unverified: bool, again: bool) -> dict[str, A
     }
 
 
-def _located(one: CheckpointSpec, policy: str) -> Path:
+def _require_path(one: CheckpointSpec, policy: str) -> Path:
     from xpl_cli.basics.errors import NotFoundError
     from xpl_cli.lifecycle.checkpoints import fetch as fetching
 

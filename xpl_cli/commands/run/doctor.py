@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import JSON
 
 
-@ends(clean="nothing is broken", findings="something is broken")
+@exit_codes(clean="nothing is broken", findings="something is broken")
 def doctor(as_json: bool = JSON) -> None:
     """Check what this machine can run, and how to fix the rest.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import JSON
 from xpl_cli.commands.run.hand_over import hand_over
 
@@ -56,7 +56,7 @@ def path(name: str = _NAME, as_json: bool = JSON) -> None:
 
 
 @app.command()
-@ends(
+@exit_codes(
     clean="it holds", findings="it does not", not_found="environment, task or seeds not found", not_run="a process died"
 )
 def check(
@@ -139,7 +139,7 @@ def sheet(
 
 
 @app.command()
-@ends(
+@exit_codes(
     clean="a film was written, also of a failure", not_found="a name was not found", not_run="this machine cannot draw"
 )
 def play(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands import values
 from xpl_cli.commands.options import JSON, POLICY, POLICY_ENV, POLICY_GPU, PYTHON, SETTINGS
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _ANSWER = "xpl.env-hand-over/1"
 
 
-@ends(
+@exit_codes(
     clean="the launcher ended, and its result was read",
     not_found="environment, adapter, task or workspace not found",
     not_run="the launcher failed, or its result cannot be relied on",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import JSON, POLICY, SETTINGS
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ _JSON = typer.Option(False, "--json", help="Print a JSON object; what the script
 _INSTALL = "xpl.install/1"
 
 
-@ends(findings="with --check: not as declared")
+@exit_codes(findings="with --check: not as declared")
 def install(
     name: str = typer.Argument(..., metavar="PACKAGE", help="Adapter or environment, or its folder."),
     check: bool = typer.Option(False, "--check", help="Install nothing; check the environment."),

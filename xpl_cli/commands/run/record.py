@@ -7,7 +7,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import (
     EVAL_ENV,
     ISOLATE,
@@ -23,7 +23,7 @@ from xpl_cli.commands.run.evaluate import questions_for
 _IMAGES = "Size, own or none; default: the policy's or own."
 
 
-@ends(
+@exit_codes(
     clean="the set is complete",
     findings="fewer episodes than wanted",
     not_found="environment, task or policy not found",

@@ -158,7 +158,7 @@ def _run_id(request: HandOverRequest) -> str:
 def _read_run_id(file: Path) -> str:
     """Return the name of a run that was not completed."""
     try:
-        run_id = json_text.parse(files.content(file, _MOST_BYTES))["run_id"]
+        run_id = json_text.parse(files.read_regular(file, _MOST_BYTES))["run_id"]
     except OSError:
         raise NotFoundError(f"{file.parent} holds no run that was handed over") from None
     except (json_text.JsonError, KeyError, TypeError):

@@ -77,7 +77,7 @@ def write(
     )
     launcher = {
         LAUNCHER: " ".join(planned.launcher.entry.command[:2]),
-        "launcher_result": hashlib.sha256(files.content(result)).hexdigest(),
+        "launcher_result": hashlib.sha256(files.read_regular(result)).hexdigest(),
         "launcher_run": planned.values["run_id"],
     }
     with records.RecordWriter(request.out, plan.named()) as writer:

@@ -137,9 +137,9 @@ def _score_policy(policy: str, results: Sequence[BenchmarkResult], *, partial: b
     cases = {(_base(result), result.variant, result.seed) for result in results}
     whole = sum(map(len, rules.dimensions.values())) * len(rules.seeds)
     scores = PolicyScores(policy, counted=len(cells), expected=whole if is_known else len(cases))
-    scores.dimensions = _grouped(cells, lambda cell: cell.dimension)
-    scores.variants = _grouped(cells, lambda cell: cell.variant)
-    scores.tasks = _grouped(cells, lambda cell: cell.task)
+    scores.dimensions = _scores_by_group(cells, lambda cell: cell.dimension)
+    scores.variants = _scores_by_group(cells, lambda cell: cell.variant)
+    scores.tasks = _scores_by_group(cells, lambda cell: cell.task)
     scores.halves = {name: figure for name, part in halves.items() if (figure := _over_seeds(part)) is not None}
     scores.overall = _overall(cells)
     return scores
@@ -193,7 +193,7 @@ def _first(result: BenchmarkResult, count: int, *, partial: bool) -> tuple[float
     return sum(success for success, _ in chosen) / count, sum(score for _, score in chosen) / count
 
 
-def _grouped(cells: Iterable[_Cell], name: Callable[[_Cell], str]) -> dict[str, MeanScore]:
+def _scores_by_group(cells: Iterable[_Cell], name: Callable[[_Cell], str]) -> dict[str, MeanScore]:
     """Return a figure for each group of cells."""
     groups: dict[str, list[_Cell]] = defaultdict(list)
     for cell in cells:

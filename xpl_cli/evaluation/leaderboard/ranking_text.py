@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from xpl_cli.basics.phrases import count_noun
 from xpl_cli.basics.untrusted import as_lines, in_markdown
-from xpl_cli.basics.words import amount
 from xpl_cli.evaluation.leaderboard.comparable_runs import is_barrier
 from xpl_cli.evaluation.report import episodes, markdown
 from xpl_cli.evaluation.report.number_format import points
@@ -57,8 +57,8 @@ def as_csv(ranking: Ranking) -> str:
 def title(ranking: Ranking) -> str:
     """Return the heading: what was ranked, and by which episodes."""
     tasks, settings = len(ranking.tasks), len(ranking.settings)
-    runs = amount(len(ranking.rows), "run")
-    what = f"{amount(tasks, 'task')} in {amount(settings, 'setting')}"
+    runs = count_noun(len(ranking.rows), "run")
+    what = f"{count_noun(tasks, 'task')} in {count_noun(settings, 'setting')}"
     limits = ["by common episodes"] if ranking.common else []
     if any(is_barrier(difference.what) for difference in ranking.differences):
         limits.append("in spite of differences")

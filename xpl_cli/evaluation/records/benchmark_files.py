@@ -100,7 +100,7 @@ def read_rate(path: Path) -> float:
 
 def _content(path: Path) -> str:
     try:
-        return files.content(path, _MOST_BYTES).decode()
+        return files.read_regular(path, _MOST_BYTES).decode()
     except (OSError, UnicodeDecodeError) as error:
         raise BenchmarkFileError(f"it cannot be read ({getattr(error, 'strerror', None) or 'not text'})") from None
 

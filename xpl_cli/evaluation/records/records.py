@@ -231,20 +231,20 @@ def _content(file: Path) -> bytes:
         RecordError: it cannot be read, or is no file.
     """
     try:
-        return files.content(file)
+        return files.read_regular(file)
     except (FileNotFoundError, NotADirectoryError):
         raise
     except OSError as error:
         raise RecordError(f"{file} cannot be read: {error.strerror or error}") from None
 
 
-def _parse(file: Path, content: bytes, met: Callable[[_BadLineError], None]) -> tuple[Run | None, int]:
+def _parse(file: Path, content: bytes, on_bad_line: Callable[[_BadLineError], None]) -> tuple[Run | None, int]:
     """Return the run in a file's content, None if its first line is incomplete, and the length of the valid lines.
 
     Args:
         file: for error messages.
         content: of the file.
-        met: called with a bad line that is not the first; the line is ignored if it returns.
+        on_bad_line: called with a bad line that is not the first; the line is ignored if it returns.
 
     Raises:
         RecordError: the first line is no plan.
@@ -260,11 +260,11 @@ def _parse(file: Path, content: bytes, met: Callable[[_BadLineError], None]) -> 
         except LineError as error:
             # After a loss of power, a file may have its new length without all of its content.
             if isinstance(error, LineNotJsonError) and number == len(whole) and not rest:
-                return (None if run is None else _sorted(run, torn=True)), length - len(raw) - 1
+                return (None if run is None else _with_sorted_finals(run, torn=True)), length - len(raw) - 1
             problem = _BadLineError(f"{where} is no line of {SCHEMA}: {error}", hint=_hint(number))
             if run is None:
                 raise problem from None
-            met(problem)
+            on_bad_line(problem)
             continue
         if run is None:
             run = Run(file.parent, _plan(line, where))
@@ -274,8 +274,8 @@ def _parse(file: Path, content: bytes, met: Callable[[_BadLineError], None]) -> 
             _add(line, planned, run, where)
         except _BadLineError as error:
             error.hint = _hint(number)
-            met(error)
-    return (None if run is None else _sorted(run, torn=torn)), length
+            on_bad_line(error)
+    return (None if run is None else _with_sorted_finals(run, torn=torn)), length
 
 
 def _hint(number: int) -> str | None:
@@ -288,7 +288,7 @@ def _hint(number: int) -> str | None:
     )
 
 
-def _sorted(run: Run, *, torn: bool) -> Run:
+def _with_sorted_finals(run: Run, *, torn: bool) -> Run:
     return replace(run, finals=dict(sorted(run.finals.items())), torn=torn)
 
 

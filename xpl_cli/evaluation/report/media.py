@@ -110,7 +110,7 @@ def _piece(kind: str, path: Path, file: RecordedFile, budget: int) -> tuple[Epis
     """Return a video or curves to embed, None if the budget is too small; and their size, 0 if not read."""
     if path.stat().st_size > budget:
         return None, 0
-    content = files.content(path)
+    content = files.read_regular(path)
     if hashlib.sha256(content).hexdigest() != file.digest:
         raise UserError(f"{file.path} is not what was recorded: its digest differs")
     if kind == TRACE:

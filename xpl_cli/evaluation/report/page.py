@@ -28,12 +28,12 @@ def render(run: Run, summary: Summary, media: Mapping[str, EpisodeMedia]) -> str
         "report/page.html.jinja",
         style="report/page.css",
         script="report/page.js",
-        view=view(run, summary, _media_said(media)),
+        view=view(run, summary, _media_sentence(media)),
         data=pages.as_json({"episodes": episodes.packed(run), "media": media}),
     )
 
 
-def _media_said(media: Mapping[str, EpisodeMedia]) -> str:
+def _media_sentence(media: Mapping[str, EpisodeMedia]) -> str:
     """Return what there is to see of the episodes."""
     films = sum("film" in entry for entry in media.values())
     drawn = sum("curves" in entry or "trace" in entry for entry in media.values())

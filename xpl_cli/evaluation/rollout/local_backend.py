@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 from xpl.process import spawn
-from xpl_cli.basics import again
+from xpl_cli.basics import module_command
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.rollout.backend import RolloutJob, RolloutResult, lost_rollout
 from xpl_cli.evaluation.rollout.config import RolloutConfig, ServerAccess
@@ -213,7 +213,7 @@ class _WorkerProcess:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [*again.command("xpl_cli.evaluation.rollout.worker_process"), str(theirs.fileno())],
+                [*module_command.command("xpl_cli.evaluation.rollout.worker_process"), str(theirs.fileno())],
                 stdin=subprocess.PIPE,  # ends with this process, and the worker with it
                 stdout=2,  # what an adapter's loop prints is no data
                 pass_fds=[theirs.fileno()],

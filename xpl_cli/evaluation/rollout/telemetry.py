@@ -90,7 +90,7 @@ class TelemetryWrapper(TaskEnvWrapper):
 
     def film(self) -> bytes | None:
         """Return the film as an animated WebP; None where there is none."""
-        return None if self._reel is None else self._reel.encoded()
+        return None if self._reel is None else self._reel.encode()
 
     def _on_observation(self, _env: int, obs: ObservationDict) -> ObservationDict:
         if not self._steps and self._reel is not None and not self._reel.steps:

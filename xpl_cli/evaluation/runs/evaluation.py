@@ -61,7 +61,7 @@ class Evaluation:
     @property
     def successes(self) -> int | None:
         """Number of episodes that succeeded; None if none defines success."""
-        return _successes(self.episodes) if self._judged else None
+        return _successes(self.episodes) if self._with_success else None
 
     @property
     def infrastructure_errors(self) -> int:
@@ -71,13 +71,13 @@ class Evaluation:
     @property
     def success_rate(self) -> float | None:
         """Success rate, with infrastructure errors as failures; None if no episode defines success."""
-        return _successes(self.episodes) / self._counted if self._judged else None
+        return _successes(self.episodes) / self._denominator if self._with_success else None
 
     @property
     def mean_score(self) -> float | None:
         """Mean score, 0 for infrastructure errors; None if no episode defines success."""
-        judged = self._judged
-        return sum(episode.score or 0.0 for episode in judged) / self._counted if judged else None
+        judged = self._with_success
+        return sum(episode.score or 0.0 for episode in judged) / self._denominator if judged else None
 
     def as_json(self) -> dict[str, Any]:
         """Return `xpl.eval/1`."""
@@ -127,13 +127,13 @@ class Evaluation:
         return []
 
     @property
-    def _judged(self) -> list[EpisodeRecord]:
+    def _with_success(self) -> list[EpisodeRecord]:
         """The episodes that define success."""
         return [episode for episode in self.episodes if episode.success is not None]
 
     @property
-    def _counted(self) -> int:
-        return len(self._judged) + self.infrastructure_errors
+    def _denominator(self) -> int:
+        return len(self._with_success) + self.infrastructure_errors
 
     def _episode_json(self, episode: EpisodeRecord) -> dict[str, Any]:
         fields = {name: getattr(episode, name) for name in _REPORTED}

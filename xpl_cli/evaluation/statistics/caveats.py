@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl.vector import INFRASTRUCTURE
-from xpl_cli.basics.words import amount
+from xpl_cli.basics.phrases import count_noun
 from xpl_cli.evaluation.records import stand_ins
 from xpl_cli.evaluation.records.cells import outcome
 from xpl_cli.evaluation.records.failures import MAX_INFRASTRUCTURE_SHARE
@@ -36,11 +36,11 @@ def of_summary(summary: Summary, cells: Sequence[Cell]) -> list[str]:
     unreal = stand_ins.sentence(summary.environment, (cell.setting for cell in cells))
     return [
         *([] if unreal is None else [unreal]),
-        *_of_missing_episodes(overall, cells),
-        *_of_stopping(summary.until_width, cells),
-        *_of_width(summary.cells),
-        *_of_means(summary.cells),
-        *_of_seeds(cells),
+        *_missing_episodes(overall, cells),
+        *_stopping_notes(summary.until_width, cells),
+        *_width_notes(summary.cells),
+        *_mean_notes(summary.cells),
+        *_seed_notes(cells),
         scope(),
     ]
 
@@ -56,12 +56,12 @@ def of_execution(beyond: int, machines: int, recovered: int) -> list[str]:
     notes = []
     if recovered:
         notes.append(
-            f"{amount(recovered, 'episode')} succeeded after an attempt that ended with an infrastructure error: many "
-            "of these may mean that a policy breaks attempts that it is about to fail."
+            f"{count_noun(recovered, 'episode')} succeeded after an attempt that ended with an infrastructure error: "
+            "many of these may mean that a policy breaks attempts that it is about to fail."
         )
     if beyond:
         notes.append(
-            f"{amount(beyond, 'episode')} ran beside the one that ended a task and do not count, so that the "
+            f"{count_noun(beyond, 'episode')} ran beside the one that ended a task and do not count, so that the "
             "result does not depend on the number of workers."
         )
     if machines > 1:
@@ -96,31 +96,32 @@ def of_stopping() -> str:
     )
 
 
-def _of_missing_episodes(overall: SummaryRow, cells: Sequence[Cell]) -> Iterator[str]:
+def _missing_episodes(overall: SummaryRow, cells: Sequence[Cell]) -> Iterator[str]:
     if overall.remaining:
         yield (
-            f"{amount(overall.remaining, 'episode')} of {overall.planned} still to be run: the rows cover the others."
+            f"{count_noun(overall.remaining, 'episode')} of {overall.planned} still to be run: the rows cover the "
+            "others."
         )
-    yield from _of_infrastructure_errors(overall, cells)
+    yield from _infrastructure_errors(overall, cells)
     undefined = [f"{cell.task} ({cell.setting})" for cell in cells if cell.counted and not cell.outcomes]
     if undefined:
         yield f"No episode defines success in {', '.join(undefined)}; rows over several tasks leave these out."
 
 
-def _of_infrastructure_errors(overall: SummaryRow, cells: Sequence[Cell]) -> Iterator[str]:
+def _infrastructure_errors(overall: SummaryRow, cells: Sequence[Cell]) -> Iterator[str]:
     errors = overall.failures[INFRASTRUCTURE]
     after_crash = sum(cell.counts_as_success(line) is False for cell in cells for line in cell.counted if outcome(line))
     if errors and overall.judged:
         rate = percent(overall.successes / overall.judged)
         yield (
-            f"{amount(errors, 'episode')} ended with an infrastructure error and count as failed, because the cause "
-            f"cannot be attributed: without them {overall.successes} of {overall.judged} succeeded ({rate})."
+            f"{count_noun(errors, 'episode')} ended with an infrastructure error and count as failed, because the "
+            f"cause cannot be attributed: without them {overall.successes} of {overall.judged} succeeded ({rate})."
         )
     elif errors:
-        yield f"{amount(errors, 'episode')} ended with an infrastructure error: they have no result."
+        yield f"{count_noun(errors, 'episode')} ended with an infrastructure error: they have no result."
     if after_crash:
         yield (
-            f"{amount(after_crash, 'episode')} succeeded only after the policy's process had crashed in an earlier "
+            f"{count_noun(after_crash, 'episode')} succeeded only after the policy's process had crashed in an earlier "
             "attempt, and count as failed."
         )
     if overall.infrastructure_bounds:
@@ -133,7 +134,7 @@ def _of_infrastructure_errors(overall: SummaryRow, cells: Sequence[Cell]) -> Ite
         )
 
 
-def _of_stopping(width: float | None, cells: Sequence[Cell]) -> Iterator[str]:
+def _stopping_notes(width: float | None, cells: Sequence[Cell]) -> Iterator[str]:
     if width is None:
         return
     yield of_stopping()
@@ -142,7 +143,7 @@ def _of_stopping(width: float | None, cells: Sequence[Cell]) -> Iterator[str]:
         yield f"No seeds are left, and the interval is still wider than requested: {', '.join(short)}."
 
 
-def _of_width(rows: Sequence[SummaryRow]) -> Iterator[str]:
+def _width_notes(rows: Sequence[SummaryRow]) -> Iterator[str]:
     intervals = [(row.success_interval, row) for row in rows if row.success_interval is not None]
     if not intervals:
         return
@@ -150,12 +151,12 @@ def _of_width(rows: Sequence[SummaryRow]) -> Iterator[str]:
     if high - low > _NARROW:
         needed = episodes_needed(_NARROW, rate=min(max(0.5, low), high))
         yield (
-            f"With {amount(widest.judged, 'episode')}, the rate of {widest.task} ({widest.setting}) is known no "
+            f"With {count_noun(widest.judged, 'episode')}, the rate of {widest.task} ({widest.setting}) is known no "
             f"better than {interval(low, high)}; an interval of {_NARROW * 100:.0f} points takes up to {needed}."
         )
 
 
-def _of_means(rows: Sequence[SummaryRow]) -> Iterator[str]:
+def _mean_notes(rows: Sequence[SummaryRow]) -> Iterator[str]:
     judged_rows = [row for row in rows if row.judged]
     if len({row.judged for row in judged_rows}) > 1:
         yield (
@@ -169,7 +170,7 @@ def _of_means(rows: Sequence[SummaryRow]) -> Iterator[str]:
         )
 
 
-def _of_seeds(cells: Sequence[Cell]) -> Iterator[str]:
+def _seed_notes(cells: Sequence[Cell]) -> Iterator[str]:
     if not all(cell.frozen for cell in cells):
         yield (
             "Not all seeds are the environment's evaluation seeds: the policy may have been trained or tuned on them."

@@ -95,7 +95,7 @@ def compare(first: Run, second: Run) -> Comparison:
         confidence=intervals.CONFIDENCE,
         methods=ComparisonMethods(),
         differences=find_differences(first, second),
-        left_out=UnpairedEpisodes(_counted(first) - compared, _counted(second) - compared),
+        left_out=UnpairedEpisodes(_counted_episodes(first) - compared, _counted_episodes(second) - compared),
         same_trajectories=sum(_is_same(one, other) for match in matches for one, other in match.lines),
         known_layouts=sum(_has_layouts(*pair) for match in matches for pair in match.lines),
         cells=[replace(row, adjusted_p_value=value) for row, value in zip(rows, raised, strict=True)],
@@ -184,7 +184,7 @@ def _side(run: Run) -> ComparedRun:
     )
 
 
-def _counted(run: Run) -> int:
+def _counted_episodes(run: Run) -> int:
     return sum(len(cell.counted) for cell in cells(run))
 
 

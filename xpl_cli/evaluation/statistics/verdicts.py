@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from xpl_cli.basics.phrases import count_noun
 from xpl_cli.basics.untrusted import as_lines
-from xpl_cli.basics.words import amount
 from xpl_cli.evaluation.statistics import caveats
 from xpl_cli.evaluation.statistics.wording import NOTHING, aligned, percent, points, were
 
@@ -38,7 +38,7 @@ def verdict(result: Comparison) -> str:
     if not row.only_first + row.only_second:
         sentence = f"{first} and {second} succeeded in the same episodes: {row.both} of {row.pairs}."
         return f"{sentence} A difference of {points(low, high)} points is still compatible with these data."
-    evidence = f"{amount(row.pairs, 'pair')}, {_p(row.p_value)}"
+    evidence = f"{count_noun(row.pairs, 'pair')}, {_p(row.p_value)}"
     if row.p_value >= _ALPHA:
         return (
             f"Neither is shown to be better: {first} has {rates[0]}, {second} has {rates[1]} ({evidence}). "
@@ -60,10 +60,10 @@ def notes(result: Comparison, *, stops: bool) -> list[str]:
         stops: whether tasks ended when their interval was narrow enough.
     """
     return [
-        *_of_differences(result),
-        *_of_test(result.overall),
-        *_of_tasks(result),
-        *_of_pairs(result),
+        *_difference_notes(result),
+        *_test_notes(result.overall),
+        *_task_notes(result),
+        *_pair_notes(result),
         *([caveats.of_stopping()] if stops else []),
         caveats.scope(),
     ]
@@ -90,7 +90,7 @@ def text(result: Comparison) -> str:
     )
 
 
-def _of_differences(result: Comparison) -> Iterator[str]:
+def _difference_notes(result: Comparison) -> Iterator[str]:
     for entry in result.differences:
         yield f"The runs differ in {entry.what}, too: {entry.first} against {entry.second}."
     first, second = result.first, result.second
@@ -100,12 +100,12 @@ def _of_differences(result: Comparison) -> Iterator[str]:
         yield "Both runs loaded the same checkpoint."
 
 
-def _of_test(row: ComparisonRow) -> Iterator[str]:
+def _test_notes(row: ComparisonRow) -> Iterator[str]:
     discordant = row.only_first + row.only_second
     least = 2 * 0.5**discordant
     if discordant and least >= _ALPHA:
         yield (
-            f"Only {discordant} of {amount(row.pairs, 'pair')} ended differently. Had all of them favoured "
+            f"Only {discordant} of {count_noun(row.pairs, 'pair')} ended differently. Had all of them favoured "
             f"one side, it would still be {_p(least)}: so few pairs cannot show a difference."
         )
     low, high = row.interval
@@ -113,7 +113,7 @@ def _of_test(row: ComparisonRow) -> Iterator[str]:
         yield "The interval leaves out 0 although the test is not sure: the test is exact, the interval is approximate."
 
 
-def _of_tasks(result: Comparison) -> Iterator[str]:
+def _task_notes(result: Comparison) -> Iterator[str]:
     rows = result.cells
     if len(rows) < 2:
         return
@@ -126,7 +126,7 @@ def _of_tasks(result: Comparison) -> Iterator[str]:
         yield "Not all rows have equally many pairs: the test counts all pairs alike, the difference all rows."
 
 
-def _of_pairs(result: Comparison) -> Iterator[str]:
+def _pair_notes(result: Comparison) -> Iterator[str]:
     pairs = result.overall.pairs
     for name, count in zip(result.names, (result.left_out.first, result.left_out.second), strict=True):
         if count:
@@ -136,7 +136,7 @@ def _of_pairs(result: Comparison) -> Iterator[str]:
     if same == pairs:
         yield "In all pairs the two moved exactly alike: these are the same policy, as far as can be seen."
     elif same:
-        yield f"In {same} of {amount(pairs, 'pair')} the two moved exactly alike."
+        yield f"In {same} of {count_noun(pairs, 'pair')} the two moved exactly alike."
     if not result.known_layouts:
         yield "The records hold no layouts: that equal seeds gave equal scenes is an assumption."
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Protocol
 
+from xpl_cli.basics.phrases import count_noun
 from xpl_cli.basics.untrusted import as_lines
-from xpl_cli.basics.words import amount
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -48,7 +48,7 @@ def points(low: float, high: float) -> str:
 
 def were(count: int, thing: str, which: str = "") -> str:
     """Return a number with noun and verb: `1 episode was`, `3 episodes of Foo were`."""
-    return f"{amount(count, thing)}{which and ' ' + which} {'was' if count == 1 else 'were'}"
+    return f"{count_noun(count, thing)}{which and ' ' + which} {'was' if count == 1 else 'were'}"
 
 
 def rate(row: Rated) -> str:
