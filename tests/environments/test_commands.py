@@ -88,7 +88,7 @@ def test_check_exits_with_findings_where_the_expert_fails(monkeypatch: pytest.Mo
 def test_check_says_what_is_missing() -> None:
     assert "no frozen seeds" in str(_run("check", "offline").exception)
     with pytest.raises(NotFoundError, match="names no expert"):
-        rollout.expert(rollout.scenario("offline"))
+        rollout.expert(rollout.make_scenario("offline"))
 
 
 # -- render, sheet and play --------------------------------------------------------------------------------------------

@@ -118,11 +118,11 @@ def check(name: str, choice: CheckSelection, say: Progress, workers: int | None 
     results: dict[Scenario, list[_Played]] = {}
     count = 2 * sum(len(batch) for _, batch in jobs)
     say.step(f"{name}: {count} episodes, half of them of the expert; --task and --episodes choose fewer")
-    for index, ((what, _), answer) in enumerate(zip(jobs, _results(jobs, workers), strict=True), start=1):
-        say.detail(f"{what.task}, {what.embodiment}, {what.setting} ({index} of {len(jobs)})")
-        if what not in results and all(other.task != what.task for other in results):
-            say.step(f"{what.task} ({index - 1} of {len(jobs)} parts are done)")
-        results.setdefault(what, []).append(answer)
+    for index, ((scenario, _), answer) in enumerate(zip(jobs, _results(jobs, workers), strict=True), start=1):
+        say.detail(f"{scenario.task}, {scenario.embodiment}, {scenario.setting} ({index} of {len(jobs)})")
+        if scenario not in results and all(other.task != scenario.task for other in results):
+            say.step(f"{scenario.task} ({index - 1} of {len(jobs)} parts are done)")
+        results.setdefault(scenario, []).append(answer)
     for row, batches in zip(played, results.values(), strict=True):
         row.update(_rates(batches))
     return {
@@ -156,10 +156,10 @@ def _results(jobs: Sequence[_Job], workers: int | None) -> Iterator[_Played]:
     if workers == 1 or len(jobs) <= 1:
         yield from map(_play, jobs)
         return
-    for (what, _), answer in zip(jobs, map_in_processes(_play, jobs, workers), strict=True):
+    for (scenario, _), answer in zip(jobs, map_in_processes(_play, jobs, workers), strict=True):
         if answer is None:
             raise UserError(
-                f"the process that ran {what.task} with {what.embodiment} ({what.setting}) died",
+                f"the process that ran {scenario.task} with {scenario.embodiment} ({scenario.setting}) died",
                 hint="Run it alone to see why: --task, --embodiment, --setting, --workers 1.",
                 code=ExitCode.NOT_RUN,
             )
@@ -168,11 +168,11 @@ def _results(jobs: Sequence[_Job], workers: int | None) -> Iterator[_Played]:
 
 def _play(job: _Job) -> _Played:
     """Return the results of the expert, and of random actions, which are joint angles where those are offered."""
-    what, numbers = job
-    offered = environments.manifest(environments.find(what.environment)).action_types
-    with contextlib.closing(rollout.make(what)) as env:
-        solved = [rollout.run_episode(env, rollout.expert(what), seed) for seed in numbers]
-    guess = replace(what, action_type=rollout.random_control(offered))
+    scenario, numbers = job
+    offered = environments.manifest(environments.find(scenario.environment)).action_types
+    with contextlib.closing(rollout.make(scenario)) as env:
+        solved = [rollout.run_episode(env, rollout.expert(scenario), seed) for seed in numbers]
+    guess = replace(scenario, action_type=rollout.random_control(offered))
     with contextlib.closing(rollout.make(guess)) as env:
         guessed = [rollout.run_episode(env, rollout.random_actions(guess, seed), seed) for seed in numbers]
     return solved, guessed

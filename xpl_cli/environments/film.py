@@ -27,7 +27,7 @@ FORMATS = (".webp", ".gif", ".png")
 _EVERY = 2  # control steps to a frame: enough for the eye
 
 
-def render(what: Scenario, seed: int, camera: str | None, out: Path) -> dict[str, Any]:
+def render(scenario: Scenario, seed: int, camera: str | None, out: Path) -> dict[str, Any]:
     """Save an image of a camera at the beginning of an episode; return its description.
 
     Raises:
@@ -35,30 +35,30 @@ def render(what: Scenario, seed: int, camera: str | None, out: Path) -> dict[str
         UserError: the scenario is not offered, the renderer is missing, or the file does not end in .png.
     """
     check_ending(out, (".png",))
-    camera = camera_of(what, camera)
-    ((frame, wording),) = first_frames(what, [what.task], seed, camera)
+    camera = camera_of(scenario, camera)
+    ((frame, wording),) = first_frames(scenario, [scenario.task], seed, camera)
     atomic.write_file(out, images.encode_png(frame))
     height, width = frame.shape[:2]
     size = {"height": height, "width": width}
-    return {**describe_picture(what, seed, camera, out), **size, sdk.Obs.INSTRUCTION: wording}
+    return {**describe_picture(scenario, seed, camera, out), **size, sdk.Obs.INSTRUCTION: wording}
 
 
-def first_frames(what: Scenario, tasks: Sequence[str], seed: int, camera: str) -> Iterator[tuple[np.ndarray, str]]:
+def first_frames(scenario: Scenario, tasks: Sequence[str], seed: int, camera: str) -> Iterator[tuple[np.ndarray, str]]:
     """Yield a camera's image (H, W, 3) uint8 at the beginning of an episode of each task, and its instruction.
 
     One environment runs all of them: if it has a process of its own, that is started once.
     """
-    with contextlib.closing(rollout.make(replace(what, task=tasks[0]))) as env, _renderer_errors(what):
+    with contextlib.closing(rollout.make(replace(scenario, task=tasks[0]))) as env, _renderer_errors(scenario):
         for task in tasks:
             env.reset([seed], {"task": task})
             yield _render_frame(env, camera), env.get_obs()[sdk.Obs.INSTRUCTION]
 
 
-def film(what: Scenario, player: str, seed: int, camera: str | None, out: Path) -> dict[str, Any]:
+def film(scenario: Scenario, player: str, seed: int, camera: str | None, out: Path) -> dict[str, Any]:
     """Save a video of an episode; return its description, with the `episode`'s result.
 
     Args:
-        what: the scenario.
+        scenario: the scenario.
         player: one of `rollout.PLAYERS`.
         seed: of the episode.
         camera: name; the overview camera by default.
@@ -69,14 +69,14 @@ def film(what: Scenario, player: str, seed: int, camera: str | None, out: Path) 
         UserError: the scenario is not offered, the renderer is missing, or another ending.
     """
     check_ending(out, FORMATS)
-    camera = camera_of(what, camera)
-    what, act = rollout.make_player(player, what, seed)
-    facts = environments.manifest(environments.find(what.environment))
-    with contextlib.closing(rollout.make(what)) as env, _renderer_errors(what):
-        reel = FilmRecorder(facts.frequency(what.task), camera)
+    camera = camera_of(scenario, camera)
+    scenario, act = rollout.make_player(player, scenario, seed)
+    facts = environments.manifest(environments.find(scenario.environment))
+    with contextlib.closing(rollout.make(scenario)) as env, _renderer_errors(scenario):
+        reel = FilmRecorder(facts.frequency(scenario.task), camera)
         result = rollout.run_episode(env, act, seed, lambda: reel.add_frame(env))
     reel.save(out)
-    return {**describe_picture(what, seed, camera, out), "player": player, "episode": result}
+    return {**describe_picture(scenario, seed, camera, out), "player": player, "episode": result}
 
 
 class FilmRecorder:
@@ -130,22 +130,22 @@ class FilmRecorder:
         return buffer.getvalue()
 
 
-def describe_picture(what: Scenario, seed: int, camera: str, out: Path) -> dict[str, Any]:
+def describe_picture(scenario: Scenario, seed: int, camera: str, out: Path) -> dict[str, Any]:
     """Return the description of an image or video, and its path."""
-    return {"file": str(out), **asdict(what), sdk.Deploy.SEED: seed, "camera": camera}
+    return {"file": str(out), **asdict(scenario), sdk.Deploy.SEED: seed, "camera": camera}
 
 
-def camera_of(what: Scenario, requested: str | None) -> str:
+def camera_of(scenario: Scenario, requested: str | None) -> str:
     """Return the name of a camera: the one for people, or the first, where none is wanted."""
-    mine, others = sdk.CAMERAS[len(get_embodiment(what.embodiment).arms)], set().union(*sdk.CAMERAS.values())
-    entries = environments.manifest(environments.find(what.environment)).cameras
+    mine, others = sdk.CAMERAS[len(get_embodiment(scenario.embodiment).arms)], set().union(*sdk.CAMERAS.values())
+    entries = environments.manifest(environments.find(scenario.environment)).cameras
     names = [name for name in entries if name in mine or name not in others]
     usual = next((name for name in sdk.OPTIONAL_CAMERAS if name in names), None)
     return rollout.choose_name("camera", requested or usual, names)
 
 
 @contextlib.contextmanager
-def _renderer_errors(what: Scenario) -> Iterator[None]:
+def _renderer_errors(scenario: Scenario) -> Iterator[None]:
     """Report in one sentence that this machine cannot render."""
     try:
         yield
@@ -154,7 +154,7 @@ def _renderer_errors(what: Scenario) -> Iterator[None]:
         # its own raised is told by name.
         if "RendererMissingError" not in (type(error).__name__, getattr(error, "kind", None)):
             raise
-        raise UserError(f"{what.environment}: {error}", code=ExitCode.NOT_RUN) from None
+        raise UserError(f"{scenario.environment}: {error}", code=ExitCode.NOT_RUN) from None
 
 
 def _render_frame(env: Any, camera: str | None, env_idx: int = 0) -> np.ndarray:

@@ -67,7 +67,9 @@ class Scenario:
         }
 
 
-def scenario(name: str, renderer: str | None = None, action_type: str | None = None, **names: str | None) -> Scenario:
+def make_scenario(
+    name: str, renderer: str | None = None, action_type: str | None = None, **names: str | None
+) -> Scenario:
     """Return a scenario of an environment.
 
     Args:
@@ -121,35 +123,37 @@ def unsupported(task: Task, embodiment: str) -> str | None:
     return task.unsupported.get(embodiment)
 
 
-def make(what: Scenario) -> Any:
+def make(scenario: Scenario) -> Any:
     """Return the environment: in this process, or in one with the Python that its manifest declares.
 
     Raises:
         UserError: the environment does not offer the scenario, may be a robot, or its Python is not installed.
     """
-    environments.require_simulation(what.environment)
-    folder = environments.find(what.environment)
+    environments.require_simulation(scenario.environment)
+    folder = environments.find(scenario.environment)
     python = interpreter.resolve(folder, environments.manifest(folder).environment)
     if python != sys.executable:
-        return environments.start(what.environment, what.config(), python=python)
+        return environments.start(scenario.environment, scenario.config(), python=python)
     try:
-        return environments.make(what.environment, what.config())
+        return environments.make(scenario.environment, scenario.config())
     except (ValueError, LookupError) as error:
-        raise UserError(f"{what.environment}: {error}") from None
+        raise UserError(f"{scenario.environment}: {error}") from None
 
 
-def expert(what: Scenario) -> Player:
+def expert(scenario: Scenario) -> Player:
     """Return a new player of the environment's own expert, which its manifest names.
 
     Raises:
         NotFoundError: the environment names none.
     """
-    name = environments.manifest(environments.find(what.environment)).expert
+    name = environments.manifest(environments.find(scenario.environment)).expert
     if name is None:
-        raise NotFoundError(f"{what.environment} names no expert", hint="expert: NAME in env.yml, a policy of policy/")
+        raise NotFoundError(
+            f"{scenario.environment} names no expert", hint="expert: NAME in env.yml, a policy of policy/"
+        )
     module = content.load_module(package.find_policy(name) / sdk.File.MODEL_PY)
     adapter = getattr(module, sdk.MODEL_CLASS)
-    policy = adapter({sdk.Deploy.ENV_CFG_TYPE: what.embodiment, sdk.Deploy.ACTION_TYPE: what.action_type})
+    policy = adapter({sdk.Deploy.ENV_CFG_TYPE: scenario.embodiment, sdk.Deploy.ACTION_TYPE: scenario.action_type})
 
     def act(obs: Observation) -> Action:
         policy.update_obs(obs)
@@ -159,13 +163,13 @@ def expert(what: Scenario) -> Player:
     return act
 
 
-def random_actions(what: Scenario, seed: int) -> Player:
+def random_actions(scenario: Scenario, seed: int) -> Player:
     """Return a new player that draws every joint and gripper anew in each step, within its limits.
 
     Where poses are commanded, they lie up to 5 cm and 0.5 rad from the present one, along and about each axis.
     """
-    robot, rng = get_embodiment(what.embodiment), np.random.default_rng(seed)
-    arm_key, gripper_key = sdk.ACTION_KEYS[what.action_type]
+    robot, rng = get_embodiment(scenario.embodiment), np.random.default_rng(seed)
+    arm_key, gripper_key = sdk.ACTION_KEYS[scenario.action_type]
 
     def act(obs: Observation) -> Action:
         action = {}
@@ -186,17 +190,17 @@ def random_control(action_types: Sequence[str]) -> str:
     return _JOINT if _JOINT in action_types else action_types[0]
 
 
-def make_player(name: str, what: Scenario, seed: int) -> tuple[Scenario, Player]:
+def make_player(name: str, scenario: Scenario, seed: int) -> tuple[Scenario, Player]:
     """Return a new player by its name, one of `PLAYERS`, and its scenario.
 
     Raises:
         NotFoundError: there is no player of that name, or the environment names no expert.
     """
     if choose_name("player", name, PLAYERS) == _EXPERT:
-        return what, expert(what)
-    offered = environments.manifest(environments.find(what.environment)).action_types
-    what = replace(what, action_type=random_control(offered))
-    return what, random_actions(what, seed)
+        return scenario, expert(scenario)
+    offered = environments.manifest(environments.find(scenario.environment)).action_types
+    scenario = replace(scenario, action_type=random_control(offered))
+    return scenario, random_actions(scenario, seed)
 
 
 def _pose_near(pose: ArrayLike, rng: np.random.Generator) -> np.ndarray:

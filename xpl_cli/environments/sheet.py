@@ -24,11 +24,11 @@ _ENDINGS = (".png", ".jpg")
 _PAPER, _INK = (255, 255, 255), (30, 30, 30)
 
 
-def sheet(what: Scenario, seed: int, camera: str | None, out: Path, chosen: Sequence[str] = ()) -> dict[str, Any]:
+def sheet(scenario: Scenario, seed: int, camera: str | None, out: Path, chosen: Sequence[str] = ()) -> dict[str, Any]:
     """Save an image of the first frame of every task, with the tasks' names; return its description.
 
     Args:
-        what: scenario; its task is ignored, and tasks that do not support its embodiment are left out.
+        scenario: scenario; its task is ignored, and tasks that do not support its embodiment are left out.
         seed: of all episodes.
         camera: name; the overview camera by default.
         out: file, which must end in .png or .jpg.
@@ -41,14 +41,14 @@ def sheet(what: Scenario, seed: int, camera: str | None, out: Path, chosen: Sequ
     from PIL import Image, ImageDraw
 
     film.check_ending(out, _ENDINGS)
-    camera = film.camera_of(what, camera)
-    facts = environments.manifest(environments.find(what.environment))
+    camera = film.camera_of(scenario, camera)
+    facts = environments.manifest(environments.find(scenario.environment))
     entries = facts.tasks
     names = [rollout.choose_name("task", task, entries) for task in rollout.expand_splits(facts, chosen)] or list(
         entries
     )
-    tasks = [task for task in names if rollout.unsupported(entries[task], what.embodiment) is None]
-    frames = [picture for picture, _ in film.first_frames(what, tasks, seed, camera)]
+    tasks = [task for task in names if rollout.unsupported(entries[task], scenario.embodiment) is None]
+    frames = [picture for picture, _ in film.first_frames(scenario, tasks, seed, camera)]
     columns = min(_COLUMNS, len(frames))
     if len(frames) > _MANY:
         frames, columns = [_smaller(picture) for picture in frames], _SIDE_BY_SIDE
@@ -63,7 +63,7 @@ def sheet(what: Scenario, seed: int, camera: str | None, out: Path, chosen: Sequ
     paper.save(buffer, Image.registered_extensions()[out.suffix.lower()], optimize=True)
     atomic.write_file(out, buffer.getvalue())
     measures = {"height": paper.height, "width": paper.width}
-    return {**film.describe_picture(what, seed, camera, out), **measures, "task": tasks}
+    return {**film.describe_picture(scenario, seed, camera, out), **measures, "task": tasks}
 
 
 def _smaller(picture: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli.audit.rules.verdict import verdict_of
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.progress import Progress
-from xpl_cli.evaluation.records import containment, fingerprints, records, run_mode, stand_ins
+from xpl_cli.evaluation.records import containment, fingerprints, mock_settings, records, run_mode
 from xpl_cli.lifecycle.checkpoints import specification
 from xpl_cli.packages import environments
 from xpl_cli.packages import package as packages
@@ -84,7 +84,7 @@ def submit(request: SubmitRequest) -> SubmitAnswer:
     """
     runs = [records.read(path) for path in request.runs]
     for run in runs:
-        stand_ins.refuse(run, "submitted")
+        mock_settings.refuse(run, "submitted")
         if (reason := containment.sentence(run)) is not None:
             raise UserError(f"{run.folder} is not submitted: {reason}", code=ExitCode.NOT_RUN)
         if unusual := run_mode.run_mode_of(run.plan).description:

@@ -28,7 +28,7 @@ from xpl.environment import Environment, NotInstalledError
 from xpl.kinematics import Chain
 from xpl.poses import compose, pose
 from xpl_cli.basics.content import load_module
-from xpl_cli.evaluation.records import stand_ins
+from xpl_cli.evaluation.records import mock_settings
 from xpl_cli.packages import environments
 from xpl_cli.serving.launch import running_server
 
@@ -302,7 +302,7 @@ def test_tasks_with_objects_are_refused_where_a_robot_stands_in() -> None:
 
 def test_every_setting_that_stands_in_says_so_by_its_name() -> None:
     """By which reports know it."""
-    assert set(FACTS["stand_ins"]) == {setting for setting in FACTS["settings"] if stand_ins.is_one(setting)}
+    assert set(FACTS["stand_ins"]) == {setting for setting in FACTS["settings"] if mock_settings.is_mock(setting)}
 
 
 def test_without_the_runtime_one_sentence_says_how_to_install_it() -> None:

@@ -101,16 +101,15 @@ def render(
     """Write what a camera sees when an episode begins."""
     from xpl_cli.basics import console
     from xpl_cli.environments import film
-    from xpl_cli.environments.rollout import scenario
+    from xpl_cli.environments.rollout import make_scenario
 
-    what = scenario(name, renderer, task=task, embodiment=embodiment, setting=setting)
-    picture = film.render(what, seed, camera, out)
+    scenario = make_scenario(name, renderer, task=task, embodiment=embodiment, setting=setting)
+    picture = film.render(scenario, seed, camera, out)
     if as_json:
         console.answer("xpl.env-render/1", picture)
     else:
-        console.note(
-            f"{out}: {what.task} with {what.embodiment} ({what.setting}, seed {seed}), from {picture['camera']}"
-        )
+        about = f"{scenario.task} with {scenario.embodiment} ({scenario.setting}, seed {seed})"
+        console.note(f"{out}: {about}, from {picture['camera']}")
 
 
 @app.command()
@@ -128,14 +127,16 @@ def sheet(
     """Write one picture of how an episode of every task begins."""
     from xpl_cli.basics import console
     from xpl_cli.environments import sheet as drawing
-    from xpl_cli.environments.rollout import scenario
+    from xpl_cli.environments.rollout import make_scenario
 
-    what = scenario(name, renderer, embodiment=embodiment, setting=setting)
-    picture = drawing.sheet(what, seed, camera, out, task)
+    scenario = make_scenario(name, renderer, embodiment=embodiment, setting=setting)
+    picture = drawing.sheet(scenario, seed, camera, out, task)
     if as_json:
         console.answer("xpl.env-sheet/1", picture)
     else:
-        console.note(f"{out}: {len(picture['task'])} tasks with {what.embodiment} ({what.setting}, seed {seed})")
+        console.note(
+            f"{out}: {len(picture['task'])} tasks with {scenario.embodiment} ({scenario.setting}, seed {seed})"
+        )
 
 
 @app.command()
@@ -158,15 +159,15 @@ def play(
     """Record a film of an episode, and report its outcome."""
     from xpl_cli.basics import console
     from xpl_cli.environments import film
-    from xpl_cli.environments.rollout import scenario
+    from xpl_cli.environments.rollout import make_scenario
 
-    what = scenario(name, renderer, action_type, task=task, embodiment=embodiment, setting=setting)
-    video = film.film(what, by, seed, camera, out)
+    scenario = make_scenario(name, renderer, action_type, task=task, embodiment=embodiment, setting=setting)
+    video = film.film(scenario, by, seed, camera, out)
     if as_json:
         console.answer("xpl.env-play/1", video)
         return
     result = video["episode"]
-    console.data(f"{what.task}: {result['end_reason']} after {result['steps']} steps, score {result['score']:.2f}")
+    console.data(f"{scenario.task}: {result['end_reason']} after {result['steps']} steps, score {result['score']:.2f}")
     console.note(f"{out}: written")
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.records import containment, stand_ins
+from xpl_cli.evaluation.records import containment, mock_settings
 from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.evaluation.records.failures import MAX_INFRASTRUCTURE_SHARE, contradiction
 from xpl_cli.evaluation.statistics.run_differences import RunDifference, find_differences
@@ -66,7 +66,7 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
     if len(set(folders)) < len(folders):
         raise UserError("a run was named twice", hint="name each run once")
     for run in runs:
-        stand_ins.refuse(run, "ranked")
+        mock_settings.refuse(run, "ranked")
         _refuse_contradictions(run)
     reasons = [_too_many_errors(run) or _not_isolated(run) for run in runs]
     unranked = tuple(filter(None, reasons))

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.records import stand_ins
+from xpl_cli.evaluation.records import mock_settings
 from xpl_cli.evaluation.records.cells import cells
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def write(name: str, runs: Iterable[Run], folder: Path) -> int:
         raise UserError(f"there is no format {name!r}; there are {', '.join(FORMATS)}")
     texts: dict[Path, str] = {}
     for run in runs:
-        stand_ins.refuse(run, "written as a result of a benchmark")
+        mock_settings.refuse(run, "written as a result of a benchmark")
         for path, text in FORMATS[name](run):
             if path in texts:
                 raise UserError(

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.evaluation.records import benchmark_files, records, stand_ins
+from xpl_cli.evaluation.records import benchmark_files, mock_settings, records
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -122,7 +122,7 @@ def parse_result(path: Path) -> BenchmarkResult:
     if len(folders) < 6:
         raise BenchmarkResultError("it lies in no folders that name task, policy and robot")
     task, policy, variant, made_by, when = folders[-5:]
-    if stand_ins.is_one(variant):
+    if mock_settings.is_mock(variant):
         raise BenchmarkResultError(f"{variant} replaces a part of the benchmark by a mock")
     if benchmark == ROBOTWIN:
         return BenchmarkResult(

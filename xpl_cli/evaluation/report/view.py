@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from xpl_cli import __version__
-from xpl_cli.evaluation.records import run_mode, stand_ins
+from xpl_cli.evaluation.records import mock_settings, run_mode
 from xpl_cli.evaluation.report import figures, latency, provenance
 from xpl_cli.evaluation.report.number_format import between, duration, many, milliseconds, points
 from xpl_cli.evaluation.report.page_model import (
@@ -85,7 +85,7 @@ def _about(summary: Summary, unusual: str) -> str:
     tasks, settings = len(summary.tasks), len(summary.settings)
     robot = f"{summary.embodiment}, {summary.action_type} control"
     planned = f"{many(summary.overall.planned, 'episode')} planned"
-    unreal = stand_ins.sentence(summary.environment, filter(None, (row.setting for row in summary.settings)))
+    unreal = mock_settings.remark(summary.environment, filter(None, (row.setting for row in summary.settings)))
     mode = f", {unusual}" if unusual else ""
     summary_text = f"{robot}. {many(tasks, 'task')} in {many(settings, 'setting')}, {planned}{mode}."
     return summary_text if unreal is None else f"{unreal} {summary_text}"

@@ -217,7 +217,7 @@ def _plan_request(request: RecordRequest) -> tuple[Config, PlanRequest]:
     first = None if request.tasks in (None, plan.ALL) else request.tasks.partition(",")[0]
     facts = environments.manifest(environments.find(request.environment))
     task = rollout.expand_splits(facts, [first])[0] if first else None
-    what = rollout.scenario(
+    scenario = rollout.make_scenario(
         request.environment,
         action_type=request.action_type,
         task=task,
@@ -225,13 +225,13 @@ def _plan_request(request: RecordRequest) -> tuple[Config, PlanRequest]:
         setting=request.setting,
     )
     overrides = {
-        sdk.Deploy.ENV_CFG_TYPE: what.embodiment,
-        sdk.Deploy.ACTION_TYPE: what.action_type,
+        sdk.Deploy.ENV_CFG_TYPE: scenario.embodiment,
+        sdk.Deploy.ACTION_TYPE: scenario.action_type,
         **(request.overrides or {}),
     }
     plan_request = PlanRequest(
-        request.tasks or what.task,
-        what.setting,
+        request.tasks or scenario.task,
+        scenario.setting,
         max(_MIN_SEEDS, _MAX_TRIES * request.episodes),
         request.seed,
         request.horizon,

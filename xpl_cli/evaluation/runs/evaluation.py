@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
-from xpl_cli.evaluation.records import stand_ins
+from xpl_cli.evaluation.records import mock_settings
 from xpl_cli.evaluation.records.model import EpisodeOutcome, EpisodeRecord
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ class Evaluation:
         played, count = self.played, len(self.episodes)
         what = f"{played.environment}/{played.task}, {played.embodiment}, {played.action_type} control"
         where = f"{played.policy} on {what}"
-        unreal = stand_ins.sentence(played.environment, [played.setting])
+        unreal = mock_settings.remark(played.environment, [played.setting])
         remarks = [] if unreal is None else [unreal]
         if self.success_rate is None:
             return "\n".join([f"{where}: {count} episodes ran to their end in {self.seconds:.1f} s", *remarks])

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.phrases import count_noun
-from xpl_cli.evaluation.records import stand_ins
+from xpl_cli.evaluation.records import mock_settings
 from xpl_cli.evaluation.records.cells import outcome
 from xpl_cli.evaluation.records.failures import MAX_INFRASTRUCTURE_SHARE
 from xpl_cli.evaluation.records.run_mode import INSTRUCTIONS
@@ -33,7 +33,7 @@ def of_instruction(instruction: str | None) -> list[str]:
 def of_summary(summary: Summary, cells: Sequence[Cell]) -> list[str]:
     """Return what a reader of a summary should know before believing it."""
     overall = summary.overall
-    unreal = stand_ins.sentence(summary.environment, (cell.setting for cell in cells))
+    unreal = mock_settings.remark(summary.environment, (cell.setting for cell in cells))
     return [
         *([] if unreal is None else [unreal]),
         *_missing_episodes(overall, cells),

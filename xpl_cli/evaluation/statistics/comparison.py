@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.records import stand_ins
+from xpl_cli.evaluation.records import mock_settings
 from xpl_cli.evaluation.records.cells import cells, paired_counts
 from xpl_cli.evaluation.statistics import caveats, intervals, verdicts
 from xpl_cli.evaluation.statistics.comparison_model import (
@@ -102,7 +102,7 @@ def compare(first: Run, second: Run) -> Comparison:
         overall=_row(None, None, matches),
     )
     stops = any(plan.until_width is not None for plan in sides)
-    unreal = stand_ins.sentence(names[0], (match.setting for match in matches))
+    unreal = mock_settings.remark(names[0], (match.setting for match in matches))
     notes = [
         *([] if unreal is None else [unreal]),
         *caveats.of_skipped((*first.skipped, *second.skipped)),

@@ -62,13 +62,13 @@ def scripted(manifest: Manifest, robot: Embodiment, cameras: Sequence[str], reac
         raise UserError(f"{error}; show it one with --environment", code=ExitCode.NOT_RUN) from None
     sizes = {**sizes, **{camera: _SIZE for camera in cameras if camera not in sizes}}
     stage = script.ScriptedScene(robot, sizes)
-    shown = []
+    observations = []
     for ago in reversed(range(reach)):
         observation = stage.observation(0, _PLACE + 4 * (reach - 1 - ago))
         when = "now" if ago == 0 else f"{ago} step{'s' if ago > 1 else ''} ago"
         cards = {name: card(name, number, *sizes[name], when) for number, name in enumerate(sizes)}
-        shown.append(with_pictures(observation, cards))
-    return ShownScene(shown, "test cards and a scripted state")
+        observations.append(with_pictures(observation, cards))
+    return ShownScene(observations, "test cards and a scripted state")
 
 
 @dataclass(frozen=True)
@@ -105,21 +105,23 @@ def of_environment(
 
     name = episode.environment
     environments.require_simulation(name)
-    what = rollout.scenario(name, task=episode.task, embodiment=robot.name)
+    scenario = rollout.make_scenario(name, task=episode.task, embodiment=robot.name)
     try:
-        made = environments.make(name, {**what.config(), sdk.Deploy.ACTION_TYPE: action_type, "cameras": True})
+        environment = environments.make(
+            name, {**scenario.config(), sdk.Deploy.ACTION_TYPE: action_type, "cameras": True}
+        )
     except (ValueError, LookupError, RuntimeError) as error:
         raise UserError(f"{name}: {error}", code=ExitCode.NOT_RUN) from None
-    with contextlib.closing(made) as env:
+    with contextlib.closing(environment) as env:
         try:
             env.reset([episode.seed])
             observation = images.decode_observation(env.get_obs())
         except (RuntimeError, ObservationError) as error:
             raise UserError(f"{name}: {error}", code=ExitCode.NOT_RUN) from None
-    lacking = [camera for camera in cameras if camera not in observation[sdk.Obs.VISION]]
-    if lacking:
-        raise UserError(f"{name} has no {', '.join(lacking)}; it has {', '.join(observation[sdk.Obs.VISION])}")
-    return ShownScene([observation], f"the first observation of {name}, {what.task}, seed {episode.seed}")
+    missing = [camera for camera in cameras if camera not in observation[sdk.Obs.VISION]]
+    if missing:
+        raise UserError(f"{name} has no {', '.join(missing)}; it has {', '.join(observation[sdk.Obs.VISION])}")
+    return ShownScene([observation], f"the first observation of {name}, {scenario.task}, seed {episode.seed}")
 
 
 def photographed(scene: ShownScene, photos: Mapping[str, Path]) -> ShownScene:
@@ -130,20 +132,20 @@ def photographed(scene: ShownScene, photos: Mapping[str, Path]) -> ShownScene:
     """
     if not photos:
         return scene
-    known = scene.observations[-1][sdk.Obs.VISION]
-    unknown = [camera for camera in photos if camera not in known]
+    cameras = scene.observations[-1][sdk.Obs.VISION]
+    unknown = [camera for camera in photos if camera not in cameras]
     if unknown:
-        raise UserError(f"there is no camera {', '.join(unknown)}; there are {', '.join(known)}")
+        raise UserError(f"there is no camera {', '.join(unknown)}; there are {', '.join(cameras)}")
     pictures = dict(_photos(photos))
-    shown = [with_pictures(one, pictures) for one in scene.observations]
-    told = ", ".join(f"{camera} from {path.name}" for camera, path in photos.items())
-    return ShownScene(shown, f"{scene.origin}; {told}")
+    observations = [with_pictures(one, pictures) for one in scene.observations]
+    sources = ", ".join(f"{camera} from {path.name}" for camera, path in photos.items())
+    return ShownScene(observations, f"{scene.origin}; {sources}")
 
 
 def _photos(photos: Mapping[str, Path]) -> Iterator[tuple[str, np.ndarray]]:
     for camera, path in photos.items():
         try:
-            yield camera, images.decode(files.content(path, _PHOTO_BYTES))
+            yield camera, images.decode(files.read_regular(path, _PHOTO_BYTES))
         except (OSError, ObservationError) as error:
             raise UserError(f"{path} is no picture: {error}", code=ExitCode.NOT_FOUND) from None
 

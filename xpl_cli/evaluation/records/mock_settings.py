@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 _PREFIX: Final = "stand_in"
 
 
-def is_one(setting: str) -> bool:
+def is_mock(setting: str) -> bool:
     """Return whether a setting replaces a part of the benchmark by a mock."""
     return setting.startswith(_PREFIX)
 
 
-def sentence(environment: str, settings: Iterable[str]) -> str | None:
+def remark(environment: str, settings: Iterable[str]) -> str | None:
     """Return the remark that belongs to every figure of mock settings; None if there are none."""
-    mocks = [setting for setting in dict.fromkeys(settings) if is_one(setting)]
+    mocks = [setting for setting in dict.fromkeys(settings) if is_mock(setting)]
     if not mocks:
         return None
     return (
@@ -44,6 +44,6 @@ def refuse(run: Run, what: str) -> None:
     Raises:
         UserError: it did.
     """
-    message = sentence(run.plan.environment.name, (cell.setting for cell in run.plan.cells))
+    message = remark(run.plan.environment.name, (cell.setting for cell in run.plan.cells))
     if message is not None:
         raise UserError(f"{run.folder} is not {what}. {message}", code=ExitCode.NOT_RUN)
