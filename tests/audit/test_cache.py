@@ -147,7 +147,7 @@ def test_what_rules_are_built_on_is_part_of_their_version(
 ) -> None:
     """Another release, or an edit in the engine or the standard."""
     again(adapter, tmp_path, trace)
-    monkeypatch.setattr(cache, "tool", lambda: "another")
+    monkeypatch.setattr(cache, "tool_digest", lambda: "another")
     assert "passes" in again(adapter, tmp_path, trace)
 
 

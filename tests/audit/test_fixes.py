@@ -282,6 +282,6 @@ def test_several_packages_are_fixed_at_once(tmp_path: Path, monkeypatch: pytest.
     made_room(tmp_path / "room", monkeypatch).rule("readme", body, code="XPL101")
     asked = [Target(made_adapter(tmp_path / name), "policy", name) for name in ("A", "B")]
     plan = fixes.plan_all(asked, STATIC)
-    assert (plan.fixes, [change.shown for change in plan.changes]) == (2, ["A/README.md", "B/README.md"])
+    assert (plan.fixes, [change.display_path for change in plan.changes]) == (2, ["A/README.md", "B/README.md"])
     plan.apply()
     assert all((target.path / "README.md").read_text().startswith("fixed\n") for target in asked)

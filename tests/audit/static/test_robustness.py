@@ -314,8 +314,8 @@ from pathlib import Path
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import render
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.options import Options
-adapter, options = Path(sys.argv[1]), Options(gates=(Gate.STATIC,))
+from xpl_cli.audit.rules.options import AuditOptions
+adapter, options = Path(sys.argv[1]), AuditOptions(gates=(Gate.STATIC,))
 engine.audit(adapter, "policy", options)  # imports what another user may be unable to read
 for name in sys.argv[2:]:
     (adapter / name).chmod(0)
