@@ -150,7 +150,7 @@ def test_an_environment_that_hangs_or_dies_is_a_finding(
     line: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for limit in ("CALL_S", "MAKE_S") if "sleep" in line else ():  # of a call, and of a reset
-        monkeypatch.setattr(f"xpl_cli.audit.environments.stage.{limit}", 1.0 if limit == "CALL_S" else 2.0)
+        monkeypatch.setattr(f"xpl_cli.audit.environments.env_probe.{limit}", 1.0 if limit == "CALL_S" else 2.0)
     target = tmp_path / "Foo"
     adapter.write(environment.render_env(_answers()), target)
     source = (target / "episode.py").read_text()

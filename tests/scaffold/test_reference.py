@@ -10,7 +10,7 @@ from tests.support.peer import xpl
 from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.model_io import reference_file
-from xpl_cli.packages.conventions import applying
+from xpl_cli.packages.conventions import applicable_conventions
 from xpl_cli.scaffold import reference
 from xpl_cli.standard import answers
 
@@ -27,7 +27,7 @@ def _manifest(**changes: Any) -> Manifest:
 
 def test_it_has_the_conventions_of_the_block_each_without_a_source() -> None:
     read = reference_file.parse(reference.text(_manifest()))
-    assert sorted(read.conventions) == applying(_manifest())
+    assert sorted(read.conventions) == applicable_conventions(_manifest())
     assert read.empty == tuple(read.conventions)
     assert read.defines_answers
 

@@ -29,12 +29,12 @@ GIT = shutil.which("git")
 @pytest.fixture
 def templates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a copy of `templates/` that takes the place of ours, and may be changed."""
-    copy(tmp_path / "rooms", "templates/**")
-    usual = template.room
+    copy(tmp_path / "content", "templates/**")
+    usual = template.content_folder
     monkeypatch.setattr(
-        template, "room", lambda name: tmp_path / "rooms" / name if name == "templates" else usual(name)
+        template, "content_folder", lambda name: tmp_path / "content" / name if name == "templates" else usual(name)
     )
-    return tmp_path / "rooms" / "templates"
+    return tmp_path / "content" / "templates"
 
 
 @pytest.fixture

@@ -49,7 +49,7 @@ def read_facts(folder: Path) -> dict[str, Tree]:
 
 def _run(folder: Path) -> Iterator[tuple[str, Tree]]:
     """Yield embodiment and action type: from deploy.yml, else from the documented call of a script."""
-    deploy, call = _deploy(folder), documented.run(folder)
+    deploy, call = _deploy(folder), documented.documented_arguments(folder)
     keys: dict[str, dict[str, Any]] = {
         "embodiments": {"key": sdk.Deploy.ENV_CFG_TYPE, "values": robots.names()},
         "action_types": {"key": sdk.Deploy.ACTION_TYPE, "values": {kind: kind for kind in sdk.ACTION_TYPES}},
@@ -123,7 +123,7 @@ def _changes_folder(lines: list[str]) -> bool:
 def _lines(folder: Path, name: str) -> list[str]:
     """Return the lines of a file, comments blanked; an empty list if it cannot be read."""
     try:
-        text = bounded.content(folder / name, _MOST).decode("utf-8", "replace")
+        text = bounded.read_regular(folder / name, _MOST).decode("utf-8", "replace")
     except OSError:
         return []
     return ["" if line.lstrip().startswith("#") else line for line in text.split("\n")]

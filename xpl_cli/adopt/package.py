@@ -226,7 +226,7 @@ def _check(content: bytes) -> None:
     for problem in problems:
         if problem.missing is None:
             location = ".".join(map(str, problem.path)) or "the manifest"
-            raise UserError(f"{location}: {problem.told}", hint=f"`xpl spec show {_SCHEMA}`")
+            raise UserError(f"{location}: {problem.text}", hint=f"`xpl spec show {_SCHEMA}`")
 
 
 def _check_key(key: str) -> None:

@@ -15,12 +15,12 @@ from xpl_cli.standard.zoo import policies
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from xpl_cli.standard.zoo.policies import Policy
+    from xpl_cli.standard.zoo.policies import ZooPolicy
 
 _ARXIV: Final = "https://arxiv.org/abs/"
 
 
-def find_policy(name: str, repository: str | None = None) -> Policy | None:
+def find_policy(name: str, repository: str | None = None) -> ZooPolicy | None:
     """Return the policy of the zoo that has an adapter's name; None if there is none.
 
     Args:
@@ -32,7 +32,7 @@ def find_policy(name: str, repository: str | None = None) -> Policy | None:
     return None if code and repository and _normalised_address(code) != _normalised_address(repository) else policy
 
 
-def facts(policy: Policy) -> Iterator[tuple[str, Fact]]:
+def facts(policy: ZooPolicy) -> Iterator[tuple[str, Fact]]:
     """Yield keys of the manifest with the facts of a policy."""
     values = policy.facts
     families = spec.schema("policy")["properties"]["family"]["enum"]
@@ -49,7 +49,7 @@ def facts(policy: Policy) -> Iterator[tuple[str, Fact]]:
         yield _fact(policy, "temporal.chunk", values["chunk"].value, "chunk")  # else an adapter may return either
 
 
-def _fact(policy: Policy, key: str, value: object, *sources: str) -> tuple[str, Fact]:
+def _fact(policy: ZooPolicy, key: str, value: object, *sources: str) -> tuple[str, Fact]:
     where = (f"xpl zoo show {policy.name} ({name}: {policy.facts[name].source})" for name in sources)
     return key, likely(value, *(Evidence("", None, source) for source in where))
 

@@ -18,7 +18,7 @@ from xpl.manifest import Manifest
 from xpl_cli.adopt.checkpoints import block, package_start
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.model_io import reference_file
-from xpl_cli.packages.conventions import applying
+from xpl_cli.packages.conventions import applicable_conventions
 from xpl_cli.standard.validate import validate_yaml
 
 TWO, ONE = "aloha_agilex", "franka_single"
@@ -51,7 +51,7 @@ def test_every_maker_s_checkpoint_makes_a_package_with_a_valid_manifest(tmp_path
     begun = begin(make(tmp_path / "p", **options), robot=robot, gripper=(0.0, 1.0))
     text = begun.files[sdk.File.POLICY_YML]
     manifest, problems = validate_yaml(text, sdk.File.POLICY_YML, "policy")
-    assert not problems, [problem.told for problem in problems]
+    assert not problems, [problem.text for problem in problems]
     assert manifest["spec"] == "v1"
     assert len([key for key in begun.findings.unknown if key.startswith("model_io.")]) == len(
         gaps(manifest["model_io"])
@@ -73,7 +73,7 @@ def test_reference_py_of_a_whole_checkpoint_names_every_convention(tmp_path: Pat
     begun = begin(trained.lerobot(tmp_path / "p", "diffusion", n_obs_steps=2, n_action_steps=8), gripper=(0.0, 1.0))
     found = reference_file.parse(begun.files["reference.py"].decode())
     manifest = yaml.safe_load(begun.files[sdk.File.POLICY_YML])
-    assert set(applying(Manifest.parse(manifest))) <= set(found.conventions)
+    assert set(applicable_conventions(Manifest.parse(manifest))) <= set(found.conventions)
     assert not found.problems
     assert found.defines_answers
     assert not any(item.takes_sdk or item.takes_adapter("Shirts") for item in found.imports)

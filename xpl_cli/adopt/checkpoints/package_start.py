@@ -12,7 +12,7 @@ from xpl_cli.adopt import zoo_facts
 from xpl_cli.adopt.checkpoints import adopted, block, reference_code, yaml_writer
 from xpl_cli.adopt.checkpoints.adopted import ENVIRONMENTS, AdoptedCheckpoint
 from xpl_cli.adopt.facts import ManifestFacts, plain
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import UserError
 from xpl_cli.model_io.names import CODE
 from xpl_cli.standard import spec
@@ -199,7 +199,7 @@ def _template(framework: str, name: str, variables: Mapping[str, Any]) -> bytes:
     import jinja2
     import markupsafe
 
-    folder = room("templates") / "policy" / "from" / framework
+    folder = content_folder("templates") / "policy" / "from" / framework
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(folder),
         undefined=jinja2.StrictUndefined,

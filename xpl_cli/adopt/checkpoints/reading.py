@@ -279,7 +279,7 @@ class CheckpointFolder:
         """
         path = self.path / name
         try:
-            with files.opened(self._inside(path), _WEIGHTS) as stream:
+            with files.open_regular(self._inside(path), _WEIGHTS) as stream:
                 return _header(stream)
         except OSError as error:
             raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
@@ -296,7 +296,7 @@ class CheckpointFolder:
 
         path, numbers = self.path / name, {}
         entries = {key: entry for key, entry in self.header(name).items() if pattern.search(key)}
-        with files.opened(self._inside(path), _WEIGHTS) as stream:
+        with files.open_regular(self._inside(path), _WEIGHTS) as stream:
             for key, (dtype, shape, first, last) in entries.items():
                 if last - first > _TENSOR or dtype not in _KINDS:
                     continue
@@ -327,7 +327,7 @@ class CheckpointFolder:
 
         path = self.path / name
         try:
-            with files.opened(self._inside(path), _WEIGHTS) as stream, zipfile.ZipFile(stream) as archive:
+            with files.open_regular(self._inside(path), _WEIGHTS) as stream, zipfile.ZipFile(stream) as archive:
                 return [entry.filename for entry in archive.infolist()[:_MEMBERS]]
         except (zipfile.BadZipFile, ValueError, EOFError):
             return []
@@ -337,7 +337,7 @@ class CheckpointFolder:
     def _text(self, name: str) -> str:
         path = self.path / name
         try:
-            return files.content(self._inside(path), _DOCUMENT).decode("utf-8-sig")
+            return files.read_regular(self._inside(path), _DOCUMENT).decode("utf-8-sig")
         except OSError as error:
             raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
         except UnicodeDecodeError:
