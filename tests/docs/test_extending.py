@@ -137,9 +137,9 @@ def test_a_wire_of_a_package_is_served_and_spoken(server: dict[str, Any]) -> Non
 def test_a_rule_of_a_package_is_listed_explained_and_run(xpl: Run, write_adapter: Callable[..., Path]) -> None:
     listed = json.loads(xpl("rules", "--json").stdout)["rules"]
     assert [(rule["slug"], rule["gate"]) for rule in listed if rule["code"] == "TINY101"] == [
-        ("says-who-wrote-it", "static")
+        ("names-a-maintainer", "static")
     ]
-    assert "Whoever finds a fault has nobody to tell." in xpl("explain", "tiny101").stdout
+    assert "A user who finds a fault cannot report it." in xpl("explain", "tiny101").stdout
     folder = write_adapter("")
     (folder / "README.md").write_text("# Subject\n")
     chosen = ("--gate", "static", "--select", "TINY", "--fail-on", "warn", "--format", "json")
