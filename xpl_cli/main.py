@@ -16,8 +16,8 @@ import typer
 from xpl.simulator.terminal import publish_terminal
 from xpl_cli import __version__
 from xpl_cli.basics import console, failures
-from xpl_cli.basics.endings import endings
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.exit_codes import describe_exit_codes
 from xpl_cli.commands.command import equip
 from xpl_cli.commands.headings import HeadedGroup
 
@@ -82,7 +82,7 @@ def _build_app(only: str | None = None) -> typer.Typer:
         help="Scaffold, serve, audit and evaluate robot policies against one standard.",
         no_args_is_help=True,
         add_completion=False,
-        epilog=endings(),
+        epilog=describe_exit_codes(),
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -153,7 +153,7 @@ def main(arguments: list[str]) -> int:
     except UserError as error:
         return _report_error(error, arguments)
     except _UsageError as error:
-        return _report_error(failures.of_usage(error), arguments)
+        return _report_error(failures.from_usage_error(error), arguments)
     except (KeyboardInterrupt, typer.Abort):
         _ignore_interrupts()
         return _report_error(UserError("interrupted", code=ExitCode.INTERRUPTED), arguments)
@@ -164,7 +164,7 @@ def main(arguments: list[str]) -> int:
     except Exception as error:
         if os.environ.get("XPL_DEBUG"):
             raise
-        return _report_error(failures.of_other(error), arguments)
+        return _report_error(failures.from_exception(error), arguments)
     return result if isinstance(result, int) else ExitCode.CLEAN
 
 
@@ -183,5 +183,5 @@ def _report_error(error: UserError, arguments: list[str]) -> int:
     """Print an error on stderr, and with --json also on stdout unless an answer was printed; return its exit code."""
     if failures.wants_json(arguments) and not console.has_answered():
         console.data_json(failures.document(error))
-    console.note(failures.lines(error).removesuffix("\n"))
+    console.note(failures.format_error(error).removesuffix("\n"))
     return error.code

@@ -188,7 +188,7 @@ def test_the_nodes_of_a_manifest_are_read_once(adapter: Path, monkeypatch: pytes
     reads: list[bytes | str] = []
     real = yaml_text.read
 
-    def counted(content: bytes | str) -> yaml_text.Document:
+    def counted(content: bytes | str) -> yaml_text.YamlDocument:
         reads.append(content)
         return real(content)
 

@@ -172,7 +172,7 @@ def test_an_error_says_what_was_given_and_no_more(text: str, capsys: pytest.Capt
     """What a command refuses may hold anything; no line of it passes for a command of a workflow, or a hint of ours."""
     from xpl_cli.basics import console
 
-    console.note(failures.lines(UserError(f"there is no {text}")).removesuffix("\n"))
+    console.note(failures.format_error(UserError(f"there is no {text}")).removesuffix("\n"))
     said = capsys.readouterr().err
     assert STEERING.search(said) is None
     first, *others = said.splitlines()

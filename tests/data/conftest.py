@@ -33,5 +33,5 @@ def converted() -> Iterator[Callable[..., job.ConversionReport]]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(parallel, "in_processes", lambda each, things, _workers: map(each, things))
-        patch.setattr(parallel, "die_with", lambda _parent: None)
+        patch.setattr(parallel, "end_with_parent", lambda _parent: None)
         yield convert

@@ -57,9 +57,9 @@ def adapter(folder: Path, *checkpoints: dict[str, Any], **deploy: Any) -> Path:
     return place
 
 
-def specified(folder: Path, **entry: Any) -> specification.Specification:
+def specified(folder: Path, **entry: Any) -> specification.CheckpointSpec:
     """Return the specification that an entry of policy.yml is."""
-    return specification.specified(package.Package(folder, {}), Checkpoint.parse({"name": "demo", **entry}))
+    return specification.parse_checkpoint(package.Package(folder, {}), Checkpoint.parse({"name": "demo", **entry}))
 
 
 # -- specifications ----------------------------------------------------------------------------------------------------

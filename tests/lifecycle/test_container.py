@@ -15,7 +15,7 @@ import pytest
 
 from tests.support.peer import xpl
 from xpl_cli import __version__
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import UserError
 from xpl_cli.lifecycle import container
 from xpl_cli.packages import package
@@ -132,7 +132,7 @@ def test_the_health_check_asks_a_real_server(tmp_path: Path) -> None:
     token = tmp_path / "token"
     token.write_text("a-word-of-sixteen-letters")
     token.chmod(0o600)
-    folder = room("policy") / "demo_policy"
+    folder = content_folder("policy") / "demo_policy"
     text = container.recipe(package.load(folder))[container.DOCKERFILE]
     check = json.loads(dict(instructions(text))["HEALTHCHECK"].partition("CMD ")[2])
     assert check[:2] == ["python", "-c"]

@@ -24,8 +24,8 @@ from xpl import Client
 from xpl.manifest import PythonEnvironment
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.lifecycle import interpreter
-from xpl_cli.lifecycle.python_env import installers, place, pythons
-from xpl_cli.lifecycle.python_env.plan import Plan, plan_of
+from xpl_cli.lifecycle.python_env import environments, installers, pythons
+from xpl_cli.lifecycle.python_env.plan import EnvironmentPlan, plan_of
 from xpl_cli.packages import package
 from xpl_cli.serving.launch import running_server
 
@@ -106,7 +106,7 @@ def subject(folder: Path, text: str | None = None, **environment: Any) -> Path:
     return place_
 
 
-def planned(folder: Path, **environment: Any) -> Plan:
+def planned(folder: Path, **environment: Any) -> EnvironmentPlan:
     """Return the plan of an adapter, which has one."""
     adapter = package.load(subject(folder, **environment))
     plan = plan_of(adapter.path, adapter.manifest.environment)
@@ -256,64 +256,64 @@ def test_conda_gets_its_lock(conda: Path, tmp_path: Path) -> None:
     """A description is solved, an explicit list is taken as it is; the environment lies in the package's folder."""
     plan = _conda_plan(tmp_path, "dependencies: [numpy]\n")
     folder = plan.base
-    place.install(plan)
+    environments.install(plan)
     assert conda.read_text().startswith(f"env create --quiet --prefix {folder}/.conda-")
     assert interpreter.resolve(folder, package.load(folder).manifest.environment).startswith(f"{folder}/.conda-")
     conda.unlink()
     subject(tmp_path, "@EXPLICIT\nnumpy\n", manager="conda", lock="conda.txt")
-    place.install(planned(tmp_path, manager="conda", lock="conda.txt"))
+    environments.install(planned(tmp_path, manager="conda", lock="conda.txt"))
     assert conda.read_text().startswith(f"create --yes --quiet --prefix {folder}/.conda-")
 
 
 def test_a_change_is_noticed_and_replaces(conda: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """`--check` and serving say so; then the link moves, and the old environment goes."""
     declare = functools.partial(_conda_plan, tmp_path)
-    assert place.condition(declare("numpy")) == "missing"
-    first = place.install(declare("numpy"))
-    assert (first.state, place.condition(declare("numpy"))) == ("made", "current")
-    assert place.install(declare("numpy")).state == "unchanged"
+    assert environments.condition(declare("numpy")) == "missing"
+    first = environments.install(declare("numpy"))
+    assert (first.state, environments.condition(declare("numpy"))) == ("made", "current")
+    assert environments.install(declare("numpy")).state == "unchanged"
 
     changed = declare("numpy 2")
-    assert place.condition(changed) == "outdated"
+    assert environments.condition(changed) == "outdated"
     interpreter.resolve(changed.base, package.load(changed.base).manifest.environment)
     interpreter.resolve(changed.base, package.load(changed.base).manifest.environment)
     assert capfd.readouterr().err.count("is not the declared one") == 1
-    second = place.install(changed)
+    second = environments.install(changed)
     assert (second.state, second.folder != first.folder, first.folder.exists()) == ("replaced", True, False)
-    assert place.install(changed, again=True).folder != second.folder
+    assert environments.install(changed, force=True).folder != second.folder
     assert min(path.name for path in changed.base.glob(".conda*")) == ".conda"
     assert len(list(changed.base.glob(".conda*"))) == 2
 
 
 def test_a_failure_leaves_the_old_one_in_use(conda: Path, tmp_path: Path) -> None:
-    first = place.install(_conda_plan(tmp_path, "numpy"))
+    first = environments.install(_conda_plan(tmp_path, "numpy"))
     for lock, message in {"broken": "cannot be made", "nothing": "numpy"}.items():
         with pytest.raises(UserError, match=message) as caught:
-            place.install(_conda_plan(tmp_path, lock))
+            environments.install(_conda_plan(tmp_path, lock))
         assert caught.value.code == ExitCode.NOT_RUN
-    assert place.install(_conda_plan(tmp_path, "numpy")).folder == first.folder
+    assert environments.install(_conda_plan(tmp_path, "numpy")).folder == first.folder
     assert len(list((tmp_path / "Subject").glob(".conda*"))) == 2
 
 
 @pytest.mark.slow
 def test_whoever_runs_in_the_old_one_goes_on(conda: Path, tmp_path: Path) -> None:
     """An environment stays as long as a process runs from it, and goes with the next installation."""
-    first = place.install(_conda_plan(tmp_path, "numpy"))
+    first = environments.install(_conda_plan(tmp_path, "numpy"))
     code = "print('up', flush=True); input(); import only_here; print(only_here.ANSWER)"
     process = subprocess.Popen([first.python, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "up\n"
-    place.install(_conda_plan(tmp_path, "numpy 2"))
+    environments.install(_conda_plan(tmp_path, "numpy 2"))
     assert first.folder.exists()
     assert process.communicate("\n", timeout=DEADLINE_S)[0] == "7\n"
-    place.install(_conda_plan(tmp_path, "numpy 3"))
+    environments.install(_conda_plan(tmp_path, "numpy 3"))
     assert not first.folder.exists()
 
 
 @pytest.mark.slow
 def test_a_killed_installation_is_cleared_by_the_next(conda: Path, tmp_path: Path) -> None:
     """SIGKILL after the environment is made and before it is in use: the old one is still in use."""
-    first = place.install(_conda_plan(tmp_path, "numpy"))
+    first = environments.install(_conda_plan(tmp_path, "numpy"))
     _conda_plan(tmp_path, "numpy 2")
     stops = (
         "import os, signal, sys\n"
@@ -329,7 +329,7 @@ def test_a_killed_installation_is_cleared_by_the_next(conda: Path, tmp_path: Pat
     folder = tmp_path / "Subject"
     assert (folder / ".conda").resolve() == first.folder
     assert len(list(folder.glob(".conda*"))) == 3
-    second = place.install(_conda_plan(tmp_path, "numpy 3"))
+    second = environments.install(_conda_plan(tmp_path, "numpy 3"))
     assert (folder / ".conda").resolve() == second.folder
     assert len(list(folder.glob(".conda*"))) == 2
 
@@ -347,7 +347,7 @@ def test_the_command_tells_the_condition(conda: Path, tmp_path: Path) -> None:
     assert "nothing to install" in done.stderr
 
 
-def _conda_plan(folder: Path, lock: str) -> Plan:
+def _conda_plan(folder: Path, lock: str) -> EnvironmentPlan:
     subject(folder, lock, manager="conda", lock="environment.yml")
     return planned(folder, manager="conda", lock="environment.yml")
 
@@ -391,7 +391,7 @@ def test_a_missing_lock_is_an_error(tmp_path: Path) -> None:
     """It is named; nothing is installed from memory."""
     plan = planned(tmp_path, manager="uv", lock="missing.txt")
     with pytest.raises(NotFoundError, match=r"missing\.txt"):
-        place.install(plan)
+        environments.install(plan)
 
 
 def test_interpreters_are_found_by_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

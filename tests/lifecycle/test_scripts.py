@@ -21,7 +21,7 @@ from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.lifecycle.checkpoints.specification import declared
+from xpl_cli.lifecycle.checkpoints.specification import declared_checkpoints
 from xpl_cli.packages import package
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import AdapterAnswers
@@ -230,7 +230,7 @@ def test_the_manifests_of_the_page_are_valid(tmp_path: Path) -> None:
         (key,) = part
         assert validate(part[key], f"policy#/properties/{key}") == []
         if key == "checkpoints":
-            assert list(declared(package.Package(tmp_path, {}, Manifest.parse(part)))) == ["base", "small"]
+            assert list(declared_checkpoints(package.Package(tmp_path, {}, Manifest.parse(part)))) == ["base", "small"]
 
 
 LOOKS = """

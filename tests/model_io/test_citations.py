@@ -11,7 +11,7 @@ from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.model_io.citations import Citation, Quotation, contradiction, folders, lookup
-from xpl_cli.packages.conventions import Value
+from xpl_cli.packages.conventions import DeclaredValue
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_links_out_of_a_package_are_not_followed(package: Path, tmp_path: Path) 
 def test_code_that_says_another_value_is_a_contradiction(
     code: str, definition: str, word: str, told: str | None
 ) -> None:
-    found = contradiction(Quotation(Path("a.py"), (code,), code, None), [Value(definition, word)])
+    found = contradiction(Quotation(Path("a.py"), (code,), code, None), [DeclaredValue(definition, word)])
     assert (found is None) if told is None else told in str(found)
 
 

@@ -58,7 +58,7 @@ def adapter(tmp_path: Path) -> Path:
 )
 def test_patches_are_those_of_rfc_7396(document: Any, patch: Any, merged: Any) -> None:
     """The examples of its appendix."""
-    assert variants.merged(document, patch) == merged
+    assert variants.merge_patch(document, patch) == merged
 
 
 def test_a_variant_changes_manifest_and_run(adapter: Path) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from xpl.assumptions import assumptions, settled
+from xpl.assumptions import assumptions, resolve_assumptions
 from xpl.manifest import Manifest
 from xpl_cli.standard.validate import validate
 
@@ -23,8 +23,8 @@ def _manifest(**changes: Any) -> dict[str, Any]:
 
 
 def _problems(**changes: Any) -> list[str]:
-    known = {problem.told for problem in validate(_manifest(), "policy")}
-    return [problem.told for problem in validate(_manifest(**changes), "policy") if problem.told not in known]
+    known = {problem.text for problem in validate(_manifest(), "policy")}
+    return [problem.text for problem in validate(_manifest(**changes), "policy") if problem.text not in known]
 
 
 def test_an_assumed_value_counts_as_if_it_stood_there() -> None:
@@ -35,7 +35,7 @@ def test_an_assumed_value_counts_as_if_it_stood_there() -> None:
     assert [(one.where, one.value, one.why) for one in manifest.assumed] == [
         ("model_io.images[0].channels", "bgr", "nobody says it")
     ]
-    assert settled(document) == _manifest(channels="bgr")
+    assert resolve_assumptions(document) == _manifest(channels="bgr")
     assert not _problems(channels={"assumed": "bgr", "why": "nobody says it"})
 
 
@@ -56,5 +56,5 @@ def test_an_assumption_is_a_value_and_a_reason(value: Any, told: str | None) -> 
 
 def test_assumptions_lie_in_each_other() -> None:
     document = {"a": [{"assumed": {"b": {"assumed": 1, "why": "in"}}, "why": "out"}]}
-    assert settled(document) == {"a": [{"b": 1}]}
+    assert resolve_assumptions(document) == {"a": [{"b": 1}]}
     assert [(one.path, one.why) for one in assumptions(document)] == [(("a", 0), "out")]

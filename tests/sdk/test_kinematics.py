@@ -10,9 +10,9 @@ from xpl import get_embodiment, robots, rotation
 from xpl.kinematics import Chain, KinematicsError
 from xpl.poses import compose, invert, pose, transform
 from xpl.robots import shipped
-from xpl_cli.basics.content import load_module, room
+from xpl_cli.basics.content import content_folder, load_module
 
-DRIVEN = sorted({"franka", *load_module(room("envs") / "mujoco" / "manifest.py").manifest().embodiments})
+DRIVEN = sorted({"franka", *load_module(content_folder("envs") / "mujoco" / "manifest.py").manifest().embodiments})
 KNOWN = sorted(name for name, entry in shipped.entries().items() if robots.has_frames(entry))
 
 
@@ -28,7 +28,7 @@ def _random_joints(chain: Chain, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("name", DRIVEN)
 def test_forward_kinematics_agrees_with_mujoco(name: str) -> None:
     mujoco = pytest.importorskip("mujoco")
-    folder = room("envs") / "mujoco"
+    folder = content_folder("envs") / "mujoco"
     facts = load_module(folder / "manifest.py").manifest().data
     embodiment = get_embodiment(name)
     scene = load_module(folder / "scene.py").build_scene(embodiment, facts)
@@ -66,7 +66,7 @@ def test_a_model_of_the_same_numbers_stands_where_the_kinematics_says(name: str)
     for _ in range(10):
         data.qpos[:] = joints = _random_joints(chain, rng)
         mujoco.mj_kinematics(model, data)
-        assert np.abs(chain.places(joints)[:-1] - data.xpos[1:]).max() < 1e-6
+        assert np.abs(chain.points(joints)[:-1] - data.xpos[1:]).max() < 1e-6
         seen = [(chain.flange(joints), data.xpos[-1], data.xmat[-1])]
         if tcp is not None:
             seen.append((chain.tcp(joints), data.site("tcp").xpos, data.site("tcp").xmat))

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from xpl.action import ActionError
 from xpl.rollout import run_batch, run_episode
-from xpl_cli.basics.content import load_module, room
+from xpl_cli.basics.content import content_folder, load_module
 
-ADAPTER_LOOP = load_module(room("policy") / "demo_policy" / "deploy.py")
+ADAPTER_LOOP = load_module(content_folder("policy") / "demo_policy" / "deploy.py")
 
 
 class Counting:

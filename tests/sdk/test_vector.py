@@ -27,7 +27,7 @@ from xpl.rollout import run_batch
 from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.simulator.worker_pool import EnvTimeouts
 from xpl.vector import INFRASTRUCTURE, VectorEnv, shares
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 
 CLIENT = """
     import os, signal, subprocess, sys
@@ -138,7 +138,7 @@ def start(client: Path) -> Iterator[Callable[..., VectorEnv]]:
 
 def test_workers_play_what_one_process_plays_bit_by_bit() -> None:
     pytest.importorskip("mujoco")
-    path = room("envs") / "mujoco" / "client.py"
+    path = content_folder("envs") / "mujoco" / "client.py"
     config = {"task": "lift_cube", "embodiment": "arx_x5", "num_envs": 2, "cameras": [24, 32], "max_steps": 6}
     arms = ("left_arm_joint_state", "left_ee_joint_state", "right_arm_joint_state", "right_ee_joint_state")
 

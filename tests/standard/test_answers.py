@@ -270,7 +270,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp
 
     def call(*words: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["xpl", *words])
-        monkeypatch.setattr(console, "_output", console._Output())
+        monkeypatch.setattr(console, "_output", console._AnswerOutput())
         with pytest.raises(SystemExit) as ended:
             main.run()
         out, err = capsys.readouterr()

@@ -22,7 +22,7 @@ from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.derived import reference
 from xpl_cli.standard import answers, check, robots, spec, view
 from xpl_cli.standard.validate import validate_yaml_file
-from xpl_cli.standard.words import choices
+from xpl_cli.standard.vocabulary import vocabularies
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
@@ -216,7 +216,7 @@ def test_each_fault_of_the_standard_is_found(tmp_path: Path, monkeypatch: pytest
         assert old in text
         changed.write_text(text.replace(old, new, 1) if old else new)
     for module in (spec, robots):
-        monkeypatch.setattr(module, "room", lambda _name: tmp_path)
+        monkeypatch.setattr(module, "content_folder", lambda _name: tmp_path)
     _forget()
     try:
         problems = [str(problem) for problem in (*check.check(), *robots.check())]
@@ -254,13 +254,13 @@ def test_an_outline_shows_kind_default_and_need() -> None:
 def test_words_are_shown_with_formula_source_and_what_others_call_them() -> None:
     schema = spec.schema("model_io")
     outline, page = view.view("model_io").text(), reference.pages()["model_io.md"]
-    for choice in choices(schema):
-        for word in choice.words:
+    for choice in vocabularies(schema):
+        for word in choice.values:
             for told in (word.meaning, word.formula, word.source, word.known_as):
                 assert told.rstrip(".") in outline
                 assert reference.prose(told.rstrip(".")) in html.unescape(page) or told == word.formula
             assert f"| `{word.name}` |" in page
-    bilinear = next(word for choice in choices(schema) for word in choice.words if word.name == "bilinear")
+    bilinear = next(word for choice in vocabularies(schema) for word in choice.words if word.name == "bilinear")
     assert bilinear.known_as == "opencv: INTER_LINEAR; pillow: BILINEAR; torch: bilinear"
 
 

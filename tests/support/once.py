@@ -62,8 +62,8 @@ def _compiled_once(compile_text: Any) -> Any:
 
 def _rendered_once(render: Any) -> Any:
     kept: dict[Any, template.Files] = {}
-    usual = (template.room, template.place)
-    places = (template.room("templates"), template.room("spec"))
+    usual = (template.content_folder, template.template_folder)
+    places = (template.content_folder("templates"), template.content_folder("spec"))
 
     @functools.wraps(render)
     def rendered(
@@ -72,8 +72,8 @@ def _rendered_once(render: Any) -> Any:
         leave_out: Sequence[str] = (),
         variant: str | None = None,
     ) -> template.Files:
-        now = (template.room, template.place)
-        if now != usual or (template.room("templates"), template.room("spec")) != places:
+        now = (template.content_folder, template.template_folder)
+        if now != usual or (template.content_folder("templates"), template.content_folder("spec")) != places:
             return render(name, context, leave_out, variant)  # type: ignore[no-any-return]  # by other templates
         key = (name, repr(sorted(context.items())), tuple(leave_out), variant)
         if key not in kept:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 
-class _Output:
+class _AnswerOutput:
     """Where data goes, and whether any went.
 
     Attributes:
@@ -37,7 +37,7 @@ class _Output:
     is_used = False
 
 
-_output = _Output()
+_output = _AnswerOutput()
 
 
 def open_streams() -> None:
@@ -53,13 +53,13 @@ def open_streams() -> None:
             if nowhere > number:
                 os.close(nowhere)
             setattr(sys, name, open(number, "r" if name == "stdin" else "w", encoding="utf-8"))  # noqa: PTH123, SIM115
-    codecs.register_error("written-out", _written_out)
+    codecs.register_error("written-out", _escape_unencodable)
     if isinstance(sys.stdout, TextIOWrapper):
         with contextlib.suppress(OSError):  # what lay below it when it was made was exchanged for something else
             sys.stdout.reconfigure(errors="written-out")
 
 
-def _written_out(error: UnicodeError) -> tuple[str, int]:
+def _escape_unencodable(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     pairs = error.object[error.start : error.end].encode("utf-16-be", "surrogatepass")
@@ -69,10 +69,10 @@ def _written_out(error: UnicodeError) -> tuple[str, int]:
 
 def data(text: str) -> None:
     """Write an answer."""
-    painted(escape_controls(text))
+    data_with_colours(escape_controls(text))
 
 
-def painted(text: str) -> None:
+def data_with_colours(text: str) -> None:
     """Write an answer with colours for a terminal; what strangers gave to it has to be harmless already."""
     _output.is_used = True
     stream = _stream()
@@ -125,7 +125,7 @@ def has_answered() -> bool:
 
 
 @contextlib.contextmanager
-def into(path: Path | None) -> Iterator[None]:
+def output_to(path: Path | None) -> Iterator[None]:
     """Write the data of a `with` block to a file, whole or not at all; None leaves it on stdout.
 
     Raises:

@@ -13,7 +13,7 @@ from pathlib import Path
 from xpl import registry
 from xpl.process.modules import load_module
 
-__all__ = ["called", "is_installed", "load_module", "room"]
+__all__ = ["content_folder", "is_installed", "load_module", "package_argument"]
 
 _INSTALLED = Path(__file__).parents[1] / "_content"
 _CHECKOUT = Path(__file__).parents[2]
@@ -22,7 +22,7 @@ _HIDDEN = {"skills": ".agents/skills"}
 
 
 @cache
-def room(name: str) -> Path:
+def content_folder(name: str) -> Path:
     """Return the folder of the content room `name` (``"spec"``, ``"envs"``, ...): a checkout's own, or the wheel's."""
     shipped = _INSTALLED / name
     return shipped if shipped.is_dir() else _CHECKOUT / _HIDDEN.get(name, name)
@@ -34,6 +34,6 @@ def is_installed(folder: Path) -> bool:
     return any(folder.resolve().is_relative_to(place) for place in places)
 
 
-def called(folder: Path) -> str:
+def package_argument(folder: Path) -> str:
     """Return what a command takes for a package: the name of one that was installed, the path of any other."""
     return folder.name if is_installed(folder) else str(folder)

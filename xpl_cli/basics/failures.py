@@ -42,7 +42,7 @@ def document(error: UserError) -> dict[str, object]:
     }
 
 
-def of_usage(error: Any) -> UserError:
+def from_usage_error(error: Any) -> UserError:
     """Return a command line that was not understood as an error of ours, with what it could have been.
 
     Args:
@@ -59,17 +59,17 @@ def of_usage(error: Any) -> UserError:
     return UserError(f"{path}: {message[:1].lower()}{message[1:]}", hint=f"`{path} --help` tells what it takes")
 
 
-def of_other(error: Exception) -> UserError:
+def from_exception(error: Exception) -> UserError:
     """Return what a command did not foresee as an error: of the system, of an installed package, or our own fault."""
     from xpl.registry import EntryPointError
 
     if isinstance(error, EntryPointError):
         hint = "the fault is the named package's: mend or uninstall it"
         return UserError(str(error), hint=hint, code=ExitCode.NOT_RUN)
-    return of_system(error) if isinstance(error, OSError) else of_fault(error)
+    return from_os_error(error) if isinstance(error, OSError) else from_fault(error)
 
 
-def of_system(error: OSError) -> UserError:
+def from_os_error(error: OSError) -> UserError:
     """Return what the system refused, such as a file, a port or memory, as an error."""
     reason = error.strerror or str(error) or type(error).__name__
     where = "" if error.filename is None else f"{error.filename!s:.200}: "
@@ -80,7 +80,7 @@ def of_system(error: OSError) -> UserError:
     )
 
 
-def of_fault(error: Exception) -> UserError:
+def from_fault(error: Exception) -> UserError:
     """Return a fault of the tool itself as an error."""
     return UserError(
         f"internal error: {type(error).__name__}: {error}",
@@ -89,7 +89,7 @@ def of_fault(error: Exception) -> UserError:
     )
 
 
-def lines(error: UserError) -> str:
+def format_error(error: UserError) -> str:
     """Return the error as people read it."""
     head = "" if error.code in (ExitCode.INTERNAL, ExitCode.INTERRUPTED) else "error: "
     hint = f"Hint: {error.hint}\n" if error.hint else ""

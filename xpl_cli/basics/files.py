@@ -8,7 +8,7 @@ import select
 import stat
 from typing import IO, TYPE_CHECKING
 
-from xpl_cli.basics.sizes import told_size
+from xpl_cli.basics.sizes import format_size
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,7 +27,7 @@ _KINDS = (
 )
 
 
-def opened(path: Path, most: int = MOST_BYTES) -> IO[bytes]:
+def open_regular(path: Path, most: int = MOST_BYTES) -> IO[bytes]:
     """Open a regular file for reading; whatever else the path leads to is refused, and nothing waits for a writer.
 
     Args:
@@ -47,22 +47,24 @@ def opened(path: Path, most: int = MOST_BYTES) -> IO[bytes]:
     size = os.fstat(descriptor).st_size
     if size > most:
         stream.close()
-        raise OSError(errno.EFBIG, f"it holds {told_size(size)}, more than the limit of {told_size(most)}", str(path))
+        raise OSError(
+            errno.EFBIG, f"it holds {format_size(size)}, more than the limit of {format_size(most)}", str(path)
+        )
     return stream
 
 
-def content(path: Path, most: int = MOST_BYTES) -> bytes:
+def read_regular(path: Path, most: int = MOST_BYTES) -> bytes:
     """Return what a regular file holds.
 
     Raises:
         OSError: as `opened`.
     """
-    with opened(path, most) as stream:
+    with open_regular(path, most) as stream:
         # Not `most`, which would be taken at once however small the file is. Those of /proc say that they are empty.
         return stream.read(min(most, max(os.fstat(stream.fileno()).st_size, _LEAST)))
 
 
-def given(path: Path, most: int = MOST_BYTES) -> bytes:
+def read_user_file(path: Path, most: int = MOST_BYTES) -> bytes:
     """Return what a file holds that the user named: a regular one, or a pipe, as `<(command)` makes them.
 
     Raises:
@@ -71,7 +73,7 @@ def given(path: Path, most: int = MOST_BYTES) -> bytes:
     descriptor = _descriptor(path)
     with os.fdopen(descriptor, "rb", buffering=0) as stream:
         if not stat.S_ISFIFO(os.fstat(descriptor).st_mode):
-            return content(path, most)
+            return read_regular(path, most)
         read = bytearray()
         while select.select([descriptor], [], [], _PATIENCE_S)[0]:
             block = stream.read(1 << 16)
@@ -79,7 +81,7 @@ def given(path: Path, most: int = MOST_BYTES) -> bytes:
                 return bytes(read)
             read += block
             if len(read) > most:
-                raise OSError(errno.EFBIG, f"more than {told_size(most)} came out of it", str(path))
+                raise OSError(errno.EFBIG, f"more than {format_size(most)} came out of it", str(path))
         raise OSError(errno.ETIMEDOUT, f"nobody wrote to the pipe within {_PATIENCE_S:g} s", str(path))
 
 

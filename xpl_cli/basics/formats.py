@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from xpl.registry import FORMATS, OURS, Entry, entries
+from xpl.registry import BUILT_IN_DISTRIBUTION, FORMATS, RegisteredEntry, entries
 from xpl_cli.basics.errors import UserError
 
 REPORT, DATA = "report", "data"
@@ -35,7 +35,7 @@ REPORTS_HELP: Final = f"{', '.join(REPORTS)}, or one of an installed package."
 """What an option says that takes the format of a report."""
 
 
-def registered(kind: str) -> dict[str, Entry]:
+def registered(kind: str) -> dict[str, RegisteredEntry]:
     """Return the formats of a kind, by name: ours, then those of installed packages.
 
     Raises:
@@ -45,13 +45,13 @@ def registered(kind: str) -> dict[str, Entry]:
     for name, entry in entries(FORMATS, BUILT_IN).items():
         prefix, _, rest = name.partition(".")
         if prefix not in (REPORT, DATA) or not rest:
-            raise entry.broken(f"its name is neither {REPORT}.NAME nor {DATA}.NAME")
+            raise entry.unusable(f"its name is neither {REPORT}.NAME nor {DATA}.NAME")
         if prefix == kind:
             found[rest] = entry
     return found
 
 
-def call(entry: Entry, function: str, *arguments: object) -> Any:
+def call(entry: RegisteredEntry, function: str, *arguments: object) -> Any:
     """Return what a function of a format's module returns.
 
     Raises:
@@ -59,12 +59,12 @@ def call(entry: Entry, function: str, *arguments: object) -> Any:
     """
     called = getattr(entry.load(), function, None)
     if not callable(called):
-        raise entry.broken(f"it has no function {function}")
+        raise entry.unusable(f"it has no function {function}")
     try:
         return called(*arguments)
     except UserError:
         raise
     except Exception as error:
-        if entry.distribution == OURS:
+        if entry.distribution == BUILT_IN_DISTRIBUTION:
             raise
-        raise entry.broken(f"{function} raised {type(error).__name__}: {error}") from error
+        raise entry.unusable(f"{function} raised {type(error).__name__}: {error}") from error

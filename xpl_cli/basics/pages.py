@@ -9,7 +9,7 @@ import json
 from markupsafe import Markup
 
 from xpl_cli import __version__
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.untrusted import escape_controls
 
 
@@ -48,7 +48,7 @@ def _shown(value: object) -> object:
 
 
 def _read(name: str) -> str:
-    return (room("templates") / name).read_text(encoding="utf-8")
+    return (content_folder("templates") / name).read_text(encoding="utf-8")
 
 
 def _policy(css: str, script: str) -> str:

@@ -16,31 +16,31 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
-Thing = TypeVar("Thing")
-Answer = TypeVar("Answer")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 _AHEAD = 8
 """Things for each process that are handed out before their answers are taken."""
 
 
-def in_processes(
-    work: Callable[[Thing], Answer], things: Sequence[Thing], workers: int | None = None
-) -> Iterator[Answer | None]:
+def map_in_processes(
+    work: Callable[[Item], Result], items: Sequence[Item], workers: int | None = None
+) -> Iterator[Result | None]:
     """Yield `work(thing)` for each thing, in order; None where the process that worked on it died.
 
     Processes are forked, so that what is imported already need not be imported again; `workers` is their number, that
     of the cores by default. An exception of `work` is raised here. Things are handed out as answers are taken, so that
     those that wait are few.
     """
-    if not things:
+    if not items:
         return
-    count = min(workers or _cores(), len(things))
-    rest = iter(things)
-    waiting: collections.deque[Future[Answer]] = collections.deque()
+    count = min(workers or _cores(), len(items))
+    rest = iter(items)
+    waiting: collections.deque[Future[Result]] = collections.deque()
     with warnings.catch_warnings(), _pool(count) as pool:
         # Threads of this process, if any, only print; what is forked uses nothing of theirs.
         warnings.filterwarnings("ignore", message=".*multi-threaded", category=DeprecationWarning)
         try:
-            for place in range(len(things)):
+            for index in range(len(items)):
                 try:
                     waiting += [
                         pool.submit(work, thing) for thing in itertools.islice(rest, _AHEAD * count - len(waiting))
@@ -48,7 +48,7 @@ def in_processes(
                     answer = waiting.popleft().result()
                 except BrokenProcessPool:
                     # One death takes the whole pool: whoever has no answer gets a process of its own.
-                    yield from (_alone(work, thing) for thing in things[place:])
+                    yield from (_run_alone(work, thing) for thing in items[index:])
                     return
                 yield answer
         except BaseException as error:
@@ -58,7 +58,7 @@ def in_processes(
 
 
 @functools.lru_cache(maxsize=1)
-def die_with(parent: int) -> None:
+def end_with_parent(parent: int) -> None:
     """Let the system end this process when its parent has gone, whatever ended that: nobody else would."""
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)
@@ -73,7 +73,7 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-def _alone(work: Callable[[Thing], Answer], thing: Thing) -> Answer | None:
+def _run_alone(work: Callable[[Item], Result], thing: Item) -> Result | None:
     with _pool(1) as pool:
         try:
             return pool.submit(work, thing).result()

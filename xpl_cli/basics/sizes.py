@@ -9,7 +9,7 @@ from xpl_cli.basics.errors import UserError
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(i?)B?", re.IGNORECASE)
 _MOST_DIGITS = 18
 _POWERS = {"": 0, "K": 1, "M": 2, "G": 3, "T": 4}
-_TOLD = (("T", 4), ("G", 3), ("M", 2), ("k", 1))
+_UNITS = (("T", 4), ("G", 3), ("M", 2), ("k", 1))
 
 
 def parse_size(text: str, option: str) -> int:
@@ -38,7 +38,7 @@ def size_of(text: str) -> int | None:
     return int(float(number) * float(base ** _POWERS[unit.upper()]))
 
 
-def told_size(size: int) -> str:
+def format_size(size: int) -> str:
     """Return a number of bytes in words, such as 8.2 GB."""
-    unit, power = next(((name, power) for name, power in _TOLD if size >= 1000**power), _TOLD[-1])
+    unit, power = next(((name, power) for name, power in _UNITS if size >= 1000**power), _UNITS[-1])
     return f"{size / 1000**power:.3g} {unit}B"

@@ -15,7 +15,7 @@ from typing import Any, Final
 import typer
 
 from xpl_cli.basics import console
-from xpl_cli.basics.endings import endings
+from xpl_cli.basics.exit_codes import describe_exit_codes
 from xpl_cli.commands.plain import PlainCommand
 
 _OUTPUT: Final = "output"
@@ -58,7 +58,7 @@ class Command(PlainCommand):
             formatter.write_paragraph()
             if names:
                 formatter.write_text(f"JSON schema: {', '.join(names)} (xpl answers)")
-            formatter.write_text(endings(self.callback))
+            formatter.write_text(describe_exit_codes(self.callback))
 
 
 def _row_name(parameter: Any, name: str) -> str:
@@ -96,7 +96,7 @@ def _with_output(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def command(*arguments: Any, **options: Any) -> Any:
-        with console.into(options.pop(_OUTPUT)):
+        with console.output_to(options.pop(_OUTPUT)):
             return function(*arguments, **options)
 
     option = typer.Option(None, "--output", metavar="FILE", help="Write the answer to a file instead of stdout.")

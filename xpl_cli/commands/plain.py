@@ -47,7 +47,7 @@ class PlainCommand(TyperCommand):
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters, that of `--help` included."""
-        return _made_plain(super().get_params(ctx))
+        return _make_plain(super().get_params(ctx))
 
 
 class PlainGroup(TyperGroup):
@@ -55,17 +55,17 @@ class PlainGroup(TyperGroup):
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters, that of `--help` included."""
-        return _made_plain(super().get_params(ctx))
+        return _make_plain(super().get_params(ctx))
 
 
-def _made_plain(parameters: list[Any]) -> list[Any]:
+def _make_plain(parameters: list[Any]) -> list[Any]:
     for parameter in parameters:
         annotation = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
         is_ready = "get_runtime_param" in vars(parameter) or not hasattr(parameter, "get_runtime_param")
         if not is_ready and (annotation is bool or annotation in _CONVERSIONS):
             is_bounded = annotation in {int, float} and _is_bounded(parameter)
             convert = None if is_bounded else _CONVERSIONS.get(annotation)
-            plain = _Plain(convert, parameter.get_runtime_param)
+            plain = _PlainConverter(convert, parameter.get_runtime_param)
             parameter.get_runtime_param = lambda plain=plain: plain
     return parameters
 
@@ -75,7 +75,7 @@ def _is_bounded(parameter: Any) -> bool:
     return declared.min is not None or declared.max is not None
 
 
-class _Plain:
+class _PlainConverter:
     """What typer asks to convert the values of one parameter.
 
     Args:

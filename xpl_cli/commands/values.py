@@ -23,7 +23,7 @@ def text(value: Any) -> str:
     """
     given = str(value)
     if "\0" in given:
-        raise typer.BadParameter(f"expected a text, got {shown(given)}, which holds NUL")
+        raise typer.BadParameter(f"expected a text, got {quote_value(given)}, which holds NUL")
     if len(given) > _MOST_TEXT:
         raise typer.BadParameter(f"expected at most {_MOST_TEXT} characters, got {len(given)}")
     return given
@@ -40,11 +40,11 @@ def path(value: Any) -> Path:
         raise typer.BadParameter("expected a path, got an empty text; the folder where you are is .")
     found = Path(given)
     if len(given.encode(errors="surrogateescape")) > _MOST_PATH or any(map(_is_too_long, found.parts)):
-        raise typer.BadParameter(f"no path is as long as {shown(given)}, of {len(given)} characters")
+        raise typer.BadParameter(f"no path is as long as {quote_value(given)}, of {len(given)} characters")
     try:
         found.resolve()
     except (OSError, RuntimeError):
-        raise typer.BadParameter(f"{shown(given)} is a link that leads back to itself") from None
+        raise typer.BadParameter(f"{quote_value(given)} is a link that leads back to itself") from None
     return found
 
 
@@ -92,7 +92,7 @@ def certificates(value: Path | None) -> Path | None:
     if value is None:
         return None
     try:
-        files.opened(value).close()
+        files.open_regular(value).close()
     except FileNotFoundError:
         raise NotFoundError(f"there is no file {value}") from None
     except OSError as error:
@@ -116,7 +116,7 @@ def address(value: str | None) -> str | None:
     except ValueError:  # an IPv6 address without an end, a port that is none
         host = scheme = None
     if not host or scheme not in ("ws", "wss"):
-        raise typer.BadParameter(f"expected ws://HOST:PORT or wss://HOST:PORT, got {shown(value)}")
+        raise typer.BadParameter(f"expected ws://HOST:PORT or wss://HOST:PORT, got {quote_value(value)}")
     return value
 
 
@@ -129,11 +129,11 @@ def number(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         raise typer.BadParameter(f"expected a finite number, got {value}")
     if isinstance(value, int) and abs(value) > _MOST_INTEGER:
-        raise typer.BadParameter(f"expected a number of at most 64 bits, got {shown(str(value))}")
+        raise typer.BadParameter(f"expected a number of at most 64 bits, got {quote_value(str(value))}")
     return value
 
 
-def shown(given: str) -> str:
+def quote_value(given: str) -> str:
     """Return a value as a sentence shows it."""
     return repr(given) if len(given) <= _SHOWN else f"{given[:_SHOWN]!r}..."
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from xpl_cli.basics.endings import endings, own_meanings
 from xpl_cli.basics.errors import ExitCode
+from xpl_cli.basics.exit_codes import describe_exit_codes, own_meanings
 from xpl_cli.derived.reference import NOTE, table
 from xpl_cli.standard import answers
 
@@ -62,7 +62,7 @@ def _ends(command: Any, context: Any) -> Iterator[str]:
     if names:
         yield from (f"With `--json`: {' or '.join(f'`{name}`' for name in names)}.", "")
     if own_meanings(command.callback):
-        yield from (endings(command.callback), "")
+        yield from (describe_exit_codes(command.callback), "")
 
 
 def _panel(parameter: object) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from xpl_cli.standard.zoo import policies
 
 if TYPE_CHECKING:
-    from xpl_cli.standard.zoo.policies import Policy
+    from xpl_cli.standard.zoo.policies import ZooPolicy
 
 _WIDTH, _EDGE, _COLUMNS, _GAP = 640, 24, 3, 8
 _TILE_HEIGHT, _ROW, _HEAD = 26, 32, 34
@@ -39,7 +39,7 @@ _STYLE: Final = """\
   </style>"""
 
 
-def drawn(families: Mapping[str, Sequence[Policy]]) -> str:
+def drawn(families: Mapping[str, Sequence[ZooPolicy]]) -> str:
     """Return the picture as SVG.
 
     Args:
@@ -70,7 +70,7 @@ def _head(height: int) -> Iterator[str]:
     yield f'  <rect class="paper" x="1" y="1" width="{_WIDTH - 2}" height="{height - 2}" rx="12"/>'
 
 
-def _tile(x: int, y: int, policy: Policy) -> Iterator[str]:
+def _tile(x: int, y: int, policy: ZooPolicy) -> Iterator[str]:
     yield f'  <rect x="{x}" y="{y}" width="{_TILE}" height="{_TILE_HEIGHT}" rx="6"/>'
     yield _text(x + 8, y + 17, policy.title)
     steps = policies.levels()[1:]
@@ -79,7 +79,7 @@ def _tile(x: int, y: int, policy: Policy) -> Iterator[str]:
         yield _mark(first + place * _STEP, y + (_TILE_HEIGHT - _MARK) // 2, _state(policy, level.number))
 
 
-def _state(policy: Policy, level: int) -> str:
+def _state(policy: ZooPolicy, level: int) -> str:
     """Return how a level is drawn: not reached, reached with failed rules, or reached with nothing wrong."""
     if policy.proof is None or level > policy.proof["level"]:
         return "none"

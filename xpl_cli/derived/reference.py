@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from xpl_cli.standard import robots, spec
-from xpl_cli.standard.view import OPEN, OPEN_MEANS, PARTS, Section, sections
-from xpl_cli.standard.words import choices
+from xpl_cli.standard.view import OPEN, OPEN_MEANS, PARTS, SchemaSection, sections
+from xpl_cli.standard.vocabulary import vocabularies
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.registry import Rule
@@ -70,8 +70,8 @@ def _schema(name: str) -> str:
     for section in sections(schema):
         lines += ["", *([f"## {section.name}", ""] if section.name else []), *_keys(section)]
         lines += ["", OPEN_MEANS] if any(row.kind.endswith(OPEN) for row in section.rows) else []
-    for choice in choices(schema):
-        rows = [(f"`{word.name}`", word.told) for word in choice.words]
+    for choice in vocabularies(schema):
+        rows = [(f"`{word.name}`", word.description) for word in choice.values]
         lines += [
             "",
             f"## Words of {choice.key}",
@@ -83,7 +83,7 @@ def _schema(name: str) -> str:
     return "\n".join(lines)
 
 
-def _keys(section: Section) -> Iterator[str]:
+def _keys(section: SchemaSection) -> Iterator[str]:
     if not section.rows:
         yield section.summary.strip()
         return

@@ -11,7 +11,7 @@ from xpl_cli.derived.reference import NOTE, table
 from xpl_cli.standard.zoo import policies
 
 if TYPE_CHECKING:
-    from xpl_cli.standard.zoo.policies import Policy
+    from xpl_cli.standard.zoo.policies import ZooPolicy
 
 PAGE: Final = "docs/zoo.md"
 """Where the page is, in a checkout."""
@@ -42,7 +42,7 @@ def pages() -> dict[str, str]:
     return {PAGE: "\n".join(_lines()), PICTURE: picture.drawn(grouped())}
 
 
-def grouped() -> dict[str, list[Policy]]:
+def grouped() -> dict[str, list[ZooPolicy]]:
     """Return the policies by what their family is called, in the order of `words.yml`; those without one come last."""
     called = policies.families()
     order = [*called, None]
@@ -70,25 +70,25 @@ def _lines() -> Iterator[str]:
         yield from (f"### {family}", "", *table(heads, rows), "")
 
 
-def _levels(found: Sequence[Policy]) -> list[tuple[str, ...]]:
+def _levels(found: Sequence[ZooPolicy]) -> list[tuple[str, ...]]:
     return [
         (f"{level.number} {level.word}", level.meaning, str(sum(one.level == level for one in found)))
         for level in policies.levels()
     ]
 
 
-def _runs(found: Sequence[Policy]) -> list[tuple[str, ...]]:
+def _runs(found: Sequence[ZooPolicy]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for one in found:
         if one.proof is not None:
             proof = one.proof
             digests = ", ".join(f"{gate['gate']} `{gate['digest']}`" for gate in proof["gates"] if gate["digest"])
             level = f"{one.level.number} {one.level.word}"
-            rows.append((one.title, level, one.said or "", f"{proof['date']}, {one.prover}", digests))
+            rows.append((one.title, level, one.outcome or "", f"{proof['date']}, {one.prover}", digests))
     return rows
 
 
-def _facts(one: Policy) -> Iterator[str]:
+def _facts(one: ZooPolicy) -> Iterator[str]:
     """Yield the cells of a row."""
     facts = one.facts
     paper, code = facts["paper"].value, facts["code"].value

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.sizes import size_of, told_size
+from xpl_cli.basics.sizes import format_size, size_of
 from xpl_cli.isolation import plan, processes, seccomp
 
 if TYPE_CHECKING:
@@ -110,8 +110,8 @@ class MemoryLimit:
             await asyncio.wait([process.died], timeout=_EVERY_S)
 
     def _exceeded(self, used: int) -> str:
-        limit = told_size(self.size)
-        return f"the adapter used {told_size(used)}, more than the limit of {limit} (--memory-limit {self.text})"
+        limit = format_size(self.size)
+        return f"the adapter used {format_size(used)}, more than the limit of {limit} (--memory-limit {self.text})"
 
 
 def machine_memory() -> int:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from xpl import _spec as sdk
 from xpl_cli import __version__
 from xpl_cli.basics import atomic
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import UserError
-from xpl_cli.lifecycle.checkpoints.specification import HUB, declared
+from xpl_cli.lifecycle.checkpoints.specification import HUB, declared_checkpoints
 from xpl_cli.lifecycle.python_env.plan import CONDA, plan_of
 
 if TYPE_CHECKING:
@@ -47,8 +47,8 @@ def recipe(package: Package) -> dict[str, str]:
         )
     locks = [] if plan is None else [path.relative_to(package.path).as_posix() for path in plan.locks()]
     needed = [] if plan is not None else list(environment.requirements)
-    hub = any(one.kind == HUB for one in declared(package).values())
-    source = (room("templates") / "container" / "Dockerfile.jinja").read_text(encoding="utf-8")
+    hub = any(one.kind == HUB for one in declared_checkpoints(package).values())
+    source = (content_folder("templates") / "container" / "Dockerfile.jinja").read_text(encoding="utf-8")
     jinja = jinja2.Environment(  # noqa: S701 - a Dockerfile is no HTML
         undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
@@ -66,7 +66,10 @@ def recipe(package: Package) -> dict[str, str]:
         requirements=" ".join(shlex.quote(one) for one in needed),
         health=json.dumps(_HEALTH.format(port=package.config().get(sdk.Deploy.PORT) or _PORT))[1:-1],
     )
-    return {DOCKERFILE: text, IGNORED: (room("templates") / "container" / "dockerignore").read_text(encoding="utf-8")}
+    return {
+        DOCKERFILE: text,
+        IGNORED: (content_folder("templates") / "container" / "dockerignore").read_text(encoding="utf-8"),
+    }
 
 
 def write(package: Package, files: dict[str, str]) -> list[str]:

@@ -17,17 +17,17 @@ from typing import TYPE_CHECKING
 from xpl import json_text
 from xpl_cli.basics import console, content
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.lifecycle.python_env.environments import condition
 from xpl_cli.lifecycle.python_env.installers import CONDAS
-from xpl_cli.lifecycle.python_env.place import condition
 from xpl_cli.lifecycle.python_env.plan import CONDA, MADE_BY_XPL, plan_of
 
 if TYPE_CHECKING:
     from xpl.manifest import PythonEnvironment
-    from xpl_cli.lifecycle.python_env.plan import Plan
+    from xpl_cli.lifecycle.python_env.plan import EnvironmentPlan
 
 _warned: set[Path] = set()
 _OWN = "none"
-_UNSAID = frozenset(("", "-", "null"))
+_NOT_GIVEN = frozenset(("", "-", "null"))
 """What launchers put where an argument is not given."""
 
 
@@ -50,7 +50,7 @@ def resolve(
         return _executable(_path(python))
     if env == _OWN:
         return sys.executable
-    if env is not None and env not in _UNSAID:
+    if env is not None and env not in _NOT_GIVEN:
         manager, separator, name = env.partition(":")
         return _managed(manager if separator else CONDA, name if separator else env, policy_dir)
     return _declared(policy_dir, environment)
@@ -80,11 +80,11 @@ def _managed(manager: str, name: str, policy_dir: Path) -> str:
 
 def _in_folder(folder: Path, policy_dir: Path) -> str:
     # The environment itself, not the link to it: whoever starts in it stays in it when another one is installed.
-    hint = f"`xpl install {content.called(policy_dir)}`"
+    hint = f"`xpl install {content.package_argument(policy_dir)}`"
     return _executable(folder.resolve() / "bin" / "python", hint=hint)
 
 
-def _warn_if_outdated(plan: Plan) -> None:
+def _warn_if_outdated(plan: EnvironmentPlan) -> None:
     """Say once that an environment was made from something else than its manifest and lock say now."""
     try:
         outdated = condition(plan) == "outdated"

@@ -18,7 +18,7 @@ from xpl import checkpoint
 from xpl.process import script as launcher
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.lifecycle import interpreter
-from xpl_cli.lifecycle.python_env import place
+from xpl_cli.lifecycle.python_env import environments
 from xpl_cli.lifecycle.python_env.plan import plan_of
 
 if TYPE_CHECKING:
@@ -37,35 +37,37 @@ MANIFEST_VARIABLE = "XPL_MANIFEST"
 PATH_VARIABLE = "PYTHONPATH"
 
 
-def install(folder: Path, environment: PythonEnvironment, *, again: bool = False) -> place.Installed:
+def install(folder: Path, environment: PythonEnvironment, *, force: bool = False) -> environments.InstalledEnvironment:
     """Make the environment that a manifest declares unless it is there, and return its interpreter.
 
     Args:
         folder: the adapter's or environment's.
         environment: what its policy.yml or env.yml declares.
-        again: make it anew although it is there.
+        force: make it anew although it is there.
 
     Raises:
         UserError: if it cannot be made; what was there before stays.
     """
     plan = plan_of(folder, environment)
     if plan is None:
-        return place.Installed(Path(interpreter.resolve(folder, environment)), "given", {})
-    return place.install(plan, again=again)
+        return environments.InstalledEnvironment(Path(interpreter.resolve(folder, environment)), "given", {})
+    return environments.install(plan, force=force)
 
 
 def condition(folder: Path, environment: PythonEnvironment) -> str:
     """Return how the environment of a package is: "current", "outdated", "missing", "foreign", or "given"."""
     plan = plan_of(folder, environment)
-    return "given" if plan is None else place.condition(plan)
+    return "given" if plan is None else environments.condition(plan)
 
 
-def run_script(package: Package, name: str, overrides: Config, gpu: str | None = None, *, aside: bool = False) -> float:
+def run_script(
+    package: Package, name: str, overrides: Config, gpu: str | None = None, *, to_stderr: bool = False
+) -> float:
     """Run an author's script with the configuration of the run in `XPL_CONFIG` (JSON); return how long it took, s.
 
     The configuration also names the conventional `run_name` of data and checkpoints. `XPL_MANIFEST` holds policy.yml:
     the policy's own Python need not read YAML. `import xpl` works in the script, and in processes that it starts,
-    whatever is installed there. With `aside` what the script prints goes to standard error.
+    whatever is installed there. With `to_stderr` the script's output goes to standard error.
 
     Raises:
         NotFoundError: if the author has not written the script.
@@ -92,7 +94,7 @@ def run_script(package: Package, name: str, overrides: Config, gpu: str | None =
         environment["CUDA_VISIBLE_DEVICES"] = gpu
     python = interpreter.resolve(package.path, package.manifest.environment)
     started = time.monotonic()
-    output = sys.stderr if aside else None
+    output = sys.stderr if to_stderr else None
     with _sdk_alone() as folder:
         environment[PATH_VARIABLE] = os.pathsep.join(filter(None, (folder, os.environ.get(PATH_VARIABLE))))
         command = [python, launcher.__file__, str(script)]

@@ -17,7 +17,7 @@ from xpl_cli.basics import files
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from xpl_cli.packages.conventions import Value
+    from xpl_cli.packages.conventions import DeclaredValue
 
 _CITED = re.compile(
     r"(?P<path>[^\s:#]+)(?::|#L)(?P<first>[0-9]{1,7})(?:-L?(?P<last>[0-9]{1,7}))?(?![\w.])[\s,]*`?(?P<symbol>[A-Za-z_][\w.]*)?"
@@ -51,13 +51,13 @@ class Citation:
     @classmethod
     def parse(cls, text: str) -> Self | None:
         """Return the citation in a source of a convention; None if it names no line of a file."""
-        found = _CITED.search(text)
-        if found is None:
+        match = _CITED.search(text)
+        if match is None:
             return None
-        first = int(found["first"])
-        last = max(first, int(found["last"] or first))
+        first = int(match["first"])
+        last = max(first, int(match["last"] or first))
         return cls(
-            found["path"], first, last, found["symbol"] or "", bool(_FOREIGN.search(text[: found.start("first")]))
+            match["path"], first, last, match["symbol"] or "", bool(_FOREIGN.search(text[: match.start("first")]))
         )
 
 
@@ -91,21 +91,23 @@ def folders(package: Path, python: str | None = None) -> tuple[Path, ...]:
     """
     if python is not None:
         prefix = Path(python).parent.parent
-        return package, *(place for pattern in _SITE for place in sorted(prefix.glob(pattern)))
-    here = package.resolve()
-    own = [place for name in _ENVIRONMENTS for pattern in _SITE for place in sorted(here.glob(f"{name}/{pattern}"))]
-    return package, *(place for place in own if place.resolve().is_relative_to(here))
+        return package, *(folder for pattern in _SITE for folder in sorted(prefix.glob(pattern)))
+    resolved = package.resolve()
+    site_folders = [
+        folder for name in _ENVIRONMENTS for pattern in _SITE for folder in sorted(resolved.glob(f"{name}/{pattern}"))
+    ]
+    return package, *(folder for folder in site_folders if folder.resolve().is_relative_to(resolved))
 
 
-def lookup(citation: Citation, places: Sequence[Path]) -> Quotation | None:
+def lookup(citation: Citation, folders: Sequence[Path]) -> Quotation | None:
     """Return what stands at a citation, None if the file is not here.
 
     Args:
         citation: of a file.
-        places: of `folders`.
+        folders: of `folders`.
     """
     # What a repository calls data/env.py is not the package's own file of that name.
-    file = _find_file(citation.path, places[1:] if citation.is_foreign else places)
+    file = _find_file(citation.path, folders[1:] if citation.is_foreign else folders)
     if file is None:
         return None
     lines = _lines(file)
@@ -116,20 +118,24 @@ def lookup(citation: Citation, places: Sequence[Path]) -> Quotation | None:
     return Quotation(file, text, around, _problem(citation, lines, cited), start + 1)
 
 
-def contradiction(quoted: Quotation, values: Sequence[Value]) -> str | None:
+def contradiction(quoted: Quotation, values: Sequence[DeclaredValue]) -> str | None:
     """Return how quoted code contradicts what is declared: it says another value's word, and none of the declared one.
 
     Args:
         quoted: the code.
         values: that the block declares for the convention.
     """
-    said = set(re.findall(r"[a-z]+", quoted.around.lower().replace("2", " ")))
+    words_in_code = set(re.findall(r"[a-z]+", quoted.around.lower().replace("2", " ")))
     for value in values:
-        others = {other: words & said for other, words in _code_words(value.definition).items() if other != value.word}
-        own = _code_words(value.definition).get(value.word, frozenset())
+        others = {
+            other: words & words_in_code
+            for other, words in _code_words(value.definition).items()
+            if other != value.value
+        }
+        own = _code_words(value.definition).get(value.value, frozenset())
         contrary = sorted(word for words in others.values() for word in words)
-        if own and not own & said and contrary:
-            return f"the block says {value.word}, and the code says {contrary[0]}"
+        if own and not own & words_in_code and contrary:
+            return f"the block says {value.value}, and the code says {contrary[0]}"
     return None
 
 
@@ -140,15 +146,15 @@ def _code_words(definition: str) -> dict[str, frozenset[str]]:
     return {one["const"]: frozenset(one["x-words"]) for one in options if "x-words" in one}
 
 
-def _find_file(path: str, places: Sequence[Path]) -> Path | None:
+def _find_file(path: str, folders: Sequence[Path]) -> Path | None:
     """Return the file that a cited path means: repositories have folders above what is installed."""
     parts = [part for part in path.split("/") if part not in ("", ".")]
     if ".." in parts:
         return None
     for start in range(max(1, len(parts) - 1)):
-        for place in places:
-            file = place.joinpath(*parts[start:])
-            if file.is_file() and file.resolve().is_relative_to(place.resolve()):
+        for folder in folders:
+            file = folder.joinpath(*parts[start:])
+            if file.is_file() and file.resolve().is_relative_to(folder.resolve()):
                 return file
     return None
 
@@ -156,7 +162,7 @@ def _find_file(path: str, places: Sequence[Path]) -> Path | None:
 @cache
 def _lines(file: Path) -> list[str]:
     try:
-        return files.content(file, _MOST_BYTES).decode("utf-8", errors="replace").splitlines()
+        return files.read_regular(file, _MOST_BYTES).decode("utf-8", errors="replace").splitlines()
     except OSError:
         return []
 
@@ -168,8 +174,8 @@ def _problem(citation: Citation, lines: Sequence[str], cited: Sequence[str]) -> 
     if name and _is_name(name) and not any(name in line for line in cited):
         where = [number for number, line in enumerate(lines, 1) if re.search(rf"\b{re.escape(name)}\b", line)]
         nearest = min(where, key=lambda number: abs(number - citation.first), default=None)
-        told = "is nowhere in it" if nearest is None else f"stands at line {nearest}"
-        return f"line {citation.first} of {citation.path} does not have {name}, which {told}"
+        elsewhere = "is nowhere in it" if nearest is None else f"stands at line {nearest}"
+        return f"line {citation.first} of {citation.path} does not have {name}, which {elsewhere}"
     if not any(line.strip() for line in cited):
         return f"line {citation.first} of {citation.path} is empty"
     return None

@@ -12,12 +12,12 @@ from xpl_cli.lifecycle import interpreter
 from xpl_cli.model_io import reference_file
 from xpl_cli.model_io.citations import Citation, contradiction, folders, lookup
 from xpl_cli.model_io.statements import Certainty, Statement, statements
-from xpl_cli.packages.conventions import applying, declared
+from xpl_cli.packages.conventions import applicable_conventions, declared_values
 
 if TYPE_CHECKING:
     from xpl_cli.model_io.citations import Quotation
     from xpl_cli.model_io.reference_file import ConventionSource, ReferenceFile
-    from xpl_cli.packages.conventions import Value
+    from xpl_cli.packages.conventions import DeclaredValue
     from xpl_cli.packages.package import Package
 
 _MOST_LINES: Final = 60
@@ -71,8 +71,11 @@ class CitedConvention:
     @property
     def standing(self) -> Certainty:
         """Unknown where the block leaves a value open, assumed where it or the source assumes, else known."""
-        found = [Certainty.ASSUMED if self.is_assumed else Certainty.KNOWN, *(one.standing for one in self.declared)]
-        return max(found, key=list(Certainty).index)
+        certainties = [
+            Certainty.ASSUMED if self.is_assumed else Certainty.KNOWN,
+            *(one.standing for one in self.declared),
+        ]
+        return max(certainties, key=list(Certainty).index)
 
     @property
     def text(self) -> list[str]:
@@ -102,13 +105,13 @@ class CitedConvention:
 
 
 def cite_conventions(
-    package: Package, known: ReferenceFile, python: str | None = None, env: str | None = None
+    package: Package, reference: ReferenceFile, python: str | None = None, env: str | None = None
 ) -> list[CitedConvention]:
     """Return all conventions that reference.py names, or should, with the lines that it cites.
 
     Args:
         package: the adapter.
-        known: its reference.py; an empty one names no source.
+        reference: its reference.py; an empty one names no source.
         python: its interpreter, beside which libraries are installed; by default its own, where there is one.
         env: conda environment of that.
 
@@ -116,36 +119,36 @@ def cite_conventions(
         UserError: if an interpreter that was named is missing.
     """
     manifest = package.manifest
-    values = {} if manifest.model_io is None else declared(manifest.model_io)
-    told = statements(manifest)
-    places = folders(package.path, _python(package, python, env))
-    found = []
-    for name in known.all_conventions(applying(manifest)):
-        words = tuple(dict.fromkeys(value.word for value in values.get(name, ())))
-        one = CitedConvention(name, words, "", is_assumed=True, declared=told.get(name, ()))
-        if name in known.conventions:
-            one = _look_up_source(one, known.conventions[name], values.get(name, ()), places)
-        found.append(one)
-    return found
+    values = {} if manifest.model_io is None else declared_values(manifest.model_io)
+    statements_by_convention = statements(manifest)
+    folders_searched = folders(package.path, _python(package, python, env))
+    cited = []
+    for name in reference.all_conventions(applicable_conventions(manifest)):
+        words = tuple(dict.fromkeys(value.value for value in values.get(name, ())))
+        one = CitedConvention(name, words, "", is_assumed=True, declared=statements_by_convention.get(name, ()))
+        if name in reference.conventions:
+            one = _look_up_source(one, reference.conventions[name], values.get(name, ()), folders_searched)
+        cited.append(one)
+    return cited
 
 
 def _look_up_source(
-    one: CitedConvention, source: ConventionSource, values: Sequence[Value], places: Sequence[Path]
+    one: CitedConvention, source: ConventionSource, values: Sequence[DeclaredValue], folders: Sequence[Path]
 ) -> CitedConvention:
     """Return a convention that reference.py names, with the lines that it cites."""
     one = replace(one, source=source.text, is_assumed=source.is_assumed)
     citation = None if one.is_assumed else Citation.parse(source.text)
     if citation is None:
         return one if one.is_assumed else replace(one, problem="it names no line of a file")
-    found = lookup(citation, places)
-    if found is None:
+    quotation = lookup(citation, folders)
+    if quotation is None:
         return one
-    problem = found.problem or contradiction(found, values)
-    return replace(one, file=found.file, lines=tuple(_lines(found, citation)), problem=problem)
+    problem = quotation.problem or contradiction(quotation, values)
+    return replace(one, file=quotation.file, lines=tuple(_lines(quotation, citation)), problem=problem)
 
 
-def _lines(found: Quotation, citation: Citation) -> Iterator[SourceLine]:
-    for number, text in list(enumerate(found.around.split("\n"), found.start))[:_MOST_LINES]:
+def _lines(quotation: Quotation, citation: Citation) -> Iterator[SourceLine]:
+    for number, text in list(enumerate(quotation.around.split("\n"), quotation.start))[:_MOST_LINES]:
         yield SourceLine(number, text[:_WIDEST].rstrip(), citation.first <= number <= citation.last)
 
 

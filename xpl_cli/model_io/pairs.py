@@ -119,17 +119,17 @@ class PairSession:
         return tuple(self._questions())
 
     def _questions(self) -> Iterator[PairQuestion]:
-        shown: dict[int, list[tuple[int, int]]] = {}
-        asked: dict[int, list[int]] = {}
+        recipes: dict[int, list[tuple[int, int]]] = {}
+        asked_at: dict[int, list[int]] = {}
         answers, number = iter(self.answers), 0
-        for place, (call, episode) in enumerate(script.with_episode_numbers(self.calls)):
+        for call_number, (call, episode) in enumerate(script.with_episode_numbers(self.calls)):
             if call.reset:
-                shown, asked = {}, {}
-            for env, moment in call.show:
-                shown.setdefault(env, []).append((env, moment))
+                recipes, asked_at = {}, {}
+            for env, index in call.show:
+                recipes.setdefault(env, []).append((env, index))
             for env, answer in zip(call.ask, next(answers) if call.ask else (), strict=True):
-                asked.setdefault(env, []).append(len(shown[env]) - 1)
-                yield PairQuestion(number, place, env, episode, tuple(shown[env]), tuple(asked[env]), answer)
+                asked_at.setdefault(env, []).append(len(recipes[env]) - 1)
+                yield PairQuestion(number, call_number, env, episode, tuple(recipes[env]), tuple(asked_at[env]), answer)
                 number += 1
 
     def state(self, question: PairQuestion) -> dict[str, np.ndarray]:
@@ -203,24 +203,26 @@ def read(package: Path) -> GoldenPairs:
         PairsError: if it is missing, too large, or not what the standard says.
     """
     path = package / names.PAIRS
-    again = f"`xpl model-io record {package}` writes it"
+    hint = f"`xpl model-io record {package}` writes it"
     try:
-        document = json_text.parse(files.content(path, names.PAIRS_BYTES), finite=True)
+        document = json_text.parse(files.read_regular(path, names.PAIRS_BYTES), finite=True)
     except FileNotFoundError:
-        raise PairsError(f"{path} is missing", hint=again) from None
+        raise PairsError(f"{path} is missing", hint=hint) from None
     except OSError as error:
         raise PairsError(f"{path} cannot be read: {error.strerror or error}") from None
     except json_text.JsonError as error:
-        raise PairsError(f"{path}: {error}", hint=again) from None
+        raise PairsError(f"{path}: {error}", hint=hint) from None
     for problem in validate(document, _SCHEMA):
-        raise PairsError(f"{path}: {problem}", hint=again)
+        raise PairsError(f"{path}: {problem}", hint=hint)
     if document["script"] != script.VERSION:
-        told = f"it was recorded by version {document['script']} of the script, and this is version {script.VERSION}"
-        raise PairsError(f"{path}: {told}", hint=again)
+        versions = (
+            f"it was recorded by version {document['script']} of the script, and this is version {script.VERSION}"
+        )
+        raise PairsError(f"{path}: {versions}", hint=hint)
     try:
         sessions = tuple(_parse_session(entry) for entry in document["sessions"])
     except (ValueError, UnknownEmbodimentError) as error:
-        raise PairsError(f"{path}: {error}", hint=again) from None
+        raise PairsError(f"{path}: {error}", hint=hint) from None
     return GoldenPairs(document["provenance"], sessions, document["script"])
 
 
@@ -228,9 +230,9 @@ def _format_document(document: Mapping[str, Any]) -> str:
     """Return the document with a line for each call, so that a difference between two recordings can be read."""
     sessions = []
     for session in document["sessions"]:
-        told = {key: value for key, value in session.items() if key != "calls"}
+        session_fields = {key: value for key, value in session.items() if key != "calls"}
         calls = ",\n".join(json.dumps(call, sort_keys=True) for call in session["calls"])
-        sessions.append(f'{json.dumps(told, sort_keys=True)[:-1]}, "calls": [\n{calls}\n]}}')
+        sessions.append(f'{json.dumps(session_fields, sort_keys=True)[:-1]}, "calls": [\n{calls}\n]}}')
     rest = {key: value for key, value in document.items() if key != "sessions"}
     head = json.dumps(rest, indent=1, sort_keys=True).removesuffix("\n}")
     return f'{head},\n "sessions": [\n' + ",\n".join(sessions) + "\n]}\n"
@@ -245,8 +247,10 @@ def _session_entry(session: PairSession) -> dict[str, Any]:
         elif call.show:
             calls.append({"show": [list(recipe) for recipe in call.show]})
         else:
-            told = [{key: _encode_array(values) for key, values in answer.items()} for answer in next(answers)]
-            calls.append({"ask": list(call.ask), "answers": told})
+            action_entries = [
+                {key: _encode_array(values) for key, values in answer.items()} for answer in next(answers)
+            ]
+            calls.append({"ask": list(call.ask), "answers": action_entries})
     return {
         "embodiment": session.embodiment,
         sdk.Deploy.ACTION_TYPE: session.action_type,
@@ -265,20 +269,22 @@ def _parse_session(entry: Entry) -> PairSession:
     """
     dims = get_embodiment(entry["embodiment"]).dims(entry[sdk.Deploy.ACTION_TYPE])
     calls, answers = [], []
-    shown: set[int] = set()
-    for number, told in enumerate(entry["calls"]):
+    observed: set[int] = set()
+    for number, call_entry in enumerate(entry["calls"]):
         call = Call(
-            reset=sdk.Method.RESET in told,
-            show=tuple((env, place) for env, place in told.get("show", ())),
-            ask=tuple(told.get("ask", ())),
+            reset=sdk.Method.RESET in call_entry,
+            show=tuple((env, place) for env, place in call_entry.get("show", ())),
+            ask=tuple(call_entry.get("ask", ())),
         )
         if call.reset + bool(call.show) + bool(call.ask) != 1:
             raise ValueError(f"call {number} is none of reset, show and ask, or several")
-        shown = set() if call.reset else shown | {env for env, _ in call.show}
-        if not shown.issuperset(call.ask) or len(told.get("answers", ())) != len(call.ask):
+        observed = set() if call.reset else observed | {env for env, _ in call.show}
+        if not observed.issuperset(call.ask) or len(call_entry.get("answers", ())) != len(call.ask):
             raise ValueError(f"call {number} asks about {list(call.ask)}, which was not shown, or lacks answers")
         if call.ask:
-            answers.append(tuple(_parse_answer(answer, dims, entry["takes"], number) for answer in told["answers"]))
+            answers.append(
+                tuple(_parse_answer(answer, dims, entry["takes"], number) for answer in call_entry["answers"])
+            )
         calls.append(call)
     sizes = {name: (height, width) for name, (height, width) in entry["cameras"].items()}
     return PairSession(
@@ -292,13 +298,13 @@ def _parse_session(entry: Entry) -> PairSession:
     )
 
 
-def _parse_answer(told: Mapping[str, Any], dims: Mapping[str, int], takes: int, call: int) -> Answer:
-    found = {key: _decode_array(entry, call) for key, entry in told.items()}
-    steps = {values.shape[1] for values in found.values()}
-    shapes = {key: values.shape for key, values in found.items()}
+def _parse_answer(entries: Mapping[str, Any], dims: Mapping[str, int], takes: int, call: int) -> Answer:
+    values_by_key = {key: _decode_array(entry, call) for key, entry in entries.items()}
+    steps = {values.shape[1] for values in values_by_key.values()}
+    shapes = {key: values.shape for key, values in values_by_key.items()}
     if shapes != {key: (takes, *steps, width) for key, width in dims.items()}:
         raise ValueError(f"call {call} has answers of the shapes {shapes}, expected (takes, steps, numbers) of {dims}")
-    return found
+    return values_by_key
 
 
 def _encode_array(values: np.ndarray) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl import _spec as sdk
 from xpl.checkpoint import CheckpointError, resolve
 from xpl_cli.basics.errors import UserError
-from xpl_cli.basics.git import place
+from xpl_cli.basics.git import discovery
 from xpl_cli.basics.git.history import unrecorded
 from xpl_cli.model_io import citations, names
 
@@ -49,15 +49,15 @@ def weights(package: Package, config: Config) -> dict[str, str] | None:
 
 def commit(package: Path) -> str | None:
     """Return the commit of a package's repository, with `+` if its files were changed; None outside of one."""
-    git = place.work_tree(package)
+    git = discovery.work_tree(package)
     if git is None:
         return None
     try:
-        found = git.text("rev-parse", "--verify", "--quiet", "HEAD").strip()
+        sha = git.text("rev-parse", "--verify", "--quiet", "HEAD").strip()
     except UserError:
         return None
     changed = [name for name in unrecorded(package) if Path(name).name != names.PAIRS]
-    return found + "+" * bool(changed)
+    return sha + "+" * bool(changed)
 
 
 def code_problems(package: Path, recorded: Mapping[str, Any], python: str | None = None) -> list[str]:
@@ -76,10 +76,10 @@ def code_problems(package: Path, recorded: Mapping[str, Any], python: str | None
         elif digest not in _digests(path):
             problems.append(f"{name} was changed")
     # What is not installed here cannot be compared, and says nothing.
-    places = citations.folders(package, python)[1:]
+    folders = citations.folders(package, python)[1:]
     for name, digest in sorted(recorded.get("authors", {}).items()):
-        found = [place / name for place in places if (place / name).is_file()]
-        if found and not any(digest in _digests(path) for path in found):
+        installed = [place / name for place in folders if (place / name).is_file()]
+        if installed and not any(digest in _digests(path) for path in installed):
             problems.append(f"{name} of the authors' code was changed")
     return problems
 
@@ -96,20 +96,20 @@ def _digests(path: Path) -> Iterator[str]:
 
 def _digest(path: Path) -> str:
     """Return the digest of a file or of a folder."""
-    state = hashlib.sha256()
-    found = [path] if path.is_file() else sorted(item for item in path.rglob("*") if item.is_file())
-    if len(found) > _MOST_FILES:
+    digest = hashlib.sha256()
+    files = [path] if path.is_file() else sorted(item for item in path.rglob("*") if item.is_file())
+    if len(files) > _MOST_FILES:
         raise OSError(f"it holds more than {_MOST_FILES} files")
-    for file in found:
+    for file in files:
         name = file.name if file == path else file.relative_to(path).as_posix()
         size = file.stat().st_size
-        state.update(f"{name}\0{size}\0".encode(errors="surrogateescape"))
+        digest.update(f"{name}\0{size}\0".encode(errors="surrogateescape"))
         with file.open("rb") as stream:
             if size <= _BLOCK * _BLOCKS:
                 while block := stream.read(_BLOCK):
-                    state.update(block)
+                    digest.update(block)
                 continue
             for number in range(_BLOCKS):
                 stream.seek(number * (size - _BLOCK) // (_BLOCKS - 1))
-                state.update(stream.read(_BLOCK))
-    return state.hexdigest()
+                digest.update(stream.read(_BLOCK))
+    return digest.hexdigest()

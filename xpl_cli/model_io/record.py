@@ -18,7 +18,7 @@ from xpl_cli.isolation import subprocess_task
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.model_io import names, pairs, provenance, recording_diff, reference_file, script
 from xpl_cli.model_io.pairs import Answer, GoldenPairs, PairSession
-from xpl_cli.packages.conventions import applying
+from xpl_cli.packages.conventions import applicable_conventions
 
 if TYPE_CHECKING:
     from xpl.contract import Config
@@ -91,27 +91,27 @@ def record(package: Package, options: RecordOptions) -> RecordResult:
             hint=f"`{command(('xpl', 'model-io', 'reference', str(package.path)))}` writes one to fill in",
             code=ExitCode.NOT_FOUND,
         )
-    read = reference_file.read_file(package.path)
-    if not read.defines_answers:
+    reference = reference_file.read_file(package.path)
+    if not reference.defines_answers:
         raise UserError(f"{package.path / names.CODE} defines no function {names.ANSWERS}(config)")
-    found: list[PairSession] = []
+    first_recordings: list[PairSession] = []
     noise: list[list[PairSession]] = []
-    told: dict[str, Any] = {}
+    task_provenance: dict[str, Any] = {}
     for session in sessions(package, options.overrides):
-        asked, told = _run_reference(package, session, options)
-        found.append(asked[0])
-        noise.append(asked)
-    answered = GoldenPairs(
+        recordings, task_provenance = _run_reference(package, session, options)
+        first_recordings.append(recordings[0])
+        noise.append(recordings)
+    pairs_recorded = GoldenPairs(
         provenance={
-            **told,
+            **task_provenance,
             "weights": provenance.weights(package, package.config(options.overrides)),
             "settings": dict(options.overrides),
             "commit": provenance.commit(package.path),
             "noise": _noise(noise),
         },
-        sessions=tuple(found),
+        sessions=tuple(first_recordings),
     )
-    shares = _shares(answered)
+    shares = _shares(pairs_recorded)
     if any(share > _MOST_NOISE for share in shares.values()):
         key = max(shares, key=lambda name: shares[name])
         raise UserError(
@@ -120,11 +120,11 @@ def record(package: Package, options: RecordOptions) -> RecordResult:
             hint="draw from episode.rng and keep nothing between questions; if the model takes no seed, say "
             "`sampling: free` in the block model_io of policy.yml",
         )
-    applies = applying(package.manifest)
-    count = len(read.all_conventions(applies))
-    changes = _changes(package, answered)
-    size = 0 if options.is_dry else pairs.write(package.path, answered)
-    return RecordResult(answered, size, read.without_source(applies), count, shares, changes)
+    applies = applicable_conventions(package.manifest)
+    count = len(reference.all_conventions(applies))
+    changes = _changes(package, pairs_recorded)
+    size = 0 if options.is_dry else pairs.write(package.path, pairs_recorded)
+    return RecordResult(pairs_recorded, size, reference.without_source(applies), count, shares, changes)
 
 
 def _changes(package: Package, recorded: GoldenPairs) -> tuple[str, ...] | None:
@@ -179,7 +179,7 @@ def _run_reference(
         sdk.Deploy.ENV_CFG_TYPE: session.embodiment,
         sdk.Deploy.ACTION_TYPE: session.action_type,
     }
-    order = {
+    request = {
         "policy_dir": str(package.path),
         "config": package.config(overrides),
         "file": names.CODE,
@@ -193,25 +193,25 @@ def _run_reference(
         "calls": [_call_request(call, session) for call in session.calls],
     }
     asking = [call for call in session.calls if call.ask]
-    whole = len(asking) * rounds
+    total = len(asking) * rounds
     name = f"{session.embodiment}, {session.action_type}"
     options.progress.step(f"{names.CODE}: {name}, {sum(len(call.ask) for call in asking)} questions")
-    place = subprocess_task.TaskSettings(
+    settings = subprocess_task.TaskSettings(
         python=interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=options.env),
         checkout=package.path,
         patience=options.patience,
         limit_s=names.RECORD_S,
-        on_answer=lambda count: options.progress.detail(f"{names.CODE}: {name}, {min(count - 1, whole)} of {whole}"),
+        on_answer=lambda count: options.progress.detail(f"{names.CODE}: {name}, {min(count - 1, total)} of {total}"),
     )
-    done = subprocess_task.run("xpl.worker.reference", order, place)
-    for number, answer in enumerate(done.answers):
+    result = subprocess_task.run("xpl.worker.reference", request, settings)
+    for number, answer in enumerate(result.answers):
         if answer.error is not None:
             raise UserError(_failure(answer, number, asking), hint="reference.py speaks the standard: docs/contract.md")
-    if done.problem is not None or len(done.answers) < whole + 2:
-        raise UserError(f"{names.CODE} {done.failure}", code=ExitCode.NOT_RUN)
-    given = [_stack_answers(answer.result) for answer in done.answers[1 : whole + 1]]
-    recordings = [tuple(given[start : start + len(asking)]) for start in range(0, whole, len(asking))]
-    return [session.with_answers(answers) for answers in recordings], done.answers[-1].result
+    if result.problem is not None or len(result.answers) < total + 2:
+        raise UserError(f"{names.CODE} {result.failure}", code=ExitCode.NOT_RUN)
+    stacked = [_stack_answers(answer.result) for answer in result.answers[1 : total + 1]]
+    recordings = [tuple(stacked[start : start + len(asking)]) for start in range(0, total, len(asking))]
+    return [session.with_answers(answers) for answers in recordings], result.answers[-1].result
 
 
 def _call_request(call: Call, session: PairSession) -> dict[str, Any]:
@@ -224,24 +224,24 @@ def _call_request(call: Call, session: PairSession) -> dict[str, Any]:
 
 def _failure(answer: subprocess_task.TaskAnswer, number: int, asking: Sequence[Call]) -> str:
     """Return what went wrong in reference.py, and where."""
-    at = f" ({answer.trace})" if answer.trace else ""
+    location = f" ({answer.trace})" if answer.trace else ""
     if number == 0:
-        return f"{names.CODE} cannot be loaded: {answer.error}{at}"
+        return f"{names.CODE} cannot be loaded: {answer.error}{location}"
     call = asking[(number - 1) % len(asking)]
-    return f"{names.CODE}, question {number}, about environments {list(call.ask)}: {answer.error}{at}"
+    return f"{names.CODE}, question {number}, about environments {list(call.ask)}: {answer.error}{location}"
 
 
-def _stack_answers(told: Sequence[Sequence[Any]]) -> tuple[Answer, ...]:
+def _stack_answers(answers: Sequence[Sequence[Any]]) -> tuple[Answer, ...]:
     """Return the answers to one call that asks, by environment.
 
     Raises:
         UserError: if takes of one question are of different lengths.
     """
-    for takes in told:
+    for takes in answers:
         lengths = {len(chunk) for chunk in takes}
         if len(lengths) > 1:
             raise UserError(f"{names.CODE} answers one question by chunks of {sorted(lengths)} steps; expected as many")
-    return tuple(pairs.stack_takes(takes) for takes in told)
+    return tuple(pairs.stack_takes(takes) for takes in answers)
 
 
 def _noise(recordings: Sequence[Sequence[PairSession]]) -> dict[str, float]:
@@ -250,7 +250,7 @@ def _noise(recordings: Sequence[Sequence[PairSession]]) -> dict[str, float]:
     Raises:
         UserError: if the answers to one question have not the same length.
     """
-    found: dict[str, float] = {}
+    largest: dict[str, float] = {}
     for first, *others in recordings:
         for other in others:
             for one, two in zip(first.questions, other.questions, strict=True):
@@ -262,8 +262,8 @@ def _noise(recordings: Sequence[Sequence[PairSession]]) -> dict[str, float]:
                             f"{again.shape[1]}; expected a function of the episode alone"
                         )
                     apart = float(np.abs(values.astype(np.float64) - again).max())
-                    found[key] = max(found.get(key, 0.0), apart)
-    return dict(sorted(found.items()))
+                    largest[key] = max(largest.get(key, 0.0), apart)
+    return dict(sorted(largest.items()))
 
 
 def _shares(recorded: GoldenPairs) -> dict[str, float]:

@@ -165,7 +165,7 @@ def read_file(package: Path) -> ReferenceFile:
     """
     path = package / names.CODE
     try:
-        return parse(files.content(path, _MOST_BYTES).decode())
+        return parse(files.read_regular(path, _MOST_BYTES).decode())
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -183,14 +183,14 @@ def parse(text: str) -> ReferenceFile:
 
 def parse_tree(tree: ast.Module) -> ReferenceFile:
     """Read a reference.py that was parsed."""
-    told = _find_conventions(tree)
-    conventions, problems, renamed = _parse_conventions(told)
+    expression = _find_conventions(tree)
+    conventions, problems, renamed = _parse_conventions(expression)
     return ReferenceFile(
         conventions=conventions,
         imports=tuple(sorted(_imports(tree), key=lambda item: (item.place.line, item.place.column))),
         texts=tuple(_texts(tree)),
         defines_answers=any(names.ANSWERS in _assigned_names(node) for node in tree.body),
-        place=None if told is None else SourceRange.of(told),
+        place=None if expression is None else SourceRange.of(expression),
         problems=problems,
         renamed=renamed,
     )
@@ -198,11 +198,11 @@ def parse_tree(tree: ast.Module) -> ReferenceFile:
 
 def _find_conventions(tree: ast.Module) -> ast.expr | None:
     """Return what the last assignment at the top gives `CONVENTIONS`."""
-    found: ast.expr | None = None
+    expression: ast.expr | None = None
     for node in tree.body:
         if isinstance(node, (ast.Assign, ast.AnnAssign)) and names.CONVENTIONS in _assigned_names(node):
-            found = node.value
-    return found
+            expression = node.value
+    return expression
 
 
 def _assigned_names(node: ast.stmt) -> list[str]:
@@ -216,34 +216,40 @@ def _assigned_names(node: ast.stmt) -> list[str]:
 
 
 def _parse_conventions(
-    told: ast.expr | None,
+    expression: ast.expr | None,
 ) -> tuple[dict[str, ConventionSource], tuple[tuple[str, SourceRange], ...], tuple[str, ...]]:
     """Return the conventions of a literal map, what is wrong with it, and those that have a former name there."""
-    if told is None:
+    if expression is None:
         return {}, (), ()
-    if not isinstance(told, ast.Dict):
-        return {}, ((f"{names.CONVENTIONS} is no literal map, so that nobody can read it", SourceRange.of(told)),), ()
-    found: dict[str, ConventionSource] = {}
+    if not isinstance(expression, ast.Dict):
+        return (
+            {},
+            ((f"{names.CONVENTIONS} is no literal map, so that nobody can read it", SourceRange.of(expression)),),
+            (),
+        )
+    sources: dict[str, ConventionSource] = {}
     problems = []
     renamed: list[str] = []
-    for key, value in zip(told.keys, told.values, strict=True):
+    for key, value in zip(expression.keys, expression.values, strict=True):
         if not isinstance(key, ast.Constant) or not isinstance(key.value, str):
             problems.append((f"a key of {names.CONVENTIONS} is no literal text", SourceRange.of(key or value)))
             continue
         source = value.value if isinstance(value, ast.Constant) else None
-        if now := successors(key.value):
-            problems.append((f"{key.value!r} is no convention any more, but {', '.join(now)} are", SourceRange.of(key)))
-            renamed += now
+        if successor_names := successors(key.value):
+            problems.append(
+                (f"{key.value!r} is no convention any more, but {', '.join(successor_names)} are", SourceRange.of(key))
+            )
+            renamed += successor_names
         elif key.value not in vocabulary():
-            known = ", ".join(vocabulary())
-            problems.append((f"{key.value!r} is no convention; there are {known}", SourceRange.of(key)))
-        elif key.value in found:
+            names_known = ", ".join(vocabulary())
+            problems.append((f"{key.value!r} is no convention; there are {names_known}", SourceRange.of(key)))
+        elif key.value in sources:
             problems.append((f"{key.value!r} stands there twice", SourceRange.of(key)))
         elif not isinstance(source, str):
             problems.append((f"the source of {key.value!r} is no literal text", SourceRange.of(value)))
         else:
-            found[key.value] = ConventionSource(source, SourceRange.of(value))
-    return found, tuple(problems), tuple(renamed)
+            sources[key.value] = ConventionSource(source, SourceRange.of(value))
+    return sources, tuple(problems), tuple(renamed)
 
 
 def _imports(tree: ast.Module) -> Iterator[Import]:
@@ -254,10 +260,10 @@ def _imports(tree: ast.Module) -> Iterator[Import]:
             taken = tuple(alias.name for alias in node.names)
             yield Import(node.module or "", node.level, taken, SourceRange.of(node))
         elif isinstance(node, ast.Call) and node.args and _called_name(node.func) in _IMPORTERS:
-            given = node.args[0]
-            if isinstance(given, ast.Constant) and isinstance(given.value, str):
-                module = given.value.lstrip(".")
-                yield Import(module, len(given.value) - len(module), (), SourceRange.of(node))
+            argument = node.args[0]
+            if isinstance(argument, ast.Constant) and isinstance(argument.value, str):
+                module = argument.value.lstrip(".")
+                yield Import(module, len(argument.value) - len(module), (), SourceRange.of(node))
 
 
 def _called_name(node: ast.expr) -> str:

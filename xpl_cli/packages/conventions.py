@@ -26,7 +26,7 @@ _TEXT = sdk.Obs.INSTRUCTION
 """The standard's name for it, which the block and the convention share."""
 
 
-_SAID: Mapping[str, tuple[tuple[str, str, str], ...]] = {
+_DECLARING_KEYS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "images": (("channels", "image_channels", "channels"), ("layout", "image_range", "layout")),
     "joints": (("unit", "angle_unit", "angle_unit"),),
     "hand": (("unit", "angle_unit", "angle_unit"),),
@@ -36,7 +36,7 @@ _SAID: Mapping[str, tuple[tuple[str, str, str], ...]] = {
 
 
 @dataclass(frozen=True)
-class Value:
+class DeclaredValue:
     """A value of the block.
 
     Attributes:
@@ -45,24 +45,24 @@ class Value:
     """
 
     definition: str
-    word: str
+    value: str
 
 
-def declared(model_io: ModelIO) -> dict[str, list[Value]]:
+def declared_values(model_io: ModelIO) -> dict[str, list[DeclaredValue]]:
     """Return by convention the values that a block gives it, of those that code names by one word."""
     entries = [("images", image) for image in model_io.images]
     for vector in (*model_io.state, model_io.action):
         entries += [(kind, how) for part in _list(vector.get("parts")) for kind, how in part.items()]
-    found: dict[str, list[Value]] = {}
+    found: dict[str, list[DeclaredValue]] = {}
     for kind, entry in entries:
-        for key, convention, definition in _SAID.get(kind, ()):
+        for key, convention, definition in _DECLARING_KEYS.get(kind, ()):
             word = entry.get(key, "rad" if key == "unit" else None)
             if isinstance(word, str):
-                found.setdefault(convention, []).append(Value(definition, word))
+                found.setdefault(convention, []).append(DeclaredValue(definition, word))
     return found
 
 
-def applying(manifest: Manifest) -> list[str]:
+def applicable_conventions(manifest: Manifest) -> list[str]:
     """Return the conventions that apply to a policy, sorted.
 
     Args:

@@ -35,7 +35,7 @@ _LARGEST: Final = 1 << 20
 _OF_THE_SERVER: Final = frozenset((sdk.Deploy.HOST, sdk.Deploy.PORT, sdk.Deploy.POLICY_NAME, sdk.Deploy.PROTOCOL))
 
 
-def run(folder: Path) -> dict[str, Any]:
+def documented_arguments(folder: Path) -> dict[str, Any]:
     """Return keys of deploy.yml with the values that the first documented call of a script gives them.
 
     Only a call counts that names a robot of the standard in its place; calls of eval.sh come before others. With it

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _MANIFEST = package.MANIFESTS[package.ENV]
 _PROJECT = Path("envs")
 """Where a project keeps its environments; those of ours and of installed packages go before them."""
-_told: set[Path] = set()
+_warned: set[Path] = set()
 """Folders of which it was said that they are not meant by their name."""
 _PERSON_S = 8 * 3600.0
 """How long a reset may wait for a person."""
@@ -43,13 +43,13 @@ def find(name: str) -> Path:
         UserError: a file does not describe a robot, or one whose name is taken.
     """
     is_path = len(Path(name).parts) != 1 or name.startswith(".")
-    candidate = None if is_path else shared().get(name)
+    candidate = None if is_path else shared_environments().get(name)
     own = next((place for place in (Path(name), _PROJECT / name) if (place / _MANIFEST).is_file()), None)
     if candidate is None:
         candidate = own
-    elif own is not None and own.resolve() != candidate.resolve() and own not in _told:
+    elif own is not None and own.resolve() != candidate.resolve() and own not in _warned:
         # What judges must not depend on the folder that somebody stands in, which may be a stranger's checkout.
-        _told.add(own)
+        _warned.add(own)
         console.note(f"warning: {name} is {candidate}; the one in {own} is meant by its path, ./{own}")
     if candidate is None:
         raise no_such(f"there is no environment {name!r}", name, names(), kind=UnknownTargetError)
@@ -60,21 +60,21 @@ def find(name: str) -> Path:
 
 def names() -> list[str]:
     """Return the names of the environments in `envs/` of the working directory, of ours and of installed packages."""
-    return sorted({*_in(_PROJECT), *shared()})
+    return sorted({*_in(_PROJECT), *shared_environments()})
 
 
-def shared() -> dict[str, Path]:
+def shared_environments() -> dict[str, Path]:
     """Return the folders of environments that any project may use: ours and those of installed packages, by name.
 
     Raises:
         EntryPointError: one brings an environment whose name another one has.
     """
-    found = _in(content.room("envs"))
-    origins = dict.fromkeys(found, registry.OURS)
+    found = _in(content.content_folder("envs"))
+    origins = dict.fromkeys(found, registry.BUILT_IN_DISTRIBUTION)
     for folder, source in registry.folders(registry.ENVS).items():
         for name, path in _in(folder).items():
             if name in found:
-                raise source.broken(f"{path} and {found[name]} of {origins[name]} are both called {name}")
+                raise source.unusable(f"{path} and {found[name]} of {origins[name]} are both called {name}")
             found[name], origins[name] = path, source.distribution
     return found
 

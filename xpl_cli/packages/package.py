@@ -54,7 +54,7 @@ class Package:
         """
         given = {**self.deploy, **(overrides or {})}
         if not self.manifest and given.get(sdk.Deploy.ENV_CFG_TYPE) is None:
-            told = documented.run(self.path)
+            told = documented.documented_arguments(self.path)
             given |= {key: value for key, value in told.items() if given.get(key) is None}
         config = {**sdk.DEPLOY_DEFAULTS, **given}
         fallbacks = {
@@ -78,10 +78,10 @@ class Package:
         Raises:
             UserError: if policy.yml declares other robots or kinds of actions.
         """
-        from xpl.embodiment import undeclared  # which needs numpy
+        from xpl.embodiment import why_undeclared  # which needs numpy
 
         asked = (str(config[key]) for key in (sdk.Deploy.ENV_CFG_TYPE, sdk.Deploy.ACTION_TYPE))
-        if (refused := undeclared(self.manifest, *asked)) is not None:
+        if (refused := why_undeclared(self.manifest, *asked)) is not None:
             hint = "ask for one of them with --set, or declare it in policy.yml if the model drives it"
             raise UserError(f"{self.name}: {refused}", hint=hint)
 
@@ -96,7 +96,7 @@ def find_policy(path: Path | str) -> Path:
         UserError: a file does not describe a robot, or one whose name is taken.
     """
     given = Path(path)
-    candidates = [given, Path("policy") / given, content.room("policy") / given]
+    candidates = [given, Path("policy") / given, content.content_folder("policy") / given]
     for candidate in candidates:
         if candidate.is_dir() and any((candidate / name).is_file() for name in MARKS):
             found = candidate.resolve()
@@ -107,7 +107,7 @@ def find_policy(path: Path | str) -> Path:
             f"{given} is a folder without an adapter: expected model.py, deploy.yml or policy.yml in it"
         )
     hint = f"`xpl new-policy {given.name}` makes one"
-    if any((content.room(room) / given.name / MANIFESTS[kind]).is_file() for room, kind in _ROOMS.items()):
+    if any((content.content_folder(room) / given.name / MANIFESTS[kind]).is_file() for room, kind in _ROOMS.items()):
         hint = f"one of that name comes with xpl, and is called {given.name} alone"
     raise NotFoundError(f"no adapter at {given}", hint=hint)
 
@@ -128,10 +128,10 @@ def load(path: Path | str, overrides: Config | None = None) -> Package:
     manifest: Entry = manifests.read(folder / sdk.File.POLICY_YML, POLICY)
     deploy: Entry = manifests.read(folder / sdk.File.DEPLOY_YML, _DEPLOY)
     try:
-        manifest, patch = variants.chosen(manifest, {**deploy, **(overrides or {})}.get(sdk.Deploy.VARIANT))
+        manifest, patch = variants.apply_variant(manifest, {**deploy, **(overrides or {})}.get(sdk.Deploy.VARIANT))
     except variants.VariantError as error:
         raise UserError(f"{folder.name}: {error}") from None
-    return Package(folder, variants.merged(deploy, patch), Manifest.parse(manifest))
+    return Package(folder, variants.merge_patch(deploy, patch), Manifest.parse(manifest))
 
 
 def parse_overrides(settings: Sequence[str]) -> dict[str, Any]:

@@ -46,7 +46,7 @@ def learn(package: Path | None = None) -> None:
         try:
             _learn(folder, f" of {source.distribution}")
         except UserError as error:
-            raise source.broken(str(error)) from None
+            raise source.unusable(str(error)) from None
     for folder in dict.fromkeys(_folders(package)):
         _learn(folder)
 

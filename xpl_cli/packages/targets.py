@@ -64,7 +64,7 @@ def find_target(path: Path) -> Target:
     try:
         return _target(package.find_policy(path), package.POLICY)
     except NotFoundError:
-        shared = environments.shared().get(str(path))
+        shared = environments.shared_environments().get(str(path))
         if shared is None:
             raise
         return _target(shared.resolve(), package.ENV)

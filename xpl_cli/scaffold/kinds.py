@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl import robots
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import UnknownNameError, UserError, one_of
 from xpl_cli.standard import spec
 
@@ -108,7 +108,7 @@ class CameraOption:
 
 def kinds() -> dict[str, AdapterKind]:
     """Return the kinds of adapters by name."""
-    path = room("templates") / "policy" / "kinds.yml"
+    path = content_folder("templates") / "policy" / "kinds.yml"
     return {name: _parse_kind(entry) for name, entry in spec.read_yaml(path).items()}
 
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl import get_embodiment
-from xpl_cli.basics.content import room
-from xpl_cli.packages.conventions import applying
+from xpl_cli.basics.content import content_folder
+from xpl_cli.packages.conventions import applicable_conventions
 from xpl_cli.packages.package import POLICY
 from xpl_cli.standard import spec
 
@@ -27,7 +27,7 @@ def reference_context(manifest: Manifest) -> dict[str, Any]:
     robot = get_embodiment(next(iter(manifest.embodiments), ""))
     action = robot.dims(next(iter(manifest.action_types), sdk.DEPLOY_DEFAULTS[sdk.Deploy.ACTION_TYPE]))
     conventions = spec.schema("model_io")["$defs"]["convention"]["oneOf"]
-    applies = applying(manifest)
+    applies = applicable_conventions(manifest)
     return {
         "name": manifest.name,
         "placeholder": spec.data("package")["placeholder"],
@@ -46,7 +46,7 @@ def text(manifest: Manifest) -> str:
     """
     import jinja2
 
-    template = room("templates") / POLICY / "files" / f"{spec.data('package')['files']['reference']}.jinja"
+    template = content_folder("templates") / POLICY / "files" / f"{spec.data('package')['files']['reference']}.jinja"
     environment = jinja2.Environment(
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING, Final
 
 from xpl import robots
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import UserError, one_of
 from xpl_cli.scaffold import template as templates
 from xpl_cli.scaffold.environment import class_name
@@ -49,7 +49,7 @@ def render_robot(answers: EnvAnswers, driver: str) -> Files:
     conventions = spec.data("conventions")
     arms = len(robots.entries()[answers.embodiment]["arms"])
     files = templates.render_folder(
-        room("templates") / "arm",
+        content_folder("templates") / "arm",
         {
             "name": answers.name,
             "embodiment": answers.embodiment,

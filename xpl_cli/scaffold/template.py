@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ Files = dict[str, bytes]
 
 def template_folder(template: str) -> Path:
     """Return the folder of a template, named after its kind of package: `policy`, `env`."""
-    return room("templates") / template
+    return content_folder("templates") / template
 
 
 def questions(template: str) -> dict[str, Any]:

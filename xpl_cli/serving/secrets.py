@@ -24,7 +24,7 @@ def read_token(path: Path) -> str:
     """
     try:
         mode = path.stat().st_mode
-        token = files.given(path, _MOST_BYTES).decode("ascii").strip()
+        token = files.read_user_file(path, _MOST_BYTES).decode("ascii").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"the token file {path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if stat.S_ISREG(mode) and mode & 0o077:

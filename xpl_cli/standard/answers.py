@@ -23,7 +23,7 @@ _NEXT: Final = {"type": "array", "items": {"type": "string"}, "description": "ex
 
 
 @dataclass(frozen=True)
-class Answer:
+class CommandAnswer:
     """One kind of answer.
 
     Attributes:
@@ -38,9 +38,11 @@ class Answer:
 
 
 @cache
-def answers() -> dict[str, Answer]:
+def answers() -> dict[str, CommandAnswer]:
     """Return all answers by name."""
-    return {name: Answer(name, tuple(entry["commands"]), entry["description"]) for name, entry in _entries().items()}
+    return {
+        name: CommandAnswer(name, tuple(entry["commands"]), entry["description"]) for name, entry in _entries().items()
+    }
 
 
 def of_command(command: str) -> tuple[str, ...]:
@@ -48,7 +50,7 @@ def of_command(command: str) -> tuple[str, ...]:
     return tuple(name for name, answer in answers().items() if command in answer.commands)
 
 
-def find(name: str) -> Answer:
+def find(name: str) -> CommandAnswer:
     """Return an answer by its name, or by the command that gives it, with or without `xpl`.
 
     Raises:

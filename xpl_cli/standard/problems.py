@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from xpl.nested import written
+from xpl.nested import format_path
 
 _Error = Any
 """A `jsonschema.ValidationError`; its own annotations call every attribute possibly unset."""
@@ -42,30 +42,30 @@ class Problem:
     missing: str | None = None
 
     @property
-    def where(self) -> str:
+    def location(self) -> str:
         """Where it is: the file's line and column as far as known, then the path."""
         position = [str(part) for part in (self.file, self.line, self.column) if part is not None]
-        return " ".join(filter(None, [":".join(position), written(self.path)]))
+        return " ".join(filter(None, [":".join(position), format_path(self.path)]))
 
     @property
-    def told(self) -> str:
+    def text(self) -> str:
         """The message, with the name that was probably meant."""
         return f"{self.message} (did you mean {self.nearest}?)" if self.nearest else self.message
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.told}" if self.where else self.told
+        return f"{self.location}: {self.text}" if self.location else self.text
 
 
 def problem_json(problem: Problem) -> dict[str, Any]:
     """Return a problem as JSON tells it, with its key as people write it."""
-    return {**asdict(problem), "path": [str(part) for part in problem.path], "key": written(problem.path)}
+    return {**asdict(problem), "path": [str(part) for part in problem.path], "key": format_path(problem.path)}
 
 
 def explain(error: _Error) -> Iterator[Problem]:
     """Yield the problems that one error of the validator stands for, readable ones."""
     describe = _DESCRIPTIONS.get(str(error.validator))
     if describe is None:
-        yield Problem(_path(error), error.message, got=described(error.instance))
+        yield Problem(_path(error), error.message, got=describe_value(error.instance))
     else:
         yield from describe(error)
 
@@ -112,7 +112,7 @@ def _type(error: _Error) -> Iterator[Problem]:
     types = error.validator_value
     wanted: list[str] = types if isinstance(types, list) else [types]
     text = error.schema.get("x-told") or " or ".join(_TYPE_NAMES.get(name, name) for name in wanted)
-    got = described(error.instance)
+    got = describe_value(error.instance)
     meant = next(filter(None, (_meant(name, error.instance) for name in wanted)), None)
     yield Problem(_path(error), f"expected {text}, got {got}", expected=text, got=got, nearest=meant)
 
@@ -150,7 +150,7 @@ def _branches(error: _Error) -> Iterator[Problem]:
     for sub in error.context or ():
         branches.setdefault(sub.schema_path[0], []).append(sub)
     if not branches:  # oneOf: more than one fits
-        yield Problem(_path(error), f"more than one alternative fits {described(error.instance)}")
+        yield Problem(_path(error), f"more than one alternative fits {describe_value(error.instance)}")
         return
     ranked = sorted(branches.values(), key=lambda errors: sum(map(_distance, errors)))
     best = [problem for sub in ranked[0] for problem in explain(sub)]
@@ -160,7 +160,7 @@ def _branches(error: _Error) -> Iterator[Problem]:
     options = dict.fromkeys(
         problem.expected for errors in ranked for sub in errors for problem in explain(sub) if problem.expected
     )
-    got = best[0].got or described(error.instance)
+    got = best[0].got or describe_value(error.instance)
     yield Problem(
         _path(error), f"expected {' or '.join(options)}, got {got}", " or ".join(options), got, nearest=best[0].nearest
     )
@@ -199,7 +199,7 @@ def _value(value: object) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def described(value: object) -> str:
+def describe_value(value: object) -> str:
     """Describe a value by its kind, and by itself where that is short."""
     import numpy as np
 

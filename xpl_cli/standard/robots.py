@@ -12,7 +12,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from xpl import robots
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.yaml import text
 from xpl_cli.standard import spec
 from xpl_cli.standard.problems import Problem
@@ -30,7 +30,7 @@ _ALIASES = "aliases.yml"
 
 def folder() -> Path:
     """Return the folder of our robots."""
-    return room("spec") / "robots"
+    return content_folder("spec") / "robots"
 
 
 @cache

@@ -8,7 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from xpl import json_text, registry
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.yaml import text as yaml_text
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class Requirement:
 
 def folder() -> Path:
     """Return the folder of the standard."""
-    return room("spec") / VERSION
+    return content_folder("spec") / VERSION
 
 
 def read_yaml(path: Path) -> Any:

@@ -12,7 +12,7 @@ KEY: Final = "unknown"
 _OWN: Final = frozenset(("model_io",))
 """Parts that keep their gaps, since those who read them have values for them (`xpl.convert.gaps`)."""
 
-Place = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 
 
 def reason(value: Any) -> str | None:
@@ -21,9 +21,9 @@ def reason(value: Any) -> str | None:
     return value[KEY] if is_open else None
 
 
-def split(document: object) -> tuple[Any, dict[Place, str]]:
+def split(document: object) -> tuple[Any, dict[KeyPath, str]]:
     """Return a manifest without what is not known in it, and why that is not known, by place."""
-    gaps: dict[Place, str] = {}
+    gaps: dict[KeyPath, str] = {}
     return _known(document, (), gaps), gaps
 
 
@@ -39,7 +39,7 @@ def _without_empty(given: object, left: object) -> Any:
     return {key: entry for key, entry in entries.items() if entry != {} or given[key] == {}}
 
 
-def _known(value: object, place: Place, gaps: dict[Place, str]) -> Any:
+def _known(value: object, place: KeyPath, gaps: dict[KeyPath, str]) -> Any:
     if not isinstance(value, dict):
         return value
     known = {}

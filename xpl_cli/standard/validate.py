@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, cast
 import yaml
 
 from xpl import variants
-from xpl.assumptions import settled
+from xpl.assumptions import resolve_assumptions
 from xpl_cli.basics.yaml import text
 from xpl_cli.standard import spec, unknown
-from xpl_cli.standard.problems import Problem, described, explain
+from xpl_cli.standard.problems import Problem, describe_value, explain
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,9 +50,9 @@ def validate(instance: Any, schema_name: str, bindings: Mapping[str, int] | None
         schema_name: name of a schema, such as "observation"; a definition in it is "payload#/$defs/hello".
         bindings: sizes of symbols that are known beforehand, for example `{"DOF": 6}`.
     """
-    gaps: dict[unknown.Place, str] = {}
+    gaps: dict[unknown.KeyPath, str] = {}
     if schema_name == _OPEN:
-        instance, gaps = unknown.split(settled(instance))
+        instance, gaps = unknown.split(resolve_assumptions(instance))
     token = _scopes.set(_Scopes(document=dict(bindings or {})))
     try:
         errors = list(_validator(schema_name).iter_errors(instance))
@@ -182,7 +182,7 @@ def _array_message(wanted: Schema, instance: object) -> str | None:
     array = _as_array(instance, dtype)
     expected = shape_text(wanted)
     if array is None:
-        return f"expected {expected}, got {described(instance)}"
+        return f"expected {expected}, got {describe_value(instance)}"
     got = f"({', '.join(map(str, array.shape))}{',' if array.ndim == 1 else ''}) {array.dtype}"
     if not _dtype_fits(array, instance, dtype) or array.ndim != len(shape):
         return f"expected {expected}, got {got}"
@@ -289,14 +289,14 @@ def _of_variants(document: Entry, problems: Sequence[Problem]) -> Iterator[Probl
         [name for name, patch in named.items() if isinstance(patch, Mapping)] if isinstance(named, Mapping) else []
     )
     for name in patches:
-        merged, patch = variants.chosen(document, name)
+        merged, patch = variants.apply_variant(document, name)
         place = ("variants", str(name))
         yield from (replace(one, path=(*place, *one.path)) for one in validate(merged, _OPEN) if one not in problems)
         of_deploy = [one for one in validate(patch, "deploy") if one.missing is None]
         yield from (replace(one, path=(*place, "deploy", *one.path)) for one in of_deploy)
 
 
-def _unknown(problem: Problem, gaps: Mapping[unknown.Place, str]) -> Problem:
+def _unknown(problem: Problem, gaps: Mapping[unknown.KeyPath, str]) -> Problem:
     """Return a problem, which says of a key that is missing why, where the document does."""
     place = (*problem.path, problem.missing) if problem.missing is not None else ()
     if place not in gaps:

@@ -12,7 +12,7 @@ from xpl_cli.basics.errors import UnknownNameError, UnknownTargetError, no_such
 from xpl_cli.standard import robots as files
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import registry, shape_text
-from xpl_cli.standard.words import choices
+from xpl_cli.standard.vocabulary import vocabularies
 
 if TYPE_CHECKING:
     from referencing._core import Resolver
@@ -35,14 +35,14 @@ OPEN_MEANS = "A value with ? may be open: {unknown: why} in its place."
 
 
 @dataclass(frozen=True)
-class View:
+class SpecView:
     """A part of the standard: its data, and its text."""
 
     value: Any
     text: Callable[[], str]
 
 
-def view(name: str | None) -> View:
+def view(name: str | None) -> SpecView:
     """Return the part of the standard that `name` names: schema, part, requirement or embodiment; None is the index.
 
     Raises:
@@ -50,30 +50,30 @@ def view(name: str | None) -> View:
     """
     if name is None:
         index = _index()
-        return View(index, lambda: _index_text(index))
+        return SpecView(index, lambda: _index_text(index))
     if name == "requirements":
         rows = [asdict(entry) for entry in spec.requirements().values()]
-        return View(rows, lambda: _table([(row["id"], row["level"], row["text"]) for row in rows]))
+        return SpecView(rows, lambda: _table([(row["id"], row["level"], row["text"]) for row in rows]))
     if name in PARTS:
-        return View(spec.data(name), partial(spec.text, f"{name}.yml"))
+        return SpecView(spec.data(name), partial(spec.text, f"{name}.yml"))
     if name in spec.schema_names():
         schema = spec.schema(name)
-        return View(schema, lambda: _schema_text(schema))
+        return SpecView(schema, lambda: _schema_text(schema))
     if name in spec.requirements():
         requirement = spec.requirements()[name]
-        return View(
+        return SpecView(
             asdict(requirement), lambda: f"{name} ({requirement.level}, {requirement.source}): {requirement.text}"
         )
     return _robot(name)
 
 
-def _robot(name: str) -> View:
+def _robot(name: str) -> SpecView:
     """Return a robot by any of its names."""
     robot = robots.canonical(name)
     if robot is None:
         raise _unknown(name)
     entry = robots.entries()[robot]
-    return View(entry, partial(_robot_text, robot, entry))
+    return SpecView(entry, partial(_robot_text, robot, entry))
 
 
 def _robot_text(name: str, entry: Entry) -> str:
@@ -132,7 +132,7 @@ def _index_text(index: Mapping[str, Any]) -> str:
 
 
 @dataclass(frozen=True)
-class Row:
+class SchemaRow:
     """A key of a schema.
 
     Attributes:
@@ -149,26 +149,26 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Section:
+class SchemaSection:
     """A map of a schema: the whole, or one of its alternatives or definitions, which have a name."""
 
     name: str | None
-    rows: tuple[Row, ...]
+    rows: tuple[SchemaRow, ...]
     summary: str = ""
 
 
-def sections(schema: Schema) -> list[Section]:
+def sections(schema: Schema) -> list[SchemaSection]:
     """Return a schema as people read it: its keys, or those of its alternatives and definitions."""
     resolver = registry().resolver(base_uri=schema["$id"])
     if "properties" in schema:
-        return [Section(None, tuple(_rows(schema, resolver)))]
+        return [SchemaSection(None, tuple(_rows(schema, resolver)))]
     options = schema.get("oneOf") or [{"$ref": f"#/$defs/{name}"} for name in schema.get("$defs", ())]
     found = []
     for option in options:
         target, at = _resolve(option, resolver)
         summary = f"{_kind(target, at)}  {target.get('description', '')}".rstrip()
-        found.append(Section(option["$ref"].rpartition("/")[2], tuple(_rows(target, at)), summary))
-    return found or [Section(None, (), _kind(schema, resolver))]
+        found.append(SchemaSection(option["$ref"].rpartition("/")[2], tuple(_rows(target, at)), summary))
+    return found or [SchemaSection(None, (), _kind(schema, resolver))]
 
 
 def _schema_text(schema: Schema) -> str:
@@ -188,16 +188,16 @@ def _schema_text(schema: Schema) -> str:
         lines.append(_table(rows) if rows else f"{margin * 2}{section.summary}")
     if any(row.kind.endswith(OPEN) for section in sections(schema) for row in section.rows):
         lines += ["", OPEN_MEANS]
-    for choice in choices(schema):
+    for choice in vocabularies(schema):
         lines += [
             "",
             f"{choice.key}: {choice.meaning}",
-            _table([(f"  {word.name}", word.told) for word in choice.words]),
+            _table([(f"  {word.name}", word.description) for word in choice.values]),
         ]
     return "\n".join(lines)
 
 
-def _rows(schema: Schema, resolver: Resolver[Any], path: tuple[str, ...] = ()) -> Iterator[Row]:
+def _rows(schema: Schema, resolver: Resolver[Any], path: tuple[str, ...] = ()) -> Iterator[SchemaRow]:
     """Yield everything in a map, each inner map behind its key."""
     entries = dict(schema.get("properties", {}))
     if isinstance(schema.get("additionalProperties"), Mapping):
@@ -212,7 +212,7 @@ def _rows(schema: Schema, resolver: Resolver[Any], path: tuple[str, ...] = ()) -
             kind = (types if isinstance(types, str) else " | ".join(types)) + (OPEN if kind.endswith(OPEN) else "")
         if "default" in entry:
             notes.append(f"(default {_word(entry['default'])})")
-        yield Row((*path, key), key in schema.get("required", ()), kind, " ".join(filter(None, notes)))
+        yield SchemaRow((*path, key), key in schema.get("required", ()), kind, " ".join(filter(None, notes)))
         yield from _rows(target, at, (*path, key))
         yield from _rows(*_resolve(target.get("items", {}), at), (*path, key))
         for option in (option for option in target.get("anyOf", ()) if not _is_open(option)):

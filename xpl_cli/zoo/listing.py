@@ -11,7 +11,7 @@ from xpl_cli.standard.zoo import policies
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.standard.zoo.policies import Policy
+    from xpl_cli.standard.zoo.policies import ZooPolicy
 
 UNKNOWN: Final = "-"
 """Unknown values in a table."""
@@ -31,7 +31,7 @@ class PolicyFilter:
     robot: str | None = None
     level: int = 0
 
-    def fits(self, policy: Policy) -> bool:
+    def fits(self, policy: ZooPolicy) -> bool:
         """Tell whether a policy matches; a policy without known robots matches no robot."""
         return (
             self.family in (None, policy.family)
@@ -40,7 +40,7 @@ class PolicyFilter:
         )
 
 
-def filter_policies(policy_filter: PolicyFilter) -> list[Policy]:
+def filter_policies(policy_filter: PolicyFilter) -> list[ZooPolicy]:
     """Return the matching policies.
 
     Raises:
@@ -55,7 +55,7 @@ def filter_policies(policy_filter: PolicyFilter) -> list[Policy]:
     return [policy for policy in policies.policies() if policy_filter.fits(policy)]
 
 
-def as_json(policy: Policy) -> dict[str, Any]:
+def as_json(policy: ZooPolicy) -> dict[str, Any]:
     """Return all facts of a policy as JSON values."""
     return {
         "name": policy.name,
@@ -69,7 +69,7 @@ def as_json(policy: Policy) -> dict[str, Any]:
     }
 
 
-def table(selected: Sequence[Policy]) -> str:
+def table(selected: Sequence[ZooPolicy]) -> str:
     """Return a table with one line per policy, and the number of policies of each level."""
     rows = [["policy", "family", "level", "proven", "verdict", "robots", "chunk", "license"]]
     rows += [list(_row(policy)) for policy in selected]
@@ -78,19 +78,19 @@ def table(selected: Sequence[Policy]) -> str:
     return "\n".join([*lines, "", *_level_counts(selected)])
 
 
-def _row(policy: Policy) -> Iterator[str]:
+def _row(policy: ZooPolicy) -> Iterator[str]:
     facts, proof = policy.facts, policy.proof
     yield policy.name
     yield policy.family or UNKNOWN
     yield f"{policy.level.number} {policy.level.word}"
     yield proof["date"] if proof is not None else UNKNOWN
-    yield policy.said or UNKNOWN
+    yield policy.outcome or UNKNOWN
     yield ", ".join(facts["robots"].value or (UNKNOWN,))
     yield str(facts["chunk"].value or UNKNOWN)
     yield facts["license"].value or UNKNOWN
 
 
-def _level_counts(selected: Sequence[Policy]) -> Iterator[str]:
+def _level_counts(selected: Sequence[ZooPolicy]) -> Iterator[str]:
     counts = {level: sum(policy.level == level for policy in selected) for level in policies.levels()}
     counts_text = ", ".join(
         f"{count} at level {level.number} ({level.word})" for level, count in counts.items() if count
@@ -102,12 +102,12 @@ def _level_counts(selected: Sequence[Policy]) -> Iterator[str]:
     )
 
 
-def describe(policy: Policy) -> str:
+def describe(policy: ZooPolicy) -> str:
     """Return all facts of one policy as text."""
     return "\n".join(_description_lines(policy))
 
 
-def _description_lines(policy: Policy) -> Iterator[str]:
+def _description_lines(policy: ZooPolicy) -> Iterator[str]:
     level, proof = policy.level, policy.proof
     paper = "" if policy.in_paper else ", not in the table of the paper"
     yield f"{policy.name}: {policy.title}{paper}"

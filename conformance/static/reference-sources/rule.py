@@ -11,7 +11,7 @@ from xpl_cli.model_io import names
 from xpl_cli.model_io.citations import Citation, contradiction, folders, lookup
 from xpl_cli.model_io.reference_file import ConventionSource as Told
 from xpl_cli.model_io.reference_file import ReferenceFile, SourceRange, parse_tree
-from xpl_cli.packages.conventions import Value, applying, declared
+from xpl_cli.packages.conventions import DeclaredValue, applicable_conventions, declared_values
 
 
 @rule(code="XPL195", requirement="XPL-NAT-5", after=("parses",))
@@ -47,7 +47,7 @@ def reference_sources(source: Source) -> Iterator[Finding | Proof]:
         message = f"{names.CODE} has no {names.CONVENTIONS}: a reviewer cannot look up its sources"
         yield _finding(source, message, None, "no such map")
         return
-    applies = applying(source.manifest)
+    applies = applicable_conventions(source.manifest)
     yield from _findings(source, reading, applies)
     granted = reading.without_source(applies)
     yield Proof({"conventions": len(reading.all_conventions(applies)), "assumed": len(granted)})
@@ -61,7 +61,7 @@ def _findings(source: Source, reading: ReferenceFile, applies: Sequence[str]) ->
         message = f"{names.CODE} cites no source for {', '.join(lacking)}"
         yield _finding(source, message, reading.place, "nothing for these")
     model_io = source.manifest.model_io
-    values = {} if model_io is None else declared(model_io)
+    values = {} if model_io is None else declared_values(model_io)
     for name, told in reading.conventions.items():
         if not told.is_assumed:
             yield from _unfounded(source, name, told, values.get(name, ()))
@@ -72,7 +72,7 @@ def _findings(source: Source, reading: ReferenceFile, applies: Sequence[str]) ->
             yield _finding(source, f"{are} {what}: {', '.join(counted)}", first.place, f"{len(counted)} times {what}")
 
 
-def _unfounded(source: Source, name: str, told: Told, values: Sequence[Value]) -> Iterator[Finding]:
+def _unfounded(source: Source, name: str, told: Told, values: Sequence[DeclaredValue]) -> Iterator[Finding]:
     """Yield a finding for a source that is no line of a file, or whose line is not there or says otherwise."""
     cited = Citation.parse(told.text)
     if cited is None:

@@ -35,11 +35,11 @@ def test_the_report_of_many_processes_is_that_of_one(tmp_path: Path, monkeypatch
 
 def test_of_nothing_nothing_is_made() -> None:
     """As by a conversion that ended after its last episode and goes on."""
-    assert list(parallel.in_processes(str, [])) == []
+    assert list(parallel.map_in_processes(str, [])) == []
 
 
 def test_things_are_handed_out_as_answers_are_taken(tmp_path: Path) -> None:
-    answers = parallel.in_processes(functools.partial(_noted, tmp_path), range(1000), 1)
+    answers = parallel.map_in_processes(functools.partial(_noted, tmp_path), range(1000), 1)
     assert next(answers) == 0
     answers.close()  # type: ignore[attr-defined]
     assert 1 <= len(list(tmp_path.iterdir())) <= parallel._AHEAD + 1

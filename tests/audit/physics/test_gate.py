@@ -216,7 +216,7 @@ def test_every_episode_is_filmed(package: Callable[..., Path], tmp_path: Path) -
 @pytest.mark.parametrize("name", ["demo_policy", "scripted_expert"])
 def test_our_own_policies_are_green(name: str) -> None:
     """With every robot and action type that they declare; a busy machine keeps up with no loop."""
-    results = gate(content.room("policy") / name, ignore=("control-rate",)).results
+    results = gate(content.content_folder("policy") / name, ignore=("control-rate",)).results
     assert {result.outcome for result in results} == {Outcome.PASS, Outcome.NOT_APPLICABLE}, results
 
 

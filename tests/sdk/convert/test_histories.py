@@ -18,7 +18,7 @@ from xpl.convert.gaps import fill_gaps, gaps
 from xpl.embodiment import get_embodiment
 from xpl.manifest import Manifest
 from xpl.policy import Policy
-from xpl_cli.packages.conventions import HISTORY, applying
+from xpl_cli.packages.conventions import HISTORY, applicable_conventions
 from xpl_cli.standard import spec
 
 ROBOT = get_embodiment("franka_single")
@@ -194,5 +194,5 @@ def test_masks_have_names_of_their_own() -> None:
     ],
 )
 def test_a_history_anywhere_makes_four_conventions_apply(model_io: dict[str, Any], apply: bool) -> None:
-    found = set(applying(Manifest.parse({"model_io": {"action": ACTION, **model_io}})))
+    found = set(applicable_conventions(Manifest.parse({"model_io": {"action": ACTION, **model_io}})))
     assert found & set(HISTORY) == (set(HISTORY) if apply else set())

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import NotFoundError
 
 FILE: Final = "SKILL.md"
@@ -113,7 +113,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def bundles() -> list[SkillBundle]:
     """Return the skills of this version of xpl, in alphabetical order."""
-    return [read(path.parent) for path in sorted(room("skills").glob(f"*/{FILE}"))]
+    return [read(path.parent) for path in sorted(content_folder("skills").glob(f"*/{FILE}"))]
 
 
 def select_bundles(names: list[str]) -> list[SkillBundle]:

@@ -12,7 +12,7 @@ from typing import Final
 
 from xpl_cli.agents.skills.installation import Condition, InstallResult
 from xpl_cli.basics import atomic
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 
 FILE: Final = "AGENTS.md"
 CLAUDE_FILE: Final = "CLAUDE.md"
@@ -32,7 +32,7 @@ _MEMORIES: Final = (CLAUDE_FILE, f".claude/{CLAUDE_FILE}")
 
 def block() -> str:
     """Return the block of this version, with its markers."""
-    text = (room("templates") / "agents" / FILE).read_text(encoding="utf-8").strip()
+    text = (content_folder("templates") / "agents" / FILE).read_text(encoding="utf-8").strip()
     return f"{_BEGIN}\n\n{text}\n\n{_END}"
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 from xpl_cli.audit.rules.gates import DataGate
 from xpl_cli.audit.rules.model import Finding
-from xpl_cli.basics.words import listed
+from xpl_cli.basics.phrases import join_limited
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -142,5 +142,5 @@ class EpisodeTally:
     def findings(self, *, must: bool | None = None, expected: str | None = None) -> Iterator[Finding]:
         """Yield a finding for each thing that is wrong."""
         for what, where in self.counts.items():
-            message = f"{what}, in {len(where)} of {self.episodes} episodes: {listed(where, MOST_NAMED)}"
+            message = f"{what}, in {len(where)} of {self.episodes} episodes: {join_limited(where, MOST_NAMED)}"
             yield Finding(message, expected=expected, evidence={"episodes": len(where), "of": self.episodes}, must=must)

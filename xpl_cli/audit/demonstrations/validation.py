@@ -105,13 +105,13 @@ def validate(demonstrations: Demonstrations, path: str, options: ValidationOptio
         options: what is checked.
     """
     started = time.perf_counter()
-    chosen = select_checks(options)
-    places = spread(len(demonstrations), options.episodes or len(demonstrations))
-    checks = _make_checks(chosen, demonstrations, options)
+    check_types = select_checks(options)
+    indices = spread(len(demonstrations), options.episodes or len(demonstrations))
+    checks = _make_checks(check_types, demonstrations, options)
     results: dict[str, RuleResult] = {}
     digest = hashlib.sha256()
-    looked = _read_episodes(demonstrations, places, images=any(check.needs_images for check in checks))
-    for episode in _report_progress(looked, options, len(places)):
+    episodes_read = _read_episodes(demonstrations, indices, images=any(check.needs_images for check in checks))
+    for episode in _report_progress(episodes_read, options, len(indices)):
         digest.update(repr((episode.key, episode.length, sorted(episode.shapes.items()))).encode())
         for check in checks:
             if check.code not in results:
@@ -124,30 +124,30 @@ def validate(demonstrations: Demonstrations, path: str, options: ValidationOptio
     report.fingerprint = "data"
     report.seconds = time.perf_counter() - started
     target = TargetReport(path=path, name=path.rstrip("/").rpartition("/")[2], kind=DEMONSTRATIONS, gates=[report])
-    target.circumstances = Circumstances(narrowed=_describe_selection(len(places), len(demonstrations), chosen))
+    target.circumstances = Circumstances(narrowed=_describe_selection(len(indices), len(demonstrations), check_types))
     return target
 
 
-def _read_episodes(demonstrations: Demonstrations, places: Sequence[int], *, images: bool) -> Iterator[EpisodeData]:
+def _read_episodes(demonstrations: Demonstrations, indices: Sequence[int], *, images: bool) -> Iterator[EpisodeData]:
     """Yield what is seen of episodes, in their order; of many with all cores, each process one episode at a time.
 
     Raises:
         DataError: a process died over one.
     """
-    if len(places) < _MANY or not demonstrations.is_forkable:
-        yield from (_read_episode(demonstrations[place], images=images) for place in places)
+    if len(indices) < _MANY or not demonstrations.is_forkable:
+        yield from (_read_episode(demonstrations[index], images=images) for index in indices)
         return
-    look = partial(_read_in_process, os.getpid(), Path(demonstrations.path), images)
-    for place, seen in zip(places, parallel.in_processes(look, places), strict=True):
+    read = partial(_read_in_process, os.getpid(), Path(demonstrations.path), images)
+    for index, seen in zip(indices, parallel.map_in_processes(read, indices), strict=True):
         if seen is None:
-            raise DataError(f"the process that read the episode {place} died", hint="is there memory enough for it?")
+            raise DataError(f"the process that read the episode {index} died", hint="is there memory enough for it?")
         yield seen
 
 
-def _read_in_process(parent: int, path: Path, images: bool, place: int) -> EpisodeData:  # noqa: FBT001 - of a partial
+def _read_in_process(parent: int, path: Path, images: bool, index: int) -> EpisodeData:  # noqa: FBT001 - of a partial
     """Read an episode, in a process of the pool."""
-    parallel.die_with(parent)
-    return _read_episode(_open_cached(path)[place], images=images)
+    parallel.end_with_parent(parent)
+    return _read_episode(_open_cached(path)[index], images=images)
 
 
 @functools.lru_cache(maxsize=1)
@@ -157,14 +157,14 @@ def _open_cached(path: Path) -> Demonstrations:
 
 def _report_progress(episodes: Iterator[EpisodeData], options: ValidationOptions, total: int) -> Iterator[EpisodeData]:
     """Yield episodes, and tell now and then how far it is."""
-    begins = told = time.monotonic()
+    begins = last_report = time.monotonic()
     for count, episode in enumerate(episodes, 1):
         yield episode
         now = time.monotonic()
-        if now - told > _TOLD_AGAIN_S:
+        if now - last_report > _TOLD_AGAIN_S:
             left = (now - begins) / count * (total - count)
             options.progress(f"episode {count} of {total}, {count / (now - begins):.1f} a second, {left:.0f} s to go")
-            told = now
+            last_report = now
 
 
 def _matches(check: type[DemonstrationCheck], name: str) -> bool:
@@ -178,13 +178,13 @@ def _make_checks(
     from xpl.embodiment import embodiment_names
 
     robot = options.robot or (demonstrations.robot if demonstrations.robot in embodiment_names() else None)
-    found = ProbeResult([], [], [])
+    probe_result = ProbeResult([], [], [])
     if not any(check.needs_probe for check in chosen):
-        return [check(DatasetInfo(demonstrations.format, robot, found)) for check in chosen]
+        return [check(DatasetInfo(demonstrations.format, robot, probe_result)) for check in chosen]
     options.progress("which numbers are what")
     with contextlib.suppress(DataError, ValueError):  # of a set that is damaged the checks say where
-        found = probe(demonstrations, episodes=_PROBED, robot=robot, images=False)
-    return [check(DatasetInfo(demonstrations.format, robot, found)) for check in chosen]
+        probe_result = probe(demonstrations, episodes=_PROBED, robot=robot, images=False)
+    return [check(DatasetInfo(demonstrations.format, robot, probe_result)) for check in chosen]
 
 
 def _store_findings(results: dict[str, RuleResult], check: DemonstrationCheck, waived: Mapping[str, str]) -> None:
@@ -206,13 +206,13 @@ def _make_ended_result(check: DemonstrationCheck, outcome: Outcome, reason: str)
     return RuleResult(check.code, check.slug, check.requirement, check.severity, outcome, reason=reason)
 
 
-def _make_result(check: DemonstrationCheck, found: Sequence[Finding], waived: Mapping[str, str]) -> RuleResult:
+def _make_result(check: DemonstrationCheck, findings: Sequence[Finding], waived: Mapping[str, str]) -> RuleResult:
     """Return the result of a check that saw all episodes."""
     reason = next((why for name, why in waived.items() if _matches(type(check), name)), None)
-    kept = () if reason is not None else tuple(found)
-    accepted = tuple(Waived(finding, reason) for finding in found) if reason is not None else ()
-    outcome = outcome_of(kept, check.severity)
-    return RuleResult(check.code, check.slug, check.requirement, check.severity, outcome, kept, waived=accepted)
+    reported = () if reason is not None else tuple(findings)
+    accepted = tuple(Waived(finding, reason) for finding in findings) if reason is not None else ()
+    outcome = outcome_of(reported, check.severity)
+    return RuleResult(check.code, check.slug, check.requirement, check.severity, outcome, reported, waived=accepted)
 
 
 def _describe_selection(looked: int, count: int, chosen: Sequence[type[DemonstrationCheck]]) -> str:

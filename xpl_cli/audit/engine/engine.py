@@ -57,7 +57,7 @@ def audit_all(targets: Sequence[Target], options: AuditOptions) -> list[TargetRe
     """Audit several packages; the reports are in the order of the packages."""
     if len(targets) < 2 or Gate.STATIC not in options.gates:
         return [audit(target.path, target.kind, options, display_path=target.shown) for target in targets]
-    from xpl_cli.basics.parallel import in_processes
+    from xpl_cli.basics.parallel import map_in_processes
 
     select(options.names, options.ignore, options.gates)  # a wrong name is the user's error, not a package's
     reports = []
@@ -65,7 +65,7 @@ def audit_all(targets: Sequence[Target], options: AuditOptions) -> list[TargetRe
     later = replace(options, gates=tuple(gate for gate in options.gates if gate is not Gate.STATIC))
     options.progress.step(f"{len(targets)} packages: static gate")
     for target, report in zip(
-        targets, in_processes(_audit_static, [(target, static) for target in targets]), strict=True
+        targets, map_in_processes(_audit_static, [(target, static) for target in targets]), strict=True
     ):
         options.progress.detail(f"{target.path.name}: static gate done")
         reports.append(report or _crash_report(target))

@@ -61,6 +61,6 @@ class ReportOutput:
             output_file.write(path, render(name, reports, context))
             console.note(f"wrote {path}")
         if self.printed == "text":
-            console.painted(for_people(reports, context, sys.stdout))
+            console.data_with_colours(for_people(reports, context, sys.stdout))
         elif self.printed is not None and (text := render(self.printed, reports, context)):
             console.data(text)

@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
-from xpl_cli.basics.words import listed
+from xpl_cli.basics.phrases import join_limited
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -36,7 +36,7 @@ class PackageFiles:
         gone = [name for name in self.names if not _is_file(self.path / name)]
         if not gone:
             return None
-        return f"the package removed files of its own while it ran: {listed(gone, _SHOWN)}"
+        return f"the package removed files of its own while it ran: {join_limited(gone, _SHOWN)}"
 
 
 def _is_file(path: Path) -> bool:

@@ -258,7 +258,7 @@ class RuleEntry:
 @cache
 def builtin_entries() -> tuple[RuleEntry, ...]:
     """Return every rule of the conformance room, not imported, in order of code."""
-    paths = content.room("conformance").glob(_FILES)
+    paths = content.content_folder("conformance").glob(_FILES)
     return tuple(sorted(map(RuleEntry.at, paths), key=lambda item: item.code))
 
 

@@ -48,7 +48,7 @@ class Retired:
 
 @cache
 def _content() -> dict[str, Any]:
-    parsed: dict[str, Any] = yaml_text.parse((content.room("conformance") / FILE).read_bytes())
+    parsed: dict[str, Any] = yaml_text.parse((content.content_folder("conformance") / FILE).read_bytes())
     return parsed
 
 

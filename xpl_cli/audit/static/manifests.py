@@ -30,7 +30,7 @@ def schema_findings(source: Source, name: str, schema: str, consequence: str) ->
 
     for problem in validate_yaml_file(source.path / name, schema):
         yield Finding(
-            f"{consequence.format(format_path(problem.path) or name)}: {problem.told.partition(': expected ')[0]}",
+            f"{consequence.format(format_path(problem.path) or name)}: {problem.text.partition(': expected ')[0]}",
             path=name,
             line=problem.line,
             column=problem.column,

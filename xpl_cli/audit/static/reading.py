@@ -132,11 +132,11 @@ def _require_ascii(encoding: str) -> None:
     raise LookupError(f"{encoding} is no encoding for source: in it, ASCII stands for something else")
 
 
-def parsed_yaml(content: bytes) -> tuple[yaml_text.Document, tuple[str, int, int] | None]:
+def parsed_yaml(content: bytes) -> tuple[yaml_text.YamlDocument, tuple[str, int, int] | None]:
     """Return what YAML holds, and why it does not parse, with line and column."""
     import yaml
 
-    nothing = yaml_text.Document(None, None)
+    nothing = yaml_text.YamlDocument(None, None)
     try:
         return yaml_text.read(content), None
     except yaml.MarkedYAMLError as error:

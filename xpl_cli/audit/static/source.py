@@ -57,7 +57,7 @@ class Source:
     path: Path
     variant: str | None = None
     _read: dict[str, reading.Text] = field(default_factory=dict)
-    _yaml: dict[str, tuple[yaml_text.Document, tuple[str, int, int] | None]] = field(default_factory=dict)
+    _yaml: dict[str, tuple[yaml_text.YamlDocument, tuple[str, int, int] | None]] = field(default_factory=dict)
     _parsed: dict[str, tuple[ast.AST, ...] | Exception] = field(default_factory=dict)
     _python_left: int = MOST_PYTHON
     _text_left: int = MOST_TEXT

@@ -17,7 +17,7 @@ _MOST_TEXT: Final = 8 << 20
 _LFS: Final = re.compile(rb"version https://git-lfs\.github\.com/spec/v1\n.*?oid sha256:([0-9a-f]{64})\n", re.DOTALL)
 
 
-def same(file: Path, blob: str, *, executable: bool | None, link: bool) -> bool:
+def matches_blob(file: Path, blob: str, *, executable: bool | None, link: bool) -> bool:
     """Tell whether a file holds the bytes of a blob, or their lines with the line ends of DOS.
 
     Args:
@@ -50,7 +50,7 @@ def _has_other_line_ends(file: Path, size: int, blob: str) -> bool:
     return b"\r\n" in content and _id(content.replace(b"\r\n", b"\n"), blob) == blob
 
 
-def is_stood_for(file: Path, pointer: bytes) -> bool:
+def matches_lfs_pointer(file: Path, pointer: bytes) -> bool:
     """Tell whether a file holds what a pointer of Git LFS stands for."""
     found = _LFS.match(pointer)
     try:

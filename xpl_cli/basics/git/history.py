@@ -11,7 +11,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from xpl_cli.basics.errors import UserError
-from xpl_cli.basics.git import blobs, place
+from xpl_cli.basics.git import blobs, discovery
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -56,7 +56,7 @@ class Repository:
         Raises:
             UserError: if it is none.
         """
-        return cls._required(place.work_tree(folder), folder)
+        return cls._required(discovery.work_tree(folder), folder)
 
     @classmethod
     def of_package(cls, package: Path, here: Path) -> Repository:
@@ -65,7 +65,7 @@ class Repository:
         Raises:
             UserError: if it lies in none, or in one that lies inside another one (see `place.of_package`).
         """
-        return cls._required(place.of_package(package, here), package)
+        return cls._required(discovery.of_package(package, here), package)
 
     @classmethod
     def _required(cls, git: Git | None, folder: Path) -> Repository:
@@ -102,7 +102,7 @@ class Repository:
             for name in (before.keys() | added.keys() | self._others(limits)) - absent
             if name not in before or not self._is_same(name, before[name], added.get(name), with_modes=with_modes)
         }
-        return {self.root / name for name in differing - self._stood_for(before, differing)}
+        return {self.root / name for name in differing - self._lfs_unchanged(before, differing)}
 
     def unrecorded(self, folder: Path) -> list[str]:
         """Return the files below a folder that the last commit has otherwise or not at all, named from the top."""
@@ -202,12 +202,12 @@ class Repository:
         if _MODULE in {before.mode, added.mode if added else ""}:
             return before == added
         executable = before.mode == _PROGRAM if with_modes and before.mode in _FILE_MODES else None
-        return blobs.same(self.root / name, before.blob, executable=executable, link=before.mode == _LINK)
+        return blobs.matches_blob(self.root / name, before.blob, executable=executable, link=before.mode == _LINK)
 
     def _counts_modes(self) -> bool:
         return self.git.text("config", "--type=bool", "--default=true", "core.fileMode").strip() == "true"
 
-    def _stood_for(self, before: dict[str, _Entry], names: Iterable[str]) -> set[str]:
+    def _lfs_unchanged(self, before: dict[str, _Entry], names: Iterable[str]) -> set[str]:
         """Return the files whose content git keeps elsewhere, by Git LFS, and that still hold it."""
         asked = {name: before[name].blob for name in names if name in before and before[name].mode in _FILE_MODES}
         try:
@@ -224,7 +224,7 @@ class Repository:
         except UserError:  # objects that a partial clone lacks
             return set()
         held = zip(small, pointers, strict=True)
-        return {name for name, pointer in held if blobs.is_stood_for(self.root / name, pointer)}
+        return {name for name, pointer in held if blobs.matches_lfs_pointer(self.root / name, pointer)}
 
 
 def _lacking(what: str) -> UserError:
@@ -253,7 +253,7 @@ def _commit(git: Git, ref: str) -> str:
 
 def unrecorded(folder: Path) -> list[str]:
     """Return the files below a folder that version control has not recorded; none where there is no git."""
-    git = place.work_tree(folder)
+    git = discovery.work_tree(folder)
     try:
         return [] if git is None else Repository(git).unrecorded(folder.resolve())
     except UserError:

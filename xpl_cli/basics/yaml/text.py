@@ -45,7 +45,7 @@ _PLAINER: Final = {
 
 
 @dataclass(frozen=True)
-class Document:
+class YamlDocument:
     """What a YAML document holds, and its nodes, which know their places; None for an empty one."""
 
     data: Any
@@ -57,7 +57,7 @@ def parse(content: bytes | str) -> Any:
     return read(content).data
 
 
-def read(content: bytes | str) -> Document:
+def read(content: bytes | str) -> YamlDocument:
     """Parse one YAML document with the safe loader (libyaml's where it is built in).
 
     Raises:
@@ -76,10 +76,10 @@ def read(content: bytes | str) -> Document:
         opened = error.context_mark if "is not closed" in problem else None
         raise _marked(problem, opened or error.problem_mark) from None
     if root is None:
-        return Document(None, None)
+        return YamlDocument(None, None)
     if tangled:
         _measure(root)
-    return Document(_constructed(root), root)
+    return YamlDocument(_constructed(root), root)
 
 
 def _decoded(content: bytes | str) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import JSON
 
 app = typer.Typer(help="Skills for coding agents: list, read, install, check.", no_args_is_help=True)
@@ -63,7 +63,7 @@ def get(
 
 
 @app.command()
-@ends(
+@exit_codes(
     clean="all is in its place",
     findings="a changed file was not overwritten",
     not_found="no such skill or folder",
@@ -119,7 +119,7 @@ def install(
 
 
 @app.command()
-@ends(clean="agents get them", findings="they do not", not_found="none is installed")
+@exit_codes(clean="agents get them", findings="they do not", not_found="none is installed")
 def check(project: Path | None = _DIR, as_json: bool = JSON) -> None:
     """Find out whether agents get the skills of this version: stale copies, broken links, silent drops, the budget.
 

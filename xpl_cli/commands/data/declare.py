@@ -6,11 +6,11 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import JSON
 
 
-@ends(clean="written", not_found="no such policy, or no demonstrations there")
+@exit_codes(clean="written", not_found="no such policy, or no demonstrations there")
 def declare(
     policy: Path = typer.Argument(..., metavar="POLICY", help="Folder of the policy."),
     demonstrations: Path = typer.Argument(..., metavar="PATH", help="Folder of episodes in the standard's format."),

@@ -1,4 +1,4 @@
-"""`xpl data list`: what a set of demonstrations holds."""
+"""`xpl data list`: the episodes, columns and cameras of demonstrations."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import JSON
 
-SET = typer.Argument(..., metavar="SET", help="File or folder of demonstrations; its format is found by looking.")
+SET = typer.Argument(..., metavar="SET", help="File or folder of demonstrations, in any known format.")
 
 
-@ends(clean="listed", findings="they are damaged", not_found="no demonstrations there", not_run="a library is missing")
+@exit_codes(clean="listed", findings="they are damaged", not_found="no demonstrations", not_run="a library is missing")
 def list_(
     demonstrations: Path = SET,
     as_json: bool = JSON,
 ) -> None:
-    """List a set's episodes, and the columns and cameras that they have."""
+    """List a dataset's episodes, columns and cameras."""
     from xpl_cli.basics import console
     from xpl_cli.data.reading import open_set
     from xpl_cli.data.sets.summary import DatasetSummary
 
-    found = DatasetSummary.of(open_set(demonstrations))
+    summary = DatasetSummary.of(open_set(demonstrations))
     if as_json:
-        console.answer("xpl.data-list/1", found.as_json(), [])
+        console.answer("xpl.data-list/1", summary.as_json(), [])
     else:
-        console.data(found.text)
+        console.data(summary.text)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.data.listing import SET
 from xpl_cli.commands.options import JSON
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from xpl_cli.data.probe.answer import ProbeAnswer
 
 
-@ends(
-    clean="measured, however much stays unknown",
+@exit_codes(
+    clean="measured; some values may be unknown",
     findings="they are damaged",
     not_found="no demonstrations there",
     not_run="a library is missing",
@@ -25,11 +25,13 @@ def probe(
     demonstrations: Path = SET,
     episodes: int = typer.Option(24, min=1, metavar="N", help="Episodes that are read, evenly spread."),
     robot: str | None = typer.Option(None, metavar="NAME", help="The robot, where you know it (`xpl spec show`)."),
-    explain: Path | None = typer.Option(None, metavar="FILE.html", help="Write a page with the lines that show it."),
+    explain: Path | None = typer.Option(
+        None, metavar="FILE.html", help="Write a page with plots of commands and states."
+    ),
     write: Path | None = typer.Option(None, metavar="DRAFT.yml", help="Write a draft of `model_io` and of the robot."),
     as_json: bool = JSON,
 ) -> None:
-    """Measure the conventions of demonstrations instead of believing a README: each with evidence and margin."""
+    """Measure the conventions of demonstrations, each with its evidence and margin."""
     from xpl_cli.basics import console, output
     from xpl_cli.basics.progress import progress
     from xpl_cli.data.probe import draft, page
@@ -40,32 +42,34 @@ def probe(
         if path is not None:
             output.check(path)
     opened = open_set(demonstrations)
-    with progress() as say:
-        found = measured(opened, episodes=episodes, robot=robot, report_progress=say.detail)
+    with progress() as progress_line:
+        result = measured(opened, episodes=episodes, robot=robot, report_progress=progress_line.detail)
     if explain is not None:
-        output.write(explain, page.page(found, f"Conventions of {demonstrations.name}"))
+        output.write(explain, page.page(result, f"Conventions of {demonstrations.name}"))
     if write is not None:
-        output.write(write, draft.draft_yaml(found))
+        output.write(write, draft.draft_yaml(result))
     if as_json:
         document = {
             "path": str(demonstrations),
             "format": opened.format,
-            "episodes": found.episodes,
-            "rows": found.rows,
-            "answers": [answer.document() for answer in found.answers],
+            "episodes": result.episodes,
+            "rows": result.rows,
+            "answers": [answer.document() for answer in result.answers],
         }
         console.answer("xpl.data-probe/1", document, [])
         return
-    console.data(_table(found.answers))
-    known = sum(answer.is_known for answer in found.answers)
-    console.note(f"{known} of {len(found.answers)} known, from {found.episodes} episodes and {found.rows} steps")
+    console.data(_table(result.answers))
+    known_count = sum(answer.is_known for answer in result.answers)
+    console.note(
+        f"{known_count} of {len(result.answers)} known, from {result.episodes} episodes and {result.rows} steps"
+    )
     for path in (explain, write):
         if path is not None:
             console.note(f"wrote {path}")
 
 
 def _table(answers: list[ProbeAnswer]) -> str:
-    """Return the answers by what they are of."""
+    """Return the answers as text, grouped by subject."""
     subjects: dict[str, list[ProbeAnswer]] = {}
     for answer in answers:
         subjects.setdefault(answer.subject, []).append(answer)

@@ -1,4 +1,4 @@
-"""`xpl data show`: an episode to look at."""
+"""`xpl data show`: an episode as a page, a picture or a Rerun recording."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.data.listing import SET
 from xpl_cli.commands.options import JSON
 
 
-@ends(
+@exit_codes(
     clean="written",
     findings="they are damaged",
     not_found="no demonstrations or no episode there",
@@ -19,7 +19,7 @@ from xpl_cli.commands.options import JSON
 )
 def show(
     demonstrations: Path = SET,
-    episode: str = typer.Option("0", metavar="K", help="Episode: its place, from 0, or its key."),
+    episode: str = typer.Option("0", metavar="K", help="Episode: its index, from 0, or its key."),
     out: Path | None = typer.Option(
         None, "-o", "--out", metavar="FILE", help="A page (.html) or a picture (.png); SET-K.html by default."
     ),
@@ -27,7 +27,7 @@ def show(
     rerun: Path | None = typer.Option(None, metavar="FILE", help="Write an .rrd for Rerun's viewer too."),
     as_json: bool = JSON,
 ) -> None:
-    """Show an episode: frames of its cameras, and curves of its states and actions."""
+    """Show an episode: camera frames, and plots of states and actions."""
     from xpl_cli.basics import console
     from xpl_cli.basics.atomic import write_file
     from xpl_cli.basics.errors import UserError
@@ -36,25 +36,25 @@ def show(
     from xpl_cli.data.show.episode_view import find_episode, view
     from xpl_cli.data.show.rerun import write
 
-    found = open_set(demonstrations)
-    one = find_episode(found, episode)
-    target = out or Path(f"{demonstrations.resolve().stem}-{one.key.replace('/', '-')}.html")
+    dataset = open_set(demonstrations)
+    recorded = find_episode(dataset, episode)
+    target = out or Path(f"{demonstrations.resolve().stem}-{recorded.key.replace('/', '-')}.html")
     if target.suffix.lower() not in (".html", ".png"):
         raise UserError(f"-o takes a file .html or .png, got {target.name}")
     if rerun is not None:
-        write(found, one, rerun)
-    seen = view(found, one, frames)
+        write(dataset, recorded, rerun)
+    episode_view = view(dataset, recorded, frames)
     if target.suffix.lower() == ".png":
         import io
 
         stream = io.BytesIO()
-        sheet.draw(seen).save(stream, "PNG")
+        sheet.draw(episode_view).save(stream, "PNG")
         write_file(target, stream.getvalue())
     else:
-        write_file(target, page.render(seen).encode())
+        write_file(target, page.render(episode_view).encode())
     written = [str(target), *([str(rerun)] if rerun is not None else [])]
     if as_json:
-        document = {"files": written, "path": seen.path, "key": seen.key, "steps": seen.steps}
+        document = {"files": written, "path": episode_view.path, "key": episode_view.key, "steps": episode_view.steps}
         console.answer("xpl.data-show/1", document, [])
     else:
         console.data("\n".join(written))

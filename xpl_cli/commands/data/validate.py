@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.basics.formats import REPORTS_HELP
 from xpl_cli.commands.data.listing import SET
 
@@ -19,7 +19,7 @@ _FAIL_ON = ("fail", "warn")
 _JSON = "json"
 
 
-@ends(
+@exit_codes(
     clean="no findings",
     findings="findings",
     not_found="no demonstrations there",

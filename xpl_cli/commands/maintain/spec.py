@@ -147,10 +147,10 @@ def _checkout() -> Path:
         UserError: if it is an installed one.
     """
     import xpl
-    from xpl_cli.basics.content import room
+    from xpl_cli.basics.content import content_folder
 
     package = Path(xpl.__file__).resolve().parent
-    if room("spec").resolve().parent != package.parent:
+    if content_folder("spec").resolve().parent != package.parent:
         raise UserError("the standard is changed in a checkout of xpl, and this xpl is an installed one")
     return package.parent
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl import _spec as sdk
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import JSON, PATIENCE_HELP, POLICY, POLICY_ENV, PYTHON, SETTINGS
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def model_io() -> None:
 
 
 @app.command()
-@ends(
+@exit_codes(
     clean="recorded",
     findings="with --diff: answers differ",
     not_found="no reference.py",
@@ -93,7 +93,7 @@ def _document(name: str, path: str, result: RecordResult) -> dict[str, Any]:
 
 def _lines(result: RecordResult) -> list[str]:
     """Return what was recorded, for people."""
-    from xpl_cli.basics.sizes import told_size
+    from xpl_cli.basics.sizes import format_size
 
     kinds = ", ".join(f"{one.embodiment} {one.action_type} ({len(one.questions)})" for one in result.pairs.sessions)
     takes = max(one.takes for one in result.pairs.sessions)
@@ -106,7 +106,7 @@ def _lines(result: RecordResult) -> list[str]:
     noise = max(result.noise.values(), default=0.0)
     apart = "two recordings are equal" if noise == 0 else f"two recordings differ by up to {noise:.1g} of the span"
     return [
-        f"{result.pairs.count} pairs{each}, {told_size(result.size)}: {kinds}",
+        f"{result.pairs.count} pairs{each}, {format_size(result.size)}: {kinds}",
         f"{result.conventions} conventions named, {assumed}",
         *([] if takes > 1 else [apart]),
         *(f"changed: {sentence}" for sentence in result.changes or ()),
@@ -114,7 +114,7 @@ def _lines(result: RecordResult) -> list[str]:
 
 
 @app.command()
-@ends(clean="written", usage="there is one already, or policy.yml names no robot")
+@exit_codes(clean="written", usage="there is one already, or policy.yml names no robot")
 def reference(policy: str = POLICY, as_json: bool = JSON) -> None:
     """Write a reference.py to fill in: conventions that apply, fields of observations, numbers of an action.
 
@@ -148,7 +148,9 @@ def reference(policy: str = POLICY, as_json: bool = JSON) -> None:
 
 
 @app.command()
-@ends(clean="written", not_found="no such adapter, environment or file", not_run="nothing can be shown, or it failed")
+@exit_codes(
+    clean="written", not_found="no such adapter, environment or file", not_run="nothing can be shown, or it failed"
+)
 def show(
     policy: str = POLICY,
     out: Path = typer.Option(Path("model-io-show"), metavar="DIR", help="Folder of index.html and show.png."),
@@ -201,19 +203,19 @@ def show(
         else reference_file.ReferenceFile()
     )
     conventions = cite_conventions(adapter, reference_source, python, policy_env)
-    found = (
+    shown_report = (
         report.report_from_run(subject, view, run_options)
         if watch
         else report.report_from_block(subject, view, golden_action)
     )
-    found = replace(found, conventions=conventions)
-    files = output.write(found, out)
+    shown_report = replace(shown_report, conventions=conventions)
+    files = output.write(shown_report, out)
     if as_json:
-        console.answer("xpl.model-io-show/1", {"files": files, **found.document()}, [])
+        console.answer("xpl.model-io-show/1", {"files": files, **shown_report.document()}, [])
         return
     for path in files:
         console.data(path)
-    for note in output.list_notes(found):
+    for note in output.list_notes(shown_report):
         console.note(note)
 
 
@@ -231,7 +233,7 @@ def _photos(image: list[str]) -> dict[str, Path]:
 
 
 @app.command()
-@ends(clean="agrees", findings="differs", not_run="nothing to compare with")
+@exit_codes(clean="agrees", findings="differs", not_run="nothing to compare with")
 def kinematics(
     policy: str = POLICY,
     as_json: bool = JSON,
@@ -259,7 +261,9 @@ def kinematics(
 
 
 @app.command()
-@ends(clean="all cited lines were found", findings="a line is missing or says otherwise", not_found="no reference.py")
+@exit_codes(
+    clean="all cited lines were found", findings="a line is missing or says otherwise", not_found="no reference.py"
+)
 def sources(
     policy: str = POLICY,
     python: str | None = PYTHON,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import ISOLATE_HELP, JSON, MEMORY_HELP, PATIENCE_HELP, TIME_HELP
 
 _LONGEST = 1 << 20
@@ -14,7 +14,7 @@ _LONGEST = 1 << 20
 _STATIC_AND_OFFLINE = ("static", "offline")
 
 
-@ends(clean="no findings")
+@exit_codes(clean="no findings")
 def review(
     base: str = typer.Option(..., "--base", metavar="REV", help="What the change is to be merged into."),
     description: str | None = typer.Option(
@@ -129,7 +129,7 @@ def _text(file: str) -> str:
     from xpl_cli.basics.errors import NotFoundError, UserError
 
     try:
-        content = sys.stdin.buffer.read(_LONGEST + 1) if file == "-" else files.given(Path(file))
+        content = sys.stdin.buffer.read(_LONGEST + 1) if file == "-" else files.read_user_file(Path(file))
     except FileNotFoundError:
         raise NotFoundError(f"there is no file {file} for --description") from None
     except OSError as error:

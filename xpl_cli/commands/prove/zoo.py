@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import JSON, TIME_HELP
 from xpl_cli.commands.plain import PlainGroup
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from xpl_cli.standard.zoo.policies import Read
+    from xpl_cli.standard.zoo.policies import ManifestValue
 
 _GATES = ("static", "offline")
 _READ = ("embodiments", "action_types")
@@ -73,7 +73,7 @@ def show(name: str = _NAME, as_json: bool = JSON) -> None:
 
 
 @app.command()
-@ends(clean="it was proven as far as it runs, whatever rules found", not_run="not even its files could be judged")
+@exit_codes(clean="it was proven as far as it runs, whatever rules found", not_run="not even its files could be judged")
 def prove(
     name: str = _NAME,
     checkout: Path = typer.Argument(
@@ -135,7 +135,7 @@ def prove(
         console.note(f"{path}: written; `xpl spec compile` renews the page")
 
 
-def _said(sections: Mapping[str, Any]) -> Iterator[tuple[str, Read]]:
+def _said(sections: Mapping[str, Any]) -> Iterator[tuple[str, ManifestValue]]:
     """Yield what the adapter's files say of some keys of a manifest, with where they say it."""
     from xpl_cli.adopt.facts import ManifestFacts
 

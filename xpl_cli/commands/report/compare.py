@@ -6,13 +6,13 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import JSON
 from xpl_cli.commands.report import reading
 from xpl_cli.commands.report.reading import SKIP_BAD_LINES
 
 
-@ends(clean="compared", not_found="no such run", not_run="not comparable, or a record is damaged")
+@exit_codes(clean="compared", not_found="no such run", not_run="not comparable, or a record is damaged")
 def compare(
     first: Path = typer.Argument(..., metavar="A", help="Folder of a run, such as runs/foo."),
     second: Path = typer.Argument(..., metavar="B", help="Folder of another run."),

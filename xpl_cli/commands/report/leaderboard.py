@@ -6,13 +6,13 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.options import JSON
 from xpl_cli.commands.report import reading
 from xpl_cli.commands.report.reading import SKIP_BAD_LINES
 
 
-@ends(clean="ranked", not_found="no run there", not_run="the runs are not alike, or a record is damaged")
+@exit_codes(clean="ranked", not_found="no run there", not_run="the runs are not alike, or a record is damaged")
 def leaderboard(
     runs: list[Path] = typer.Argument(
         ...,

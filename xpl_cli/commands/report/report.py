@@ -6,12 +6,12 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.commands.report import reading
 from xpl_cli.commands.report.reading import SKIP_BAD_LINES
 
 
-@ends(clean="written", not_found="no run there", not_run="a record is damaged, or the folder cannot be written")
+@exit_codes(clean="written", not_found="no run there", not_run="a record is damaged, or the folder cannot be written")
 def report(
     runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Folders of runs, as `xpl eval --out` fills them."),
     out: Path | None = typer.Option(None, metavar="DIR", help="Folder of the report; RUN/report by default."),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from xpl_cli.basics.endings import ends
+from xpl_cli.basics.exit_codes import exit_codes
 from xpl_cli.basics.untrusted import as_lines
 from xpl_cli.commands.options import ISOLATE_HELP, JSON, POLICY, POLICY_ENV, POLICY_GPU, PYTHON
 
@@ -23,7 +23,7 @@ _EVAL_ENV = typer.Option(None, help="Like --policy-env, for the environment.")
 _SHOWN = 20
 
 
-@ends(
+@exit_codes(
     clean="written",
     findings="the runs need fixes first",
     not_found="no such adapter or run",
@@ -72,7 +72,7 @@ def submit(
     raise typer.Exit(int(answer.code))
 
 
-@ends(
+@exit_codes(
     clean="the bundle agrees",
     findings="it does not agree",
     usage="no bundle",

@@ -48,11 +48,11 @@ def fetch(
     chosen = specification.choose(adapter, name, every=every)
     answers = []
     with progress() as say:
-        for one in chosen:
-            say.step(f"{one.name}: {one.source}")
-            answers.append(_fetch(one, unverified=unverified, again=force))
+        for entry in chosen:
+            say.step(f"{entry.name}: {entry.source}")
+            answers.append(_fetch(entry, unverified=unverified, force=force))
     if as_json:
-        following = [shlex.join(["xpl", "checkpoint", "verify", policy, one.name]) for one in chosen]
+        following = [shlex.join(["xpl", "checkpoint", "verify", policy, entry.name]) for entry in chosen]
         console.answer("xpl.checkpoint-fetch/1", {"policy": adapter.name, "checkpoints": answers}, following)
         return
     for answer in answers:
@@ -77,16 +77,18 @@ def verify(
 
     adapter = package.load(policy, package.parse_overrides(settings))
     answers: list[dict[str, Any]] = []
-    for one in specification.choose(adapter, name, every=every):
-        path = _require_path(one, policy)
-        if one.digest is None and not one.files:
-            raise UserError(f"checkpoint {one.name!r} has no sha256 in policy.yml: nothing can be compared")
-        differing = [asdict(difference) for difference in fetching.differences(one, *fetching.hash_local(one, path))]
-        answers.append({"name": one.name, "path": str(path), "differences": differing})
+    for entry in specification.choose(adapter, name, every=every):
+        path = _require_path(entry, policy)
+        if entry.digest is None and not entry.files:
+            raise UserError(f"checkpoint {entry.name!r} has no sha256 in policy.yml: nothing can be compared")
+        differing = [
+            asdict(difference) for difference in fetching.differences(entry, *fetching.hash_local(entry, path))
+        ]
+        answers.append({"name": entry.name, "path": str(path), "differences": differing})
     damaged = any(answer["differences"] for answer in answers)
     if as_json:
         broken = [shlex.join([policy, answer["name"]]) for answer in answers if answer["differences"]]
-        again = [f"xpl checkpoint fetch {one} --force" for one in broken]
+        again = [f"xpl checkpoint fetch {entry} --force" for entry in broken]
         following = again or [shlex.join(["xpl", "audit", policy])]
         console.answer("xpl.checkpoint-verify/1", {"policy": adapter.name, "checkpoints": answers}, following)
     else:
@@ -112,11 +114,11 @@ def path_of(
     from xpl_cli.packages import package
 
     adapter = package.load(policy, package.parse_overrides(settings))
-    (one,) = specification.choose(adapter, name)
-    path = str(_require_path(one, policy))
+    (entry,) = specification.choose(adapter, name)
+    path = str(_require_path(entry, policy))
     if as_json:
-        following = [shlex.join(["xpl", "checkpoint", "verify", policy, one.name])]
-        answer = {"policy": adapter.name, "checkpoints": [{"name": one.name, "path": path}]}
+        following = [shlex.join(["xpl", "checkpoint", "verify", policy, entry.name])]
+        answer = {"policy": adapter.name, "checkpoints": [{"name": entry.name, "path": path}]}
         console.answer("xpl.checkpoint-path/1", answer, following)
     else:
         console.data(path)
@@ -166,40 +168,40 @@ def tiny(
         raise typer.Exit(ExitCode.FINDINGS)
 
 
-def _fetch(one: CheckpointSpec, *, unverified: bool, again: bool) -> dict[str, Any]:
+def _fetch(entry: CheckpointSpec, *, unverified: bool, force: bool) -> dict[str, Any]:
     """Fetch one checkpoint and return its description; remarks go to stderr."""
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
     from xpl_cli.lifecycle.checkpoints import fetch as fetching
 
-    brought = fetching.fetch(one, unverified=unverified, again=again)
+    brought = fetching.fetch(entry, unverified=unverified, force=force)
     linked = None
     try:
-        linked = str(fetching.link(one.base, one.name, brought.path))
+        linked = str(fetching.link(entry.base, entry.name, brought.path))
     except UserError as error:
         console.note(f"warning: {error}")
-    if one.digest is None:
-        console.note(f"{one.name}: not verified; to pin it, add to policy.yml: sha256: {brought.digest}")
-    if not one.licence:
-        console.note(f"{one.name}: policy.yml declares no licence for it")
+    if entry.digest is None:
+        console.note(f"{entry.name}: not verified; to pin it, add to policy.yml: sha256: {brought.digest}")
+    if not entry.licence:
+        console.note(f"{entry.name}: policy.yml declares no licence for it")
     return {
-        "name": one.name,
+        "name": entry.name,
         "state": brought.state,
         "path": str(brought.path),
         "link": linked,
         "sha256": brought.digest,
-        "license": one.licence,
+        "license": entry.licence,
         "files": [{"path": file.path, "size": file.size, "sha256": file.sha256} for file in brought.files],
     }
 
 
-def _require_path(one: CheckpointSpec, policy: str) -> Path:
+def _require_path(entry: CheckpointSpec, policy: str) -> Path:
     from xpl_cli.basics.errors import NotFoundError
     from xpl_cli.lifecycle.checkpoints import fetch as fetching
 
-    path = fetching.linked_checkpoint(one)
+    path = fetching.linked_checkpoint(entry)
     if path is None:
         raise NotFoundError(
-            f"checkpoint {one.name!r} was not fetched", hint=f"`xpl checkpoint fetch {policy} {one.name}`"
+            f"checkpoint {entry.name!r} was not fetched", hint=f"`xpl checkpoint fetch {policy} {entry.name}`"
         )
     return path

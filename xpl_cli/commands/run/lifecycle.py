@@ -46,7 +46,7 @@ def install(
         if not is_ready:
             raise typer.Exit(ExitCode.FINDINGS)
         return
-    done = scripts.install(folder, environment, again=force)
+    done = scripts.install(folder, environment, force=force)
     if as_json:
         answer = {"package": folder.name, "state": done.state, "python": str(done.python)}
         following = [shlex.join(["xpl", "audit", name])]
@@ -89,7 +89,7 @@ def _run(policy: str, script: str, settings: list[str], gpu: str | None, *, as_j
 
     overrides = {**scripts.gpu_setting(gpu), **package.parse_overrides(settings)}
     adapter = package.load(policy, overrides)
-    seconds = scripts.run_script(adapter, script, overrides, gpu, aside=as_json)
+    seconds = scripts.run_script(adapter, script, overrides, gpu, to_stderr=as_json)
     if as_json:
         answer = {"policy": adapter.name, "script": script, "seconds": round(seconds, 3)}
         console.answer("xpl.script/1", answer, [shlex.join(["xpl", "audit", policy])])

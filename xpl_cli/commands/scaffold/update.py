@@ -49,12 +49,12 @@ def _own(policy: Path) -> Path:
     Raises:
         UserError: if it is one that xpl itself comes with.
     """
-    from xpl_cli.basics.content import room
+    from xpl_cli.basics.content import content_folder
     from xpl_cli.basics.errors import UserError
     from xpl_cli.packages.targets import find_target
 
     folder = find_target(policy).path.resolve()
-    ours = any(folder.is_relative_to(room(name).resolve()) for name in ("policy", "envs"))
+    ours = any(folder.is_relative_to(content_folder(name).resolve()) for name in ("policy", "envs"))
     if ours and not folder.is_relative_to(Path.cwd()):
         raise UserError(
             f"{policy} is a package that xpl itself comes with, at {folder}", hint="give the path of your own"

@@ -19,7 +19,7 @@ from xpl import json_text
 from xpl_cli.basics import parallel
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.basics.sizes import told_size
+from xpl_cli.basics.sizes import format_size
 from xpl_cli.data.conversion import mapping, sources
 from xpl_cli.data.conversion.packing import NAME, PackedSet
 from xpl_cli.data.conversion.renaming import RenamedEpisode, Renaming, plan_renaming
@@ -103,7 +103,7 @@ class ConversionReport:
     @property
     def text(self) -> str:
         """The report as text: what was written, and what was lost."""
-        counts = f"{self.episodes} episodes, {self.steps} steps, {told_size(self.size)}"
+        counts = f"{self.episodes} episodes, {self.steps} steps, {format_size(self.size)}"
         lines = [f"{self.target}: {self.to_format}, {counts}, from {self.from_format} in {self.seconds:.1f} s"]
         lines += [f"  renamed  {old} is {new}" for new, old in self.renamed.items()]
         lines += [f"  lossy    {name}: {how}" for name, how in self.lossy.items()]
@@ -206,7 +206,7 @@ def _write_pending(task: _Task, due: list[int], progress: Progress, source: Demo
     steps = 0
     total = sum(plan.lengths[index] for index in due)
     if source is None:
-        answers = parallel.in_processes(functools.partial(_write_in_worker, task), due, task.job.workers)
+        answers = parallel.map_in_processes(functools.partial(_write_in_worker, task), due, task.job.workers)
     else:
         answers = (_write(task, source, index) for index in due)
     for index, written in zip(due, answers, strict=True):
@@ -225,7 +225,7 @@ def _write_pending(task: _Task, due: list[int], progress: Progress, source: Demo
 
 def _write_in_worker(task: _Task, index: int) -> bool:
     """Write one episode, in a worker process of the pool."""
-    parallel.die_with(task.parent)
+    parallel.end_with_parent(task.parent)
     job = task.job
     return _write(task, _cached_source(job.source, job.to, job.by, job.written_by), index)
 

@@ -21,7 +21,7 @@ from xpl.convert.vectors import ModelVector
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 from xpl.errors import ConversionError
 from xpl_cli.basics import files
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.sets.errors import DataError
 
@@ -114,7 +114,7 @@ def _read(path: Path, name: str) -> dict[str, Any]:
     from xpl_cli.standard.validate import validate_yaml
 
     try:
-        content = files.content(path, _MOST)
+        content = files.read_regular(path, _MOST)
     except FileNotFoundError:
         raise DataError(
             f"there is no mapping {name!r}: bundled are {', '.join(names())}; the path of a file works too",
@@ -134,4 +134,4 @@ def _path(name: str) -> Path:
 
 
 def _folder() -> Path:
-    return room("spec") / "mappings"
+    return content_folder("spec") / "mappings"

@@ -172,7 +172,7 @@ def _declarations(path: Path) -> Iterator[tuple[str, bytes]]:
         paths = [path / ENDS / _ARRAY, *sorted(path.glob(f"data/*/{_ARRAY}"))]
         for file in paths:
             try:
-                yield file.relative_to(path).as_posix(), files.content(file, _MOST_DECLARED)
+                yield file.relative_to(path).as_posix(), files.read_regular(file, _MOST_DECLARED)
             except FileNotFoundError:
                 continue
             except OSError as error:

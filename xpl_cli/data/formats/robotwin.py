@@ -56,7 +56,7 @@ class _RobotwinEpisode(Hdf5Episode):
         path = self._path.parent.parent / "instructions" / f"{self._path.stem}.json"
         try:
             instructions = documents.validate_value(
-                documents.parse_json(bounded.content(path, _MOST), str(path)), _SCHEMA, str(path)
+                documents.parse_json(bounded.read_regular(path, _MOST), str(path)), _SCHEMA, str(path)
             )
         except FileNotFoundError:
             return ()

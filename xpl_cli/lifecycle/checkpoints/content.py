@@ -11,7 +11,7 @@ from xpl_cli.basics.errors import UserError
 from xpl_cli.lifecycle.checkpoints.specification import check_path, digest_of
 
 
-def contents(folder: Path) -> list[CheckpointFile]:
+def list_files(folder: Path) -> list[CheckpointFile]:
     """Return the files below a folder with their sizes, sorted; what begins with a dot is no part of a checkpoint.
 
     Raises:
@@ -37,10 +37,10 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def hashed(path: Path) -> tuple[str, list[CheckpointFile]]:
+def hash_checkpoint(path: Path) -> tuple[str, list[CheckpointFile]]:
     """Return the digest of a checkpoint and its files with theirs."""
     if path.is_file():
         found = sha256_of(path)
         return found, [CheckpointFile(path.name, found, path.stat().st_size)]
-    files = [CheckpointFile(file.path, sha256_of(path / file.path), file.size) for file in contents(path)]
+    files = [CheckpointFile(file.path, sha256_of(path / file.path), file.size) for file in list_files(path)]
     return digest_of(files), files

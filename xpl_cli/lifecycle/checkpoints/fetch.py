@@ -16,17 +16,17 @@ from xpl import _spec as sdk
 from xpl.manifest import CheckpointFile
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.extras import how_to_install
-from xpl_cli.lifecycle.checkpoints.content import contents, hashed, sha256_of
+from xpl_cli.lifecycle.checkpoints.content import hash_checkpoint, list_files, sha256_of
 from xpl_cli.lifecycle.checkpoints.specification import HUB, check_commit, digest_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.lifecycle.checkpoints.specification import Specification
+    from xpl_cli.lifecycle.checkpoints.specification import CheckpointSpec
 
 
 @dataclass(frozen=True)
-class Fetched:
+class FetchedCheckpoint:
     """A checkpoint that is here.
 
     Attributes:
@@ -43,7 +43,7 @@ class Fetched:
 
 
 @dataclass(frozen=True)
-class Difference:
+class CheckpointDifference:
     """What is not as policy.yml says.
 
     Attributes:
@@ -59,13 +59,13 @@ class Difference:
     got: str | int | None
 
 
-def fetch(specification: Specification, *, unverified: bool = False, again: bool = False) -> Fetched:
+def fetch(specification: CheckpointSpec, *, unverified: bool = False, force: bool = False) -> FetchedCheckpoint:
     """Bring a checkpoint unless it is here, and check it.
 
     Args:
         specification: the checkpoint.
         unverified: take what comes where policy.yml gives no digest, so that its author can write it there.
-        again: have the hub's client bring it although it is here.
+        force: have the hub's client bring it although it is here.
 
     Raises:
         NotFoundError: if it is not where it should be.
@@ -76,15 +76,15 @@ def fetch(specification: Specification, *, unverified: bool = False, again: bool
             f"checkpoint {specification.name!r} has no sha256 in policy.yml: what arrives could not be checked",
             hint="--unverified fetches it all the same, once, and prints the sha256 to write there",
         )
-    there = None if again else here(specification)
+    there = None if force else local_path(specification)
     if there is not None:
-        digest, files = read(specification, there)
+        digest, files = hash_local(specification, there)
         if not differences(specification, digest, files):
-            return Fetched(there, digest, "there", files)
-    path = _brought(specification, again=again) if specification.kind == HUB else here(specification)
+            return FetchedCheckpoint(there, digest, "there", files)
+    path = _download(specification, force=force) if specification.kind == HUB else local_path(specification)
     if path is None:
         raise NotFoundError(f"checkpoint {specification.name!r}: there is no {specification.path}")
-    digest, files = read(specification, path)
+    digest, files = hash_local(specification, path)
     for one in differences(specification, digest, files):
         raise UserError(
             f"checkpoint {specification.name!r} is not the one that policy.yml means: {path / one.path}: {one.what}: "
@@ -92,10 +92,10 @@ def fetch(specification: Specification, *, unverified: bool = False, again: bool
             hint="the source has changed, or policy.yml is wrong; --force brings it again",
             code=ExitCode.FINDINGS,
         )
-    return Fetched(path, digest, "fetched", files)
+    return FetchedCheckpoint(path, digest, "fetched", files)
 
 
-def here(specification: Specification) -> Path | None:
+def local_path(specification: CheckpointSpec) -> Path | None:
     """Return where a checkpoint lies on this machine, or a part of it, unchecked; None if it is not here.
 
     Raises:
@@ -110,13 +110,13 @@ def here(specification: Specification) -> Path | None:
         return None
 
 
-def located(specification: Specification) -> Path | None:
+def linked_checkpoint(specification: CheckpointSpec) -> Path | None:
     """Return what a checkpoint's name means in its adapter, None if nothing was fetched."""
-    place = linked(specification.base, specification.name)
+    place = link_path(specification.base, specification.name)
     return place.resolve() if place.exists() else None
 
 
-def read(specification: Specification, path: Path) -> tuple[str, tuple[CheckpointFile, ...]]:
+def hash_local(specification: CheckpointSpec, path: Path) -> tuple[str, tuple[CheckpointFile, ...]]:
     """Return the digest of a checkpoint, and its files with theirs: those that policy.yml lists, or all that are there.
 
     Args:
@@ -127,7 +127,7 @@ def read(specification: Specification, path: Path) -> tuple[str, tuple[Checkpoin
         UserError: if a name in it cannot be written down.
     """
     if not specification.files:
-        digest, found = hashed(path)
+        digest, found = hash_checkpoint(path)
         return digest, tuple(found)
     places = {file.path: path / file.path for file in specification.files}
     there = {name: place for name, place in places.items() if place.is_file()}
@@ -135,27 +135,29 @@ def read(specification: Specification, path: Path) -> tuple[str, tuple[Checkpoin
     return digest_of(files), files
 
 
-def differences(specification: Specification, digest: str, files: Sequence[CheckpointFile]) -> list[Difference]:
+def differences(
+    specification: CheckpointSpec, digest: str, files: Sequence[CheckpointFile]
+) -> list[CheckpointDifference]:
     """Return how a checkpoint that was read differs from policy.yml; nothing means that it is whole."""
     there = {file.path: file for file in files}
     found = []
     for file in specification.files:
         got = there.get(file.path)
         if got is None:
-            found.append(Difference(file.path, "missing", file.sha256, None))
+            found.append(CheckpointDifference(file.path, "missing", file.sha256, None))
         elif file.size not in (None, got.size):
-            found.append(Difference(file.path, "size", file.size, got.size))
+            found.append(CheckpointDifference(file.path, "size", file.size, got.size))
         elif file.sha256 not in (None, got.sha256):
-            found.append(Difference(file.path, "sha256", file.sha256, got.sha256))
+            found.append(CheckpointDifference(file.path, "sha256", file.sha256, got.sha256))
     size = sum(file.size or 0 for file in files)
     if not found and specification.size not in (None, size):
-        found.append(Difference("", "size", specification.size, size))
+        found.append(CheckpointDifference("", "size", specification.size, size))
     if not found and specification.digest not in (None, digest):
-        found.append(Difference("", "sha256", specification.digest, digest))
+        found.append(CheckpointDifference("", "sha256", specification.digest, digest))
     return found
 
 
-def linked(policy_dir: Path, name: str) -> Path:
+def link_path(policy_dir: Path, name: str) -> Path:
     """Return the place in an adapter where the checkpoint resolver finds one by its name."""
     return policy_dir / sdk.CHECKPOINT_DIRECTORY / name
 
@@ -166,7 +168,7 @@ def link(policy_dir: Path, name: str, target: Path) -> Path:
     Raises:
         UserError: if something else is there, or nothing can be written there.
     """
-    place = linked(policy_dir, name)
+    place = link_path(policy_dir, name)
     target = target.absolute()
     if place.absolute() == target:
         return place
@@ -185,10 +187,10 @@ def link(policy_dir: Path, name: str, target: Path) -> Path:
     return place
 
 
-def _brought(specification: Specification, *, again: bool) -> Path:
+def _download(specification: CheckpointSpec, *, force: bool) -> Path:
     """Have the hub's client bring a checkpoint, and return where it lies in the client's cache."""
     try:
-        path = _snapshot(specification, force_download=again)
+        path = _snapshot(specification, force_download=force)
     except ImportError as error:
         raise UserError(
             f"checkpoint {specification.name!r} is on the Hugging Face hub, whose client cannot be imported: {error}",
@@ -202,12 +204,12 @@ def _brought(specification: Specification, *, again: bool) -> Path:
             hint="run the same command again: it goes on where it stopped; a private repository needs `hf auth login`",
             code=ExitCode.NOT_RUN,
         ) from None
-    if not path.is_dir() or not contents(path):
+    if not path.is_dir() or not list_files(path):
         raise NotFoundError(f"{specification.source} has no files at {specification.revision}")
     return path
 
 
-def _snapshot(specification: Specification, *, local_files_only: bool = False, force_download: bool = False) -> Path:
+def _snapshot(specification: CheckpointSpec, *, local_files_only: bool = False, force_download: bool = False) -> Path:
     """Return the folder of the hub's cache that a checkpoint is, through the hub's client."""
     import huggingface_hub
 

@@ -27,7 +27,7 @@ _SHOWN = 12
 
 
 @dataclass(frozen=True)
-class Specification:
+class CheckpointSpec:
     """One entry of `checkpoints` in policy.yml.
 
     Attributes:
@@ -69,22 +69,22 @@ def digest_of(files: Iterable[CheckpointFile]) -> str:
     return hashlib.sha256(b"".join(b"%s  %s\n" % (sha256.encode(), path) for path, sha256 in lines)).hexdigest()
 
 
-def declared(package: Package) -> dict[str, Specification]:
+def declared_checkpoints(package: Package) -> dict[str, CheckpointSpec]:
     """Return the checkpoints of an adapter by name.
 
     Raises:
         UserError: if an entry cannot be understood, or names a place outside of the checkpoint.
     """
-    found: dict[str, Specification] = {}
+    found: dict[str, CheckpointSpec] = {}
     for entry in package.manifest.checkpoints:
-        specification = specified(package, entry)
+        specification = parse_checkpoint(package, entry)
         if specification.name in found:
             raise UserError(f"{package.name}/{sdk.File.POLICY_YML} has two checkpoints called {specification.name!r}")
         found[specification.name] = specification
     return found
 
 
-def choose(package: Package, name: str | None, *, every: bool = False) -> list[Specification]:
+def choose(package: Package, name: str | None, *, every: bool = False) -> list[CheckpointSpec]:
     """Return the checkpoints that a command is about.
 
     Args:
@@ -96,7 +96,7 @@ def choose(package: Package, name: str | None, *, every: bool = False) -> list[S
         NotFoundError: if there is none of that name, or none at all.
         UserError: if it is not said which one of several.
     """
-    known = declared(package)
+    known = declared_checkpoints(package)
     if every:
         return list(known.values())
     if not known:
@@ -132,7 +132,7 @@ def check_path(text: str, where: str) -> str:
     return text
 
 
-def specified(package: Package, entry: Checkpoint) -> Specification:
+def parse_checkpoint(package: Package, entry: Checkpoint) -> CheckpointSpec:
     """Return what an entry of an adapter's policy.yml says.
 
     Raises:
@@ -151,7 +151,7 @@ def specified(package: Package, entry: Checkpoint) -> Specification:
         )
     sizes = [file.size for file in entry.files if file.size is not None]
     total = sum(sizes) if sizes and len(sizes) == len(entry.files) else None
-    return Specification(
+    return CheckpointSpec(
         name=entry.name,
         source=entry.source,
         kind=kind,
@@ -164,7 +164,7 @@ def specified(package: Package, entry: Checkpoint) -> Specification:
     )
 
 
-def check_commit(specification: Specification) -> str:
+def check_commit(specification: CheckpointSpec) -> str:
     """Return the commit that a repository of the hub is pinned to.
 
     Raises:

@@ -18,7 +18,7 @@ class Status(StrEnum):
 
 
 @dataclass(frozen=True)
-class Check:
+class MachineCheck:
     """One thing that was tried.
 
     Attributes:

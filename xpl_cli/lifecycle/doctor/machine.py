@@ -15,9 +15,9 @@ from pathlib import Path
 from xpl_cli.basics import user_cache
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.extras import how_to_install
-from xpl_cli.basics.sizes import told_size
+from xpl_cli.basics.sizes import format_size
 from xpl_cli.isolation import sandbox
-from xpl_cli.lifecycle.doctor.check import Check, Status
+from xpl_cli.lifecycle.doctor.check import MachineCheck, Status
 
 _SHARED = Path("/dev/shm")  # noqa: S108 - what is asked about; nothing stays there
 _SHARED_ENOUGH = 1 << 28
@@ -26,13 +26,13 @@ _DISK_ENOUGH = 2 << 30
 _TRIED = 1 << 20
 
 
-def tool() -> Check:
+def tool() -> MachineCheck:
     """Look whether what this tool needs is installed, without importing it."""
     serves = "everything"
     try:
         wanted = metadata.requires("xpl-cli") or []
     except metadata.PackageNotFoundError:
-        return Check("xpl", Status.OK, "run from a folder, not installed", serves)
+        return MachineCheck("xpl", Status.OK, "run from a folder, not installed", serves)
     missing = {}
     for text in (line for line in wanted if "extra ==" not in line):
         name = text.partition(";")[0].partition("=")[0].rstrip("<>~! ")
@@ -42,39 +42,39 @@ def tool() -> Check:
         missing[name] = text.partition(";")[0].strip()
     if missing:
         mend = shlex.join(["pip", "install", *missing.values()])
-        return Check("xpl", Status.BROKEN, f"lacks {', '.join(missing)}", serves, mend)
-    return Check("xpl", Status.OK, f"xpl-cli {metadata.version('xpl-cli')}", serves)
+        return MachineCheck("xpl", Status.BROKEN, f"lacks {', '.join(missing)}", serves, mend)
+    return MachineCheck("xpl", Status.OK, f"xpl-cli {metadata.version('xpl-cli')}", serves)
 
 
-def hub() -> Check:
+def hub() -> MachineCheck:
     """Look for the hub's client."""
     serves = "checkpoints whose source is hf://..."
     if util.find_spec("huggingface_hub") is None:
-        return Check("hub", Status.ABSENT, "huggingface_hub is not installed", serves, how_to_install("hub"))
-    return Check("hub", Status.OK, f"huggingface_hub {metadata.version('huggingface_hub')}", serves)
+        return MachineCheck("hub", Status.ABSENT, "huggingface_hub is not installed", serves, how_to_install("hub"))
+    return MachineCheck("hub", Status.OK, f"huggingface_hub {metadata.version('huggingface_hub')}", serves)
 
 
-def memory() -> Check:
+def memory() -> MachineCheck:
     """Read how much memory there is, and how much of it is free."""
     serves = "models, and simulators beside them"
     total = sandbox.machine_memory()
     free = min(_available(), total)
     small = free < _MEMORY_ENOUGH
-    return Check(
-        "memory", Status.BROKEN if small else Status.OK, f"{told_size(free)} of {told_size(total)} are free", serves,
+    return MachineCheck(
+        "memory", Status.BROKEN if small else Status.OK, f"{format_size(free)} of {format_size(total)} free", serves,
         "end what uses it, or raise the container's limit" if small else None,
     )  # fmt: skip
 
 
-def cores() -> Check:
+def cores() -> MachineCheck:
     """Count the processors that this process may use."""
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     quota = _quota()
     shown = f"{count}" if quota is None or quota >= count else f"{count}, of which {quota:g} may be used at once"
-    return Check("cores", Status.OK, shown, "simulation and cameras")
+    return MachineCheck("cores", Status.OK, shown, "simulation and cameras")
 
 
-def disk() -> Check:
+def disk() -> MachineCheck:
     """Write to the places that checkpoints and temporary files go to, and read how much room there is."""
     serves = "checkpoints and environments"
     places = {"cache": user_cache.folder(), "temporary files": Path(tempfile.gettempdir()), "here": Path.cwd()}
@@ -82,7 +82,7 @@ def disk() -> Check:
     for name, wanted in places.items():
         place = next(one for one in (wanted, *wanted.parents) if one.is_dir())
         free = shutil.disk_usage(place).free
-        told.append(f"{name} {told_size(free)} free")
+        told.append(f"{name} {format_size(free)} free")
         with contextlib.suppress(OSError):
             with tempfile.TemporaryFile(dir=place):
                 pass
@@ -91,29 +91,29 @@ def disk() -> Check:
             continue
         told[-1] = f"{name} cannot be written ({place})"
         mend = mend or f"make {place} writable, or choose another place (XPL_CACHE, TMPDIR, another folder)"
-    return Check("disk", Status.BROKEN if mend else Status.OK, ", ".join(told), serves, mend)
+    return MachineCheck("disk", Status.BROKEN if mend else Status.OK, ", ".join(told), serves, mend)
 
 
-def shared_memory() -> Check:
+def shared_memory() -> MachineCheck:
     """Map memory of a file that two processes could share, and write to it."""
     serves = "large images between simulator and server on one machine; they travel in messages where it is missing"
     mend = "docker run --shm-size=1g, or mount a tmpfs at /dev/shm"
     if not _SHARED.is_dir():
-        return Check("shared memory", Status.ABSENT, f"no {_SHARED}", serves, mend)
+        return MachineCheck("shared memory", Status.ABSENT, f"no {_SHARED}", serves, mend)
     try:
         with tempfile.TemporaryFile(dir=_SHARED) as file:
             os.posix_fallocate(file.fileno(), 0, _TRIED)
             with mmap.mmap(file.fileno(), _TRIED) as mapped:
                 mapped[:4] = b"test"
     except OSError as error:
-        return Check("shared memory", Status.BROKEN, f"{_SHARED}: {error.strerror}", serves, mend)
+        return MachineCheck("shared memory", Status.BROKEN, f"{_SHARED}: {error.strerror}", serves, mend)
     free = shutil.disk_usage(_SHARED).free
     small = free < _SHARED_ENOUGH
-    found = f"{told_size(free)} free in {_SHARED}"
-    return Check("shared memory", Status.BROKEN if small else Status.OK, found, serves, mend if small else None)
+    found = f"{format_size(free)} free in {_SHARED}"
+    return MachineCheck("shared memory", Status.BROKEN if small else Status.OK, found, serves, mend if small else None)
 
 
-def ports() -> Check:
+def ports() -> MachineCheck:
     """Listen on loopback on a port that the system chooses, and connect to it."""
     serves = "policy servers"
     try:
@@ -124,19 +124,19 @@ def ports() -> Check:
                 accepted.close()
     except OSError as error:
         mend = "bring loopback up: ip link set lo up"
-        return Check("ports", Status.BROKEN, f"loopback does not work: {error.strerror or error}", serves, mend)
-    return Check("ports", Status.OK, f"loopback works, tried with port {port}", serves)
+        return MachineCheck("ports", Status.BROKEN, f"loopback does not work: {error.strerror or error}", serves, mend)
+    return MachineCheck("ports", Status.OK, f"loopback works, tried with port {port}", serves)
 
 
-def isolation() -> Check:
+def isolation() -> MachineCheck:
     """Try to keep a program from the network and from writing, as `--isolate` does."""
     serves = "xpl serve --isolate and xpl audit --isolate"
     mend = f"{sandbox.INSTALL}; it needs unprivileged user namespaces"
     try:
         with tempfile.TemporaryDirectory(prefix="xpl-doctor-") as folder, sandbox.isolated(Path(folder)) as isolation_:
-            return Check("isolation", Status.OK, f"{isolation_.method}, proven by trying", serves)
+            return MachineCheck("isolation", Status.OK, f"{isolation_.method}, proven by trying", serves)
     except UserError as error:
-        return Check("isolation", Status.ABSENT, str(error), serves, mend)
+        return MachineCheck("isolation", Status.ABSENT, str(error), serves, mend)
 
 
 def _available() -> int:

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from xpl_cli.lifecycle.doctor.check import Check, Status
+from xpl_cli.lifecycle.doctor.check import MachineCheck, Status
 from xpl_cli.lifecycle.python_env import installers, pythons
 
 LIMIT_S = 5.0
@@ -22,7 +22,7 @@ _VERSION = re.compile(r"\d+(\.\d+)+")
 
 
 @dataclass(frozen=True)
-class Answer:
+class ProgramOutput:
     """What a program said.
 
     Attributes:
@@ -34,7 +34,7 @@ class Answer:
     text: str
 
 
-def ask(*command: str) -> Answer:
+def run_program(*command: str) -> ProgramOutput:
     """Run a program and return what it says."""
     try:
         done = subprocess.run(
@@ -42,23 +42,23 @@ def ask(*command: str) -> Answer:
             stdin=subprocess.DEVNULL,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        return Answer(ok=False, text=f"no answer within {LIMIT_S:.0f} s")
+        return ProgramOutput(ok=False, text=f"no answer within {LIMIT_S:.0f} s")
     except OSError as error:
-        return Answer(ok=False, text=error.strerror or str(error))
+        return ProgramOutput(ok=False, text=error.strerror or str(error))
     if done.returncode == 0:
-        return Answer(ok=True, text=done.stdout.strip())
+        return ProgramOutput(ok=True, text=done.stdout.strip())
     reason = f"ended by signal {-done.returncode}" if done.returncode < 0 else f"exit code {done.returncode}"
-    return Answer(ok=False, text=(done.stderr.strip().splitlines() or [reason])[-1])
+    return ProgramOutput(ok=False, text=(done.stderr.strip().splitlines() or [reason])[-1])
 
 
-def interpreters() -> Check:
+def interpreters() -> MachineCheck:
     """Find the versions of Python that can make environments for policies."""
     paths = [path for name in pythons.names() if (path := shutil.which(name))]
     with ThreadPoolExecutor(max_workers=max(len(paths), 1)) as pool:
         found = [version for version in pool.map(pythons.version_of, paths) if version]
     own = sys.version_info
     text = ", ".join(found) or "none but the tool's own"
-    return Check(
+    return MachineCheck(
         "python",
         Status.OK if found else Status.ABSENT,
         f"{text}; this tool runs in {own.major}.{own.minor}.{own.micro}",
@@ -67,70 +67,72 @@ def interpreters() -> Check:
     )
 
 
-def program(name: str, serves: str, mend: str, *others: str) -> Check:
+def program(name: str, serves: str, mend: str, *others: str) -> MachineCheck:
     """Ask a program for its version; `others` are names of programs that do as well."""
     for candidate in (name, *others):
         path = shutil.which(candidate)
         if path is None:
             continue
-        answer = ask(path, "--version")
+        answer = run_program(path, "--version")
         version = _VERSION.search(answer.text) if answer.ok else None
         if answer.ok:
-            return Check(name, Status.OK, f"{candidate} {version[0] if version else answer.text[:40]}", serves)
-        return Check(name, Status.BROKEN, f"{path} does not run: {answer.text[:_SHOWN]}", serves, mend)
-    return Check(name, Status.ABSENT, "not on PATH", serves, mend)
+            return MachineCheck(name, Status.OK, f"{candidate} {version[0] if version else answer.text[:40]}", serves)
+        return MachineCheck(name, Status.BROKEN, f"{path} does not run: {answer.text[:_SHOWN]}", serves, mend)
+    return MachineCheck(name, Status.ABSENT, "not on PATH", serves, mend)
 
 
-def uv() -> Check:
+def uv() -> MachineCheck:
     """Ask uv."""
     serves = "installs environments quickly, any version of Python, locks of uv; venv and pip do where it is missing"
     return program("uv", serves, "pip install uv, or see its installation page")
 
 
-def conda() -> Check:
+def conda() -> MachineCheck:
     """Ask conda, or what is like it."""
     name, *others = installers.CONDAS
     return program(name, "environments that come as a lock of conda", "install miniforge or micromamba", *others)
 
 
-def git() -> Check:
+def git() -> MachineCheck:
     """Ask git."""
     return program("git", "xpl update and xpl audit --changed-since", "apt-get install git")
 
 
-def docker() -> Check:
+def docker() -> MachineCheck:
     """Ask for a program that builds containers."""
     return program("docker", "the container recipe (docs/lifecycle.md)", "install docker or podman", "podman")
 
 
-def gpu() -> Check:
+def gpu() -> MachineCheck:
     """Ask the driver for graphics cards; no library of a model is needed for that."""
     serves = "policies that run on a graphics card"
     devices = sorted(path.name for path in Path("/dev").glob("nvidia[0-9]*"))
     tool = shutil.which("nvidia-smi")
     if tool is None:
         if devices:
-            return Check("gpu", Status.BROKEN, f"{', '.join(devices)}, but no nvidia-smi on PATH", serves,
+            return MachineCheck("gpu", Status.BROKEN, f"{', '.join(devices)}, but no nvidia-smi on PATH", serves,
                          "install the driver's utilities, or give the container the NVIDIA runtime")  # fmt: skip
-        return Check("gpu", Status.ABSENT, "no NVIDIA device", serves, "a machine with one, if a policy needs it")
-    answer = ask(tool, f"--query-gpu={_GPU_ASKED}", "--format=csv,noheader")
+        return MachineCheck(
+            "gpu", Status.ABSENT, "no NVIDIA device", serves, "a machine with one, if a policy needs it"
+        )
+    answer = run_program(tool, f"--query-gpu={_GPU_ASKED}", "--format=csv,noheader")
     cards = [line.strip() for line in answer.text.splitlines() if line.strip()] if answer.ok else []
     if cards:
-        return Check("gpu", Status.OK, "; ".join(cards), serves)
+        return MachineCheck("gpu", Status.OK, "; ".join(cards), serves)
     reason = answer.text.splitlines()[0][:_SHOWN] if answer.text else "it lists no card"
-    return Check("gpu", Status.BROKEN if devices else Status.ABSENT, f"nvidia-smi: {reason}", serves,
+    return MachineCheck("gpu", Status.BROKEN if devices else Status.ABSENT, f"nvidia-smi: {reason}", serves,
                  "check the driver (nvidia-smi), or the devices that the container was given")  # fmt: skip
 
 
-def rendering(way: str) -> Check:
+def rendering(way: str) -> MachineCheck:
     """Try one way to render without a window: `egl` or `osmesa`."""
-    answer = ask(sys.executable, "-I", "-S", str(Path(__file__).with_name("graphics.py")), way)
+    answer = run_program(sys.executable, "-I", "-S", str(Path(__file__).with_name("graphics.py")), way)
     serves = f"simulators that render with MUJOCO_GL={way}; envs/mujoco renders without"
     if answer.ok:
-        return Check(way, Status.OK, answer.text, serves)
+        return MachineCheck(way, Status.OK, answer.text, serves)
     package = {"egl": "libegl1 (and the driver of the card, or libgl1-mesa-dri)", "osmesa": "libosmesa6"}[way]
     missing = "cannot open shared object" in answer.text
-    return Check(
+    return MachineCheck(
         way,
         Status.ABSENT if missing else Status.BROKEN,
         answer.text[:_SHOWN],

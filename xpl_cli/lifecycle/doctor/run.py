@@ -7,12 +7,12 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from xpl_cli.lifecycle.doctor import machine, programs
-from xpl_cli.lifecycle.doctor.check import Check, Status
+from xpl_cli.lifecycle.doctor.check import MachineCheck, Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_PROBES: dict[str, Callable[[], Check]] = {
+_PROBES: dict[str, Callable[[], MachineCheck]] = {
     "xpl": machine.tool,
     "python": programs.interpreters,
     "uv": programs.uv,
@@ -32,15 +32,15 @@ _PROBES: dict[str, Callable[[], Check]] = {
 }
 
 
-def examine() -> list[Check]:
+def examine() -> list[MachineCheck]:
     """Return what this machine can run, in a fixed order."""
     with ThreadPoolExecutor(max_workers=len(_PROBES)) as pool:
         return list(pool.map(lambda item: _guarded(*item), _PROBES.items()))
 
 
-def _guarded(name: str, probe: Callable[[], Check]) -> Check:
+def _guarded(name: str, probe: Callable[[], MachineCheck]) -> MachineCheck:
     """Return what a probe says; one that fails itself says nothing about the others."""
     try:
         return probe()
     except Exception as error:  # noqa: BLE001 - a machine may be odd in ways that nobody thought of
-        return Check(name, Status.BROKEN, f"could not be tried: {type(error).__name__}: {error}", "unknown")
+        return MachineCheck(name, Status.BROKEN, f"could not be tried: {type(error).__name__}: {error}", "unknown")

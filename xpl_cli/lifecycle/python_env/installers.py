@@ -21,7 +21,7 @@ from xpl_cli.lifecycle.python_env.plan import CONDA
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.lifecycle.python_env.plan import Plan
+    from xpl_cli.lifecycle.python_env.plan import EnvironmentPlan
 
 CONDAS = ("conda", "mamba", "micromamba")
 OLDEST_PYTHON = (3, 9)
@@ -43,7 +43,7 @@ print(json.dumps({"python": platform.python_version(), "installed": dict(sorted(
 """A program that prints its interpreter's version and what is installed there, as JSON."""
 
 
-def build(plan: Plan, folder: Path) -> dict[str, Any]:
+def build(plan: EnvironmentPlan, folder: Path) -> dict[str, Any]:
     """Make the environment of a plan in a folder that is not there yet, and return what was installed.
 
     Raises:
@@ -57,7 +57,7 @@ def build(plan: Plan, folder: Path) -> dict[str, Any]:
         raise UserError(f"{plan.lock} is uv's, and uv is not on PATH", hint="install uv", code=ExitCode.NOT_RUN)
     else:
         installer = _pip(plan, folder)
-    return {"installer": installer, **_examined(plan, folder / "bin" / "python")}
+    return {"installer": installer, **_inspect(plan, folder / "bin" / "python")}
 
 
 def environment() -> dict[str, str]:
@@ -73,7 +73,7 @@ def environment() -> dict[str, str]:
     return {**kept, **chosen}
 
 
-def _uv(uv: str, plan: Plan, folder: Path) -> str:
+def _uv(uv: str, plan: EnvironmentPlan, folder: Path) -> str:
     python = plan.python or sys.executable
     if plan.kind == "uv":
         # The adapter's own folder is no distribution: it is served from where it is.
@@ -82,20 +82,20 @@ def _uv(uv: str, plan: Plan, folder: Path) -> str:
     else:
         _run(plan, [uv, "venv", "--quiet", "--no-project", "--python", python, str(folder)])
         inside = ["--python", str(folder / "bin" / "python")]
-        _run(plan, [uv, "pip", "install", "--quiet", *inside, *_wanted(plan)])
-        _consistent(plan, [uv, "pip", "check", "--quiet", *inside])
+        _run(plan, [uv, "pip", "install", "--quiet", *inside, *_install_arguments(plan)])
+        _warn_if_inconsistent(plan, [uv, "pip", "check", "--quiet", *inside])
     return _version([uv, "--version"])
 
 
-def _pip(plan: Plan, folder: Path) -> str:
+def _pip(plan: EnvironmentPlan, folder: Path) -> str:
     _run(plan, [pythons.find(plan.python), "-I", "-m", "venv", str(folder)])
     pip = [str(folder / "bin" / "python"), "-I", "-m", "pip"]
-    _run(plan, [*pip, "install", "--quiet", "--no-input", *_wanted(plan)])
-    _consistent(plan, [*pip, "check"])
+    _run(plan, [*pip, "install", "--quiet", "--no-input", *_install_arguments(plan)])
+    _warn_if_inconsistent(plan, [*pip, "check"])
     return _version([*pip, "--version"])
 
 
-def _conda(plan: Plan, folder: Path) -> str:
+def _conda(plan: EnvironmentPlan, folder: Path) -> str:
     conda = next(filter(None, map(shutil.which, CONDAS)), None)
     if conda is None:
         raise UserError(f"{plan.lock} is conda's, and conda is not on PATH", hint="install it", code=ExitCode.NOT_RUN)
@@ -107,7 +107,7 @@ def _conda(plan: Plan, folder: Path) -> str:
     return f"{Path(conda).name} {_version([conda, '--version'])}"
 
 
-def _wanted(plan: Plan) -> list[str]:
+def _install_arguments(plan: EnvironmentPlan) -> list[str]:
     """Return what is to be installed, as uv and pip both take it."""
     if plan.lock is None:
         return list(plan.requirements)
@@ -115,7 +115,7 @@ def _wanted(plan: Plan) -> list[str]:
     return ["--no-deps", *(["--require-hashes"] if plan.has_hashes() else []), "--requirement", str(plan.lock)]
 
 
-def _consistent(plan: Plan, command: Sequence[str]) -> None:
+def _warn_if_inconsistent(plan: EnvironmentPlan, command: Sequence[str]) -> None:
     """Say what a lock leaves out; some are written against what packages ask for, so that it is no error."""
     done = subprocess.run(
         command, cwd=plan.base, env=environment(), capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
@@ -124,7 +124,7 @@ def _consistent(plan: Plan, command: Sequence[str]) -> None:
         console.note(f"warning: packages of {plan.package} do not fit together:\n{(done.stdout + done.stderr).strip()}")
 
 
-def _examined(plan: Plan, python: Path) -> dict[str, Any]:
+def _inspect(plan: EnvironmentPlan, python: Path) -> dict[str, Any]:
     """Return what an environment has, and raise if it cannot run a worker."""
     told = _output(plan, [str(python), "-I", "-c", LISTING], "its interpreter does not run")
     found: dict[str, Any] = json_text.parse(told)
@@ -144,7 +144,7 @@ def _examined(plan: Plan, python: Path) -> dict[str, Any]:
     return found
 
 
-def _output(plan: Plan, command: list[str], complaint: str, hint: str | None = None) -> str:
+def _output(plan: EnvironmentPlan, command: list[str], complaint: str, hint: str | None = None) -> str:
     try:
         done = subprocess.run(
             command, cwd=plan.base, env=environment(), capture_output=True, text=True, check=False, timeout=_LIMIT_S
@@ -162,7 +162,7 @@ def _version(command: Sequence[str]) -> str:
     return " ".join(done.stdout.split()[:2])
 
 
-def _run(plan: Plan, command: Sequence[str], **variables: str) -> None:
+def _run(plan: EnvironmentPlan, command: Sequence[str], **variables: str) -> None:
     # Output of installers goes to stderr: stdout is for answers.
     done = subprocess.run(
         command,

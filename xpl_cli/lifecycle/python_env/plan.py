@@ -33,7 +33,7 @@ _FORMAT = 1
 
 
 @dataclass(frozen=True)
-class Plan:
+class EnvironmentPlan:
     """An environment as it is declared.
 
     Attributes:
@@ -101,7 +101,7 @@ class Plan:
         return self.lock is not None and _EXPLICIT in _read(self.lock).decode(errors="replace").splitlines()
 
 
-def plan_of(folder: Path, declared: PythonEnvironment) -> Plan | None:
+def plan_of(folder: Path, declared: PythonEnvironment) -> EnvironmentPlan | None:
     """Return the environment that `xpl install` makes for a package, None if it declares one that exists already.
 
     Args:
@@ -123,7 +123,7 @@ def plan_of(folder: Path, declared: PythonEnvironment) -> Plan | None:
         if requirement.startswith("-"):
             raise UserError(f"{where}: {requirement!r} is an option, not a requirement", hint="put it into a lock file")
     name = declared.name or (".conda" if manager == CONDA else _DEFAULT_NAME)
-    plan = Plan(
+    plan = EnvironmentPlan(
         folder.name,
         folder,
         manager,

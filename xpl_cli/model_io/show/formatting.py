@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from xpl_cli.basics.words import amount
+from xpl_cli.basics.phrases import count_noun
 from xpl_cli.model_io.statements import Certainty
 
 if TYPE_CHECKING:
@@ -59,8 +59,8 @@ def when(view: ImageView) -> str:
 
 def counts(conventions: Sequence[CitedConvention]) -> str:
     """Return how many conventions are known, assumed and unknown, and how many sources do not hold."""
-    found = Counter(one.standing for one in conventions)
-    told = [f"{found[standing]} {standing}" for standing in Certainty if found[standing]]
+    by_certainty = Counter(one.standing for one in conventions)
+    texts = [f"{by_certainty[standing]} {standing}" for standing in Certainty if by_certainty[standing]]
     wrong = sum(one.problem is not None for one in conventions)
-    told += [f"{amount(wrong, 'source')} to look at"] if wrong else []
-    return f"{amount(len(conventions), 'convention')}: {', '.join(told)}"
+    texts += [f"{count_noun(wrong, 'source')} to look at"] if wrong else []
+    return f"{count_noun(len(conventions), 'convention')}: {', '.join(texts)}"

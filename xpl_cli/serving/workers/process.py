@@ -16,7 +16,7 @@ from xpl.process import link, spawn
 from xpl.process.child import REAPER_START, SDK_START
 from xpl.process.link import Inbox
 from xpl.wire.frame import PackingError
-from xpl_cli.basics import exits
+from xpl_cli.basics import process_exit
 from xpl_cli.isolation import processes
 
 if TYPE_CHECKING:
@@ -159,16 +159,16 @@ class WorkerProcess:
         """End the worker and all its children: close the link, wait `grace` seconds, then kill the group."""
         self._close_link("the worker was stopped")
         with contextlib.suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(exits.exit_code(self._process), grace)
+            await asyncio.wait_for(process_exit.exit_code(self._process), grace)
         processes.kill_tree(self.pid)
-        await exits.exit_code(self._process)
+        await process_exit.exit_code(self._process)
         # A process that has left the group may hold the pipe open for ever.
         with contextlib.suppress(asyncio.TimeoutError):
             await asyncio.wait_for(self._output, grace)
 
     async def wait_ended(self) -> str:
         """Wait for the process to end and return how it ended."""
-        code = await exits.exit_code(self._process)
+        code = await process_exit.exit_code(self._process)
         return f"the worker {spawn.describe_exit(code, launched=self._wrapped)}"
 
     def _finish_watch(self, task: asyncio.Task[None]) -> None:

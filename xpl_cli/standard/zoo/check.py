@@ -74,7 +74,7 @@ def _facts(told: dict[str, Any]) -> Iterator[Problem]:
             yield Problem(("robots", "value"), f"there is no robot {robot!r}")
 
 
-def _proof(told: zoo.Proof) -> Iterator[Problem]:
+def _proof(told: zoo.ZooProof) -> Iterator[Problem]:
     """Yield what a proof says that cannot have come out of a run."""
     if not (zoo.folder() / "policies" / f"{told['name']}.yml").is_file():
         yield Problem(("name",), f"the zoo has no policy {told['name']!r}")

@@ -13,7 +13,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final, NotRequired, TypedDict
 
 from xpl import json_text
-from xpl_cli.basics.content import room
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import UnknownTargetError, no_such
 from xpl_cli.standard import spec
 
@@ -25,7 +25,7 @@ _READ: Final = {"robots": "embodiments", "control": "action_types", "chunk": "te
 
 
 @dataclass(frozen=True)
-class Fact:
+class ZooFact:
     """What is known of one thing.
 
     Attributes:
@@ -53,7 +53,7 @@ class Tool(TypedDict):
     commit: str | None
 
 
-class Proven(TypedDict):
+class ProvenAdapter(TypedDict):
     """What was proven: an adapter in a checkout, by its commit and the hash of its files."""
 
     folder: str
@@ -74,14 +74,14 @@ class GateProof(TypedDict):
     fingerprint: str | None
 
 
-class Read(TypedDict):
+class ManifestValue(TypedDict):
     """What a manifest says of one key, and where."""
 
     value: Any
     source: str
 
 
-class Played(TypedDict):
+class RecordedRun(TypedDict):
     """The recorded run of a policy's weights."""
 
     run: str
@@ -91,7 +91,7 @@ class Played(TypedDict):
     successes: int
 
 
-class Proof(TypedDict):
+class ZooProof(TypedDict):
     """How far a policy was proven to run: a file of `proofs/`, as `proof.schema.json` has it."""
 
     name: str
@@ -99,14 +99,14 @@ class Proof(TypedDict):
     date: str
     tool: Tool
     command: str
-    adapter: Proven
+    adapter: ProvenAdapter
     spec: str
     verdict: str
     statement: str
     gates: list[GateProof]
-    read: dict[str, Read]
+    read: dict[str, ManifestValue]
     next: str | None
-    run: NotRequired[Played]
+    run: NotRequired[RecordedRun]
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Policy:
+class ZooPolicy:
     """A policy of the field.
 
     Attributes:
@@ -139,8 +139,8 @@ class Policy:
     name: str
     title: str
     in_paper: bool
-    facts: Mapping[str, Fact]
-    proof: Proof | None = None
+    facts: Mapping[str, ZooFact]
+    proof: ZooProof | None = None
 
     @property
     def level(self) -> Level:
@@ -153,7 +153,7 @@ class Policy:
         return () if self.proof is None else self.proof["gates"][: self.proof["level"]]
 
     @property
-    def said(self) -> str | None:
+    def outcome(self) -> str | None:
         """What came out where it was judged, in a few words; None where it was not."""
         if self.proof is None:
             return None
@@ -192,7 +192,7 @@ def _rules(number: int) -> str:
 
 def folder() -> Path:
     """Return where the zoo is."""
-    return room("spec") / "zoo"
+    return content_folder("spec") / "zoo"
 
 
 def proof_path(name: str) -> Path:
@@ -221,7 +221,7 @@ def fact_names() -> tuple[str, ...]:
 
 
 @cache
-def policies() -> tuple[Policy, ...]:
+def policies() -> tuple[ZooPolicy, ...]:
     """Return every policy, sorted by its name whatever its case."""
     found = sorted((folder() / "policies").glob("*.yml"), key=lambda path: (path.stem.lower(), path.stem))
     return tuple(_policy(path.stem) for path in found)
@@ -232,7 +232,7 @@ def names() -> list[str]:
     return [policy.name for policy in policies()]
 
 
-def find(name: str) -> Policy:
+def find(name: str) -> ZooPolicy:
     """Return a policy by its name.
 
     Raises:
@@ -257,13 +257,13 @@ def _words() -> dict[str, Any]:
     return told
 
 
-def _policy(name: str) -> Policy:
+def _policy(name: str) -> ZooPolicy:
     told = spec.read_yaml(folder() / "policies" / f"{name}.yml")
     path = proof_path(name)
-    proof: Proof | None = json_text.parse(path.read_bytes()) if path.is_file() else None
-    facts = {key: Fact(**told[key]) if key in told else Fact(unknown=told["otherwise"]) for key in fact_names()}
+    proof: ZooProof | None = json_text.parse(path.read_bytes()) if path.is_file() else None
+    facts = {key: ZooFact(**told[key]) if key in told else ZooFact(unknown=told["otherwise"]) for key in fact_names()}
     for key, manifest_key in _READ.items():
         read = None if proof is None else proof["read"].get(manifest_key)
         if read is not None and facts[key].value is None:
-            facts[key] = Fact(read["value"], f"manifest, {read['source']}", note=facts[key].note)
-    return Policy(told["name"], told["title"], told["in_paper"], facts, proof)
+            facts[key] = ZooFact(read["value"], f"manifest, {read['source']}", note=facts[key].note)
+    return ZooPolicy(told["name"], told["title"], told["in_paper"], facts, proof)

@@ -47,7 +47,7 @@ def read(package: Path) -> tuple[Path, Mapping[str, str]]:
     """
     path = package / FILE
     try:
-        document = yaml_text.parse(files.content(path, _MOST_BYTES))
+        document = yaml_text.parse(files.read_regular(path, _MOST_BYTES))
     except OSError as error:
         raise DeclarationError(f"{FILE} cannot be read: {error.strerror or error}") from None
     except ValueError as error:
@@ -106,5 +106,5 @@ def digest(path: Path) -> str:
 def _validator() -> Any:
     import jsonschema_rs
 
-    path = content.room("spec") / "demonstrations" / "demonstrations.schema.json"
+    path = content.content_folder("spec") / "demonstrations" / "demonstrations.schema.json"
     return jsonschema_rs.validator_for(json_text.parse(path.read_bytes()))

@@ -110,7 +110,7 @@ class Parity:
             reference = reference_file.read_file(self._path)
         except UserError:
             return 0, values
-        applying = conventions.applying(manifest)
+        applying = conventions.applicable_conventions(manifest)
         return len(reference.all_conventions(applying)), [*reference.without_source(applying), *values]
 
     @cached_property

@@ -385,7 +385,7 @@ def _rows(root: Path, statistics: str = "") -> Iterator[dict[str, Any]]:
 
 def _text(path: Path) -> str:
     try:
-        return files.content(path, _MOST_META).decode()
+        return files.read_regular(path, _MOST_META).decode()
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -26,7 +26,7 @@ from xpl_cli.lifecycle.python_env import installers
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from xpl_cli.lifecycle.python_env.plan import Plan
+    from xpl_cli.lifecycle.python_env.plan import EnvironmentPlan
 
 RECORD = "xpl-environment.json"
 """What an environment was made from, and what is in it; written last, so that one without it is not complete."""
@@ -36,7 +36,7 @@ Condition = Literal["current", "outdated", "missing", "foreign"]
 
 
 @dataclass(frozen=True)
-class Installed:
+class InstalledEnvironment:
     """An environment that is in use.
 
     Attributes:
@@ -55,7 +55,7 @@ class Installed:
         return self.python.parents[1]
 
 
-def condition(plan: Plan) -> Condition:
+def condition(plan: EnvironmentPlan) -> Condition:
     """Return whether the environment of a plan is there: as declared now, as declared earlier, not, or not ours."""
     if not os.path.lexists(plan.link):
         return "missing"
@@ -76,29 +76,29 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     return record
 
 
-def install(plan: Plan, *, again: bool = False) -> Installed:
+def install(plan: EnvironmentPlan, *, force: bool = False) -> InstalledEnvironment:
     """Make the environment of a plan unless it is there, and put it in use.
 
     Args:
         plan: what is declared.
-        again: make it anew although it is there.
+        force: make it anew although it is there.
 
     Raises:
         UserError: if it cannot be made; what was in use before stays in use.
     """
     key = plan.key()
     _make(plan.link.parent)
-    with _alone(plan.link.parent):
+    with _exclusive_lock(plan.link.parent):
         before = condition(plan)
         if before == "foreign":
             raise UserError(
                 f"{plan.link} is there already, and `xpl install` did not make it: it stays as it is",
                 hint="move it away, or choose another `name` in `environment`",
             )
-        if before == "current" and not again:
+        if before == "current" and not force:
             return _installed(plan, "unchanged")
         _prune(plan)
-        folder = _free(plan, key)
+        folder = _unused_folder(plan, key)
         try:
             found = installers.build(plan, folder)
             (folder / ".gitignore").write_text("*\n", encoding="utf-8")
@@ -112,7 +112,7 @@ def install(plan: Plan, *, again: bool = False) -> Installed:
                 **found,
             }
             atomic.write_file(folder / RECORD, (json.dumps(record, indent=2) + "\n").encode())
-            _use(plan.link, folder)
+            _switch_link(plan.link, folder)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -120,13 +120,13 @@ def install(plan: Plan, *, again: bool = False) -> Installed:
         return _installed(plan, "made" if before == "missing" else "replaced")
 
 
-def _installed(plan: Plan, state: str) -> Installed:
+def _installed(plan: EnvironmentPlan, state: str) -> InstalledEnvironment:
     folder = plan.link.resolve()
-    return Installed(folder / "bin" / "python", state, read_record(folder) or {})
+    return InstalledEnvironment(folder / "bin" / "python", state, read_record(folder) or {})
 
 
 @contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def _exclusive_lock(folder: Path) -> Iterator[None]:
     """Let one process at a time make environments in a folder; the lock ends with it at the latest."""
     held = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
@@ -136,7 +136,7 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(held)
 
 
-def _use(link: Path, folder: Path) -> None:
+def _switch_link(link: Path, folder: Path) -> None:
     """Make a link lead to a folder beside it, in one step."""
     with tempfile.TemporaryDirectory(dir=link.parent, prefix=f".{link.name.lstrip('.')}-") as scratch:
         fresh = Path(scratch) / link.name
@@ -151,14 +151,14 @@ def _make(folder: Path) -> None:
         raise UserError(f"{folder} cannot be made: {error.strerror}", code=ExitCode.NOT_RUN) from None
 
 
-def _free(plan: Plan, key: str) -> Path:
+def _unused_folder(plan: EnvironmentPlan, key: str) -> Path:
     """Return a folder for an environment that is not there yet."""
     plain = plan.link.with_name(f"{plan.link.name}-{key}")
     others = (plain.with_name(f"{plain.name}.{number}") for number in itertools.count(1))
     return next(path for path in itertools.chain([plain], others) if not os.path.lexists(path))
 
 
-def _prune(plan: Plan) -> None:
+def _prune(plan: EnvironmentPlan) -> None:
     """Remove environments that are not in use: what was replaced, and what somebody began and did not finish."""
     ours = re.compile(rf"{re.escape(plan.link.name)}-[0-9a-f]{{12}}(\.\d+)?")
     used = plan.link.resolve() if plan.link.is_symlink() else None

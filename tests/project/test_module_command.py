@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 from typing import TYPE_CHECKING
 
-from xpl_cli.basics import again
+from xpl_cli.basics import module_command
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -15,5 +15,7 @@ def test_a_folder_that_is_called_as_we_are_hides_nothing(tmp_path: Path) -> None
     for name in ("xpl", "xpl_cli"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise SystemExit('a stranger')")
-    done = subprocess.run([*again.command("xpl_cli"), "--version"], cwd=tmp_path, capture_output=True, check=False)
+    done = subprocess.run(
+        [*module_command.command("xpl_cli"), "--version"], cwd=tmp_path, capture_output=True, check=False
+    )
     assert done.stdout.startswith(b"xpl "), done.stderr.decode()

@@ -12,7 +12,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 _MEANINGS: Final = "xpl_meanings"
 
 
-def ends(**meanings: str) -> Callable[[_Function], _Function]:
+def exit_codes(**meanings: str) -> Callable[[_Function], _Function]:
     """Say of a command what its exit codes mean, where that can be told more exactly than of all commands.
 
     Args:
@@ -26,7 +26,7 @@ def ends(**meanings: str) -> Callable[[_Function], _Function]:
     return declare
 
 
-def endings(function: object = None) -> str:
+def describe_exit_codes(function: object = None) -> str:
     """Return the sentence on exit codes of a command, of all commands by default."""
     own = own_meanings(function)
     return f"Exit codes: {', '.join(f'{int(code)} {own.get(code, code.meaning)}' for code in ExitCode)}."

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Word:
+class VocabularyValue:
     """One word.
 
     Attributes:
@@ -29,7 +29,7 @@ class Word:
     known_as: str
 
     @property
-    def told(self) -> str:
+    def description(self) -> str:
         """Return all of it as one text, behind the name."""
         parts = (
             self.meaning,
@@ -41,35 +41,35 @@ class Word:
 
 
 @dataclass(frozen=True)
-class Choice:
+class KeyVocabulary:
     """A key whose value is one of some words."""
 
     key: str
     meaning: str
-    words: tuple[Word, ...]
+    values: tuple[VocabularyValue, ...]
 
 
-def choices(schema: Schema) -> list[Choice]:
+def vocabularies(schema: Schema) -> list[KeyVocabulary]:
     """Return every choice of a schema of which a word has a definition; equal ones once, in the schema's order."""
-    found: dict[tuple[str, tuple[Word, ...]], Choice] = {}
+    found: dict[tuple[str, tuple[VocabularyValue, ...]], KeyVocabulary] = {}
     for name, entry in (("", schema), *schema.get("$defs", {}).items()):
         for choice in _choices(entry, name):
-            found.setdefault((choice.key.rpartition(".")[2], choice.words), choice)
+            found.setdefault((choice.key.rpartition(".")[2], choice.values), choice)
     return list(found.values())
 
 
-def words(entry: Schema, definitions: Schema) -> tuple[Word, ...]:
+def vocabulary_values(entry: Schema, definitions: Schema) -> tuple[VocabularyValue, ...]:
     """Return the words that an entry of a schema, or the definition that it refers to, has a definition of."""
     if "$ref" in entry:
-        return words(definitions.get(entry["$ref"].rpartition("/")[2], {}), definitions)
-    found = tuple(word for option in entry.get("anyOf", ()) for word in words(option, definitions))
+        return vocabulary_values(definitions.get(entry["$ref"].rpartition("/")[2], {}), definitions)
+    found = tuple(word for option in entry.get("anyOf", ()) for word in vocabulary_values(option, definitions))
     return found or tuple(_word(one) for one in entry.get("oneOf", ()) if "const" in one and "description" in one)
 
 
-def _choices(entry: Schema, place: str) -> Iterator[Choice]:
+def _choices(entry: Schema, place: str) -> Iterator[KeyVocabulary]:
     options = [option for option in entry.get("oneOf", ()) if "const" in option]
     if options and all("description" in option for option in options):
-        yield Choice(place, entry.get("description", ""), tuple(map(_word, options)))
+        yield KeyVocabulary(place, entry.get("description", ""), tuple(map(_word, options)))
     for option in entry.get("anyOf", ()):
         yield from _choices(option, place)
     for key, inner in entry.get("properties", {}).items():
@@ -78,7 +78,7 @@ def _choices(entry: Schema, place: str) -> Iterator[Choice]:
         yield from _choices(entry["items"], place)
 
 
-def _word(option: Schema) -> Word:
+def _word(option: Schema) -> VocabularyValue:
     known = "; ".join(f"{library}: {name}" for library, name in option.get("x-known-as", {}).items())
     formula, source = option.get("x-formula", ""), option.get("x-source", "")
-    return Word(str(option["const"]), option["description"], formula, source, known)
+    return VocabularyValue(str(option["const"]), option["description"], formula, source, known)
