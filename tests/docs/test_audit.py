@@ -1,4 +1,4 @@
-"""What docs/audit.md and docs/ci.md show works as shown."""
+"""The examples of docs/audit.md and docs/ci.md work."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def workspace(tmp_path: Path) -> Path:
 
 
 def _examples() -> Iterator[Any]:
-    """Yield every example; one that plays takes less episodes in the quick run, and one that records is not in it."""
+    """Yield every example; rollouts have fewer episodes in the quick run, and recordings are slow."""
     for number, example in enumerate(blocks("console")):
         if "xpl record" in example:
             yield pytest.param(example, id=f"{number}", marks=pytest.mark.slow)
@@ -53,9 +53,9 @@ def _examples() -> Iterator[Any]:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("example", list(_examples()))
 def test_every_command_of_the_page_runs(workspace: Path, example: str) -> None:
-    found = commands(example)
-    assert found
-    for command in found:
+    page_commands = commands(example)
+    assert page_commands
+    for command in page_commands:
         done = xpl(*command, cwd=workspace)
         assert done.returncode == ExitCode.CLEAN, (command, done.stderr)
 

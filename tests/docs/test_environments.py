@@ -18,8 +18,8 @@ PAGE = (DOCS / "environments.md").read_text(encoding="utf-8")
 
 
 def test_the_table_of_tasks_is_that_of_the_manifest() -> None:
-    shown = PAGE.split("a test compares them -->")[1].split("<!-- /tasks -->")[0].strip()
-    assert shown == listing.markdown(listing.offers("mujoco"))
+    table = PAGE.split("a test compares them -->")[1].split("<!-- /tasks -->")[0].strip()
+    assert table == listing.markdown(listing.offers("mujoco"))
 
 
 @pytest.mark.slow

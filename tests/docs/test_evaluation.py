@@ -22,9 +22,9 @@ TEXT = (ROOT / "docs" / "evaluation.md").read_text(encoding="utf-8")
 
 def _block(mark: str) -> str:
     """Return the code block behind a mark in the page."""
-    found = re.search(rf"<!-- {mark}[^>]*-->\n+```\w*\n(.*?)```", TEXT, re.DOTALL)
-    assert found, mark
-    return found[1]
+    match = re.search(rf"<!-- {mark}[^>]*-->\n+```\w*\n(.*?)```", TEXT, re.DOTALL)
+    assert match, mark
+    return match[1]
 
 
 def _arguments() -> list[str]:
@@ -37,12 +37,12 @@ def _arguments() -> list[str]:
 def test_the_command_plays_what_the_table_shows() -> None:
     name, *arguments = _arguments()
     command = typer.main.get_command(app).get_command(None, name)  # type: ignore[attr-defined]
-    given = command.make_context(name, arguments).params
-    adapter = package.load(ROOT / given["policy"])
-    wishes = plan.PlanRequest(given["task"], given["setting"], given["episodes"], horizon=given["horizon"])
-    planned = plan.make_plan(adapter, find(given["env"]), adapter.config(), wishes).plan
+    params = command.make_context(name, arguments).params
+    adapter = package.load(ROOT / params["policy"])
+    request = plan.PlanRequest(params["task"], params["setting"], params["episodes"], horizon=params["horizon"])
+    planned = plan.make_plan(adapter, find(params["env"]), adapter.config(), request).plan
     rows = [line.split()[:3] for line in _block("table").splitlines()]
-    expected = [[*cell.cell_key, f"{given['episodes']}/{given['episodes']}"] for cell in planned.cells]
+    expected = [[*cell.cell_key, f"{params['episodes']}/{params['episodes']}"] for cell in planned.cells]
     assert [row for row in rows if row in expected] == expected
     assert all(cell.frozen for cell in planned.cells)
     assert f"{len(planned.slots())} episodes" in TEXT

@@ -60,23 +60,23 @@ def test_the_first_steps_go_as_they_say(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_the_model_of_the_first_steps_passes_all_gates_and_plays(tmp_path: Path) -> None:
-    mistake = next(place for place, block in enumerate(TUTORIAL) if block.language == "diff")
+    mistake = next(index for index, block in enumerate(TUTORIAL) if block.language == "diff")
     done = _follow(tmp_path, [*TUTORIAL[:mistake], TUTORIAL[-1]], gates={Gate.STATIC, "all"})
     assert [(words[0], code) for words, code in done] == [("new-policy", 0), ("audit", 0), ("audit", 0), ("eval", 0)]
 
 
 def _tour() -> list[list[str]]:
     """Return the commands of the README's tour, as words behind `xpl`."""
-    told = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Sixty seconds\n")[2].partition("\n```\n")[0]
-    commands = pages.shell(told.partition("```bash\n")[2])
+    tour = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Sixty seconds\n")[2].partition("\n```\n")[0]
+    commands = pages.shell(tour.partition("```bash\n")[2])
     assert [words[:2] for words in commands] == [["xpl", name] for name in ("new-policy", "audit", "eval", "serve")]
     return [words[1:] for words in commands]
 
 
 def _served(words: list[str], folder: Path) -> None:
     """Serve as the tour does, but on a port that is free, until the server is ready; then end it."""
-    place = words.index("--port") + 1
-    command = [sys.executable, "-m", "xpl_cli", *words[:place], "0", *words[place + 1 :]]
+    index = words.index("--port") + 1
+    command = [sys.executable, "-m", "xpl_cli", *words[:index], "0", *words[index + 1 :]]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True) as server:
         try:
             assert server.stdout is not None

@@ -1,4 +1,4 @@
-"""docs/extending.md: the package that it makes is built, installed, and seen by the commands that it names."""
+"""docs/extending.md: its package is built, installed, and found by its commands."""
 
 from __future__ import annotations
 
@@ -143,9 +143,9 @@ def test_a_rule_of_a_package_is_listed_explained_and_run(xpl: Run, write_adapter
     folder = write_adapter("")
     (folder / "README.md").write_text("# Subject\n")
     chosen = ("--gate", "static", "--select", "TINY", "--fail-on", "warn", "--format", "json")
-    told = json.loads(xpl("audit", folder, *chosen, code=1).stdout)
-    assert validate(told, "audit") == []
-    (result,) = (one for one in told["targets"][0]["gates"][0]["results"] if one["findings"])
+    report = json.loads(xpl("audit", folder, *chosen, code=1).stdout)
+    assert validate(report, "audit") == []
+    (result,) = (one for one in report["targets"][0]["gates"][0]["results"] if one["findings"])
     assert (result["code"], Path(result["findings"][0]["path"]).name) == ("TINY101", "README.md")
     (folder / "README.md").write_text("Maintainer: Ada Example\n")
     xpl("audit", folder, *chosen)
@@ -156,8 +156,8 @@ def test_a_rule_of_a_package_changes_no_digest(xpl: Run, write_adapter: Callable
     folder = write_adapter("")
     (folder / "README.md").write_text("# Subject\n")
     chosen = ("--gate", "static", "--select", "XPL10", "--format", "json")
-    told = [json.loads(xpl("audit", folder, *chosen, *more, code=1).stdout) for more in ((), ("--select", "TINY"))]
-    digests = [one["targets"][0]["gates"][0]["digest"] for one in told]
+    reports = [json.loads(xpl("audit", folder, *chosen, *more, code=1).stdout) for more in ((), ("--select", "TINY"))]
+    digests = [one["targets"][0]["gates"][0]["digest"] for one in reports]
     assert digests[0] == digests[1] is not None
 
 
@@ -167,11 +167,11 @@ def test_a_rule_of_a_package_changes_no_digest(xpl: Run, write_adapter: Callable
 def test_a_robot_of_a_package_is_shown_and_scaffolded_and_its_environment_played(
     site: Path, xpl: Run, tmp_path: Path
 ) -> None:
-    """By name, in an empty folder: the policy is told of the robot, and so is the environment's process."""
+    """By name, in an empty folder: the policy gets the robot, and so does the environment's process."""
     assert "of xpl-tiny 1.0" in xpl("spec", "show").stdout
     assert "hold_still" in xpl("env", "list", "tiny_desk", "--json").stdout
-    told = json.loads(xpl("audit", "tiny_desk", "--gate", "static", "--format", "json").stdout)
-    assert told["targets"][0]["kind"] == "env"
+    report = json.loads(xpl("audit", "tiny_desk", "--gate", "static", "--format", "json").stdout)
+    assert report["targets"][0]["kind"] == "env"
     assert get_embodiment("tiny_arm").arms[0].dof == 2
     xpl("new-policy", "Desk", "--embodiment", "tiny_arm", "--action-type", "joint")
     played = ["eval", "policy/Desk", "--env", "tiny_desk", "--episodes", "1", "--out", "run"]
@@ -188,11 +188,11 @@ def test_a_report_format_of_a_package_is_written(xpl: Run, write_adapter: Callab
     folder = write_adapter("")
     (folder / "README.md").write_text("# Subject\n")
     chosen = ("--gate", "static", "--select", "TINY", "--fail-on", "warn")
-    told = xpl("audit", folder, *chosen, "--format", "csv", "--output", "csv=found.csv", code=1).stdout
-    head, line = csv.reader(told.splitlines())
+    table = xpl("audit", folder, *chosen, "--format", "csv", "--output", "csv=found.csv", code=1).stdout
+    head, line = csv.reader(table.splitlines())
     assert head == ["rule", "outcome", "file", "line", "message"]
     assert (line[:2], Path(line[2]).name) == (["TINY101", "warn"], "README.md")
-    assert (tmp_path / "found.csv").read_text() == told
+    assert (tmp_path / "found.csv").read_text() == table
     assert "did you mean csv?" in xpl("audit", folder, "--format", "cvs", code=2).stderr
 
 
@@ -202,8 +202,8 @@ def test_demonstrations_in_a_format_of_a_package_are_listed_and_converted(xpl: R
     action = draw.normal(size=(6, 7)).astype(np.float32)
     top = draw.integers(0, 255, (6, 32, 32, 3), np.uint8)
     np.savez(tmp_path / "demos" / "one.npz", action=action, top=top)
-    told = json.loads(xpl("data", "list", "demos", "--json").stdout)
-    assert (told["format"], told["columns"]["action"]["shape"]) == ("npz", [7])
+    listing = json.loads(xpl("data", "list", "demos", "--json").stdout)
+    assert (listing["format"], listing["columns"]["action"]["shape"]) == ("npz", [7])
     xpl("data", "convert", "demos", "made", "--to", "lerobot-v3.0", "--rate", "25", "--images", "png")
     episode = open_set(tmp_path / "made")[0]
     np.testing.assert_array_equal(episode.read("action"), action)

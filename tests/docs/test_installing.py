@@ -1,4 +1,4 @@
-"""What is told to install can be installed: from a checkout, a wheel, or libraries that an index has."""
+"""What pages and hints tell users to install can be installed: a checkout, a wheel, or libraries of an index."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _BY_NAME = re.compile(r"""pip install [^\n|`]*(?<![\w/.])xpl[-_]cli\b""")
 
 
 def _texts() -> list[Path]:
-    found = tracked(*FILES, *(f"{room}/**" for room in ROOMS))
-    return [path for path in found if path.suffix not in {".png", ".npz", ".npy", ".bin"}]
+    paths = tracked(*FILES, *(f"{room}/**" for room in ROOMS))
+    return [path for path in paths if path.suffix not in {".png", ".npz", ".npy", ".bin"}]
 
 
 def test_nothing_tells_to_install_a_name_that_is_on_no_index() -> None:
     paths = _texts()
     assert len(paths) > 300
-    told = [str(path) for path in paths if _BY_NAME.search(path.read_text(encoding="utf-8", errors="replace"))]
-    assert told == []
+    offending = [str(path) for path in paths if _BY_NAME.search(path.read_text(encoding="utf-8", errors="replace"))]
+    assert offending == []
 
 
 @pytest.mark.parametrize(("extra", "library"), [("hub", "huggingface"), ("ray", "ray")])

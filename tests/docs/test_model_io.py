@@ -46,25 +46,25 @@ def _state(obs: dict[str, Any]) -> np.ndarray:
 
 
 def test_the_example_runs(policy: Any) -> None:
-    seen: list[tuple[np.ndarray, ...]] = []
+    calls: list[tuple[np.ndarray, ...]] = []
     network = policy.network
 
     def watched(*inputs: Any) -> Any:
-        seen.append(inputs)
+        calls.append(inputs)
         return network(*inputs)
 
     policy.network = watched
     observations = [{**observation("franka", env, (48, 64)), "env_idx": env} for env in range(2)]
     policy.update_obs_batch(observations)
     chunks = policy.get_action_batch()
-    ((images, state, prompt),) = seen
+    ((images, state, prompt),) = calls
     assert (images.shape, state.shape) == ((2, 3, 224, 224, 3), (2, 32))
     assert {images.dtype, state.dtype} == {np.dtype(np.float32)}
     assert prompt == ["Fold it.", "Fold it."]
     assert (images[:, :, :28] == -1).all()  # above the picture there is black
     for row, obs, chunk in zip(state, observations, chunks, strict=True):
-        wanted = (_state(obs) - Q01) / (Q99 - Q01 + 1e-6) * 2 - 1
-        assert row == pytest.approx([*wanted, *[0] * 16], abs=1e-5)
+        expected = (_state(obs) - Q01) / (Q99 - Q01 + 1e-6) * 2 - 1
+        assert row == pytest.approx([*expected, *[0] * 16], abs=1e-5)
         assert len(chunk) == 50
         for side in ("left", "right"):
             assert chunk[0][f"{side}_arm_joint_state"] == pytest.approx(
@@ -78,9 +78,9 @@ def test_the_example_of_both_directions_runs() -> None:
     exec(compile(CODE[1], "model-io.md", "exec"), space)  # noqa: S102 - what the page shows
     parts = [{"joints": {"arm": "single"}}, {"gripper": {"arm": "single", "closed": 0.0, "open": 0.08}}]
     model_io = {"state": [{"input": "s", "parts": parts}], "action": {"reference": "absolute", "parts": parts}}
-    shown = space["to_observation"](model_io, {"s": [*[0.3] * 7, 0.02]}, observation("franka_single"))
-    assert shown["state"]["arm_joint_state"] == pytest.approx([0.3] * 7)
-    assert shown["state"]["ee_joint_state"] == pytest.approx([0.25])
+    obs = space["to_observation"](model_io, {"s": [*[0.3] * 7, 0.02]}, observation("franka_single"))
+    assert obs["state"]["arm_joint_state"] == pytest.approx([0.3] * 7)
+    assert obs["state"]["ee_joint_state"] == pytest.approx([0.25])
 
 
 AUTHORS = """import numpy as np
@@ -104,5 +104,5 @@ def test_the_reference_of_the_page_can_be_recorded(tmp_path: Path) -> None:
     (folder / "authors/policy.py").write_text(AUTHORS)
     done = record.record(package.load(folder), record.RecordOptions())
     assert (done.conventions, done.assumed[0]) == (12, "joint_order")
-    assert len(done.assumed) == 10  # one is said to be, nine are not named
+    assert len(done.assumed) == 10  # one is marked so, nine have no source
     assert set(done.pairs.provenance["reference"]) == {"reference.py", "authors/policy.py"}

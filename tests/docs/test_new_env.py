@@ -1,4 +1,4 @@
-"""What docs/new-environment.md shows works as shown."""
+"""The examples of docs/new-environment.md work."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def test_the_simulator_of_the_page_passes_the_audit(workspace: Path) -> None:
     (code,) = _blocks("python")
     (folder / "episode.py").write_text(code, encoding="utf-8")
     manifest = yaml.safe_load((folder / "env.yml").read_text(encoding="utf-8"))
-    told = re.search(r"here `(action_types: .*?)`, `(cameras: .*?)` and `(privileged: .*?)`", PAGE)
-    assert told is not None
-    for entry in told.groups():
+    match = re.search(r"here `(action_types: .*?)`, `(cameras: .*?)` and `(privileged: .*?)`", PAGE)
+    assert match is not None
+    for entry in match.groups():
         manifest.update(yaml.safe_load(entry))
     (folder / "env.yml").write_text(json.dumps(manifest), encoding="utf-8")
     done = xpl("audit", "envs/Table", "--no-cache", "--json", cwd=workspace)

@@ -1,4 +1,4 @@
-"""What pages and skills show is right: commands, code, manifests, links. It is run where that is harmless."""
+"""Examples of pages and skills are right: commands, code, manifests, links. Harmless ones are run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.support import pages
 from tests.support.peer import xpl
 from tests.support.places import ROOT, tracked
 from tests.support.told import Command, commands, fault
-from xpl.assumptions import settled
+from xpl.assumptions import resolve_assumptions
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import ExitCode
@@ -55,7 +55,7 @@ def _of(*languages: str) -> list[pages.Block]:
 
 SKILLS = tracked(".agents/skills/*/SKILL.md", ".agents/skills/*/references/*.md")
 PRESENT = [path for path in pages.written() if path.name != "CHANGELOG.md"]
-"""Pages that tell what there is; the changelog also tells what went."""
+"""Pages that describe the present; the changelog also names removed things."""
 
 TEXTS = [
     *(path for path in PRESENT if path.name != "extending.md"),
@@ -64,7 +64,7 @@ TEXTS = [
     ROOT / "templates/agents/AGENTS.md",
     *tracked("envs/*/README.md"),
 ]
-"""Texts that tell commands. Those of one page need the package that it makes, where test_extending.py runs them."""
+"""Texts with commands. Those of one page need the package that it makes; test_extending.py runs them."""
 
 HARMLESS = ("--version", "rules", "explain", "spec show", "spec check", "env list", "skills get")
 """Commands that change nothing, need no adapter and are quick."""
@@ -77,9 +77,9 @@ def _where(path: Path) -> str:
 
 
 def _harmless() -> list[Command]:
-    told = {command for path in TEXTS for command in commands(path) if command.exact}
-    is_help = [command for command in told if "--help" in command.words]
-    quick = [command for command in told if str(command).removeprefix("xpl ").startswith(HARMLESS)]
+    shown_commands = {command for path in TEXTS for command in commands(path) if command.exact}
+    is_help = [command for command in shown_commands if "--help" in command.words]
+    quick = [command for command in shown_commands if str(command).removeprefix("xpl ").startswith(HARMLESS)]
     return sorted({*is_help, *quick}, key=str)
 
 
@@ -96,9 +96,9 @@ def test_no_block_escapes() -> None:
 @pytest.mark.parametrize("path", TEXTS, ids=_where)
 def test_every_command_exists(path: Path) -> None:
     """Commands, options, arguments and chosen rules; those in sentences may lack arguments."""
-    told = commands(path)
-    assert [wrong for command in told if (wrong := fault(command))] == []
-    for command in (command for command in told if command.exact and command.words[0] == "audit"):
+    shown_commands = commands(path)
+    assert [wrong for command in shown_commands if (wrong := fault(command))] == []
+    for command in (command for command in shown_commands if command.exact and command.words[0] == "audit"):
         chosen = pages.parse(list(command.words)).params
         selected, ignored = (tuple(VALUES.get(name, name) for name in chosen[key]) for key in ("selected", "ignored"))
         registry.select(selected, ignored, tuple(Gate))
@@ -112,12 +112,12 @@ def test_a_harmless_command_runs(command: Command) -> None:
 
 @pytest.mark.parametrize("block", _of(*SHELL), ids=str)
 def test_a_shell_block_is_shell(block: pages.Block) -> None:
-    found = pages.shell(block.text)
-    assert found
+    shell_commands = pages.shell(block.text)
+    assert shell_commands
     script = "\n".join(pages.entered(block.text))
     subprocess.run(["bash", "-n"], input=script, text=True, check=True)  # noqa: S607 - where it is, PATH knows
     helped = subprocess.run([ROOT / "dev", "help"], capture_output=True, text=True, check=True).stdout
-    for words in found:
+    for words in shell_commands:
         if words[0] == "./dev":
             assert words[1] in re.findall(r"^  ([a-z]+) ", helped, re.MULTILINE)
         elif "/" in words[0]:
@@ -143,7 +143,7 @@ def test_yaml_is_a_part_of_a_manifest_or_known(block: pages.Block) -> None:
     part = yaml.load(block.text, yaml.BaseLoader)  # noqa: S506 - texts only; `on` stays a word
     if any(set(part) <= keys for keys in FOREIGN):
         return
-    for key, value in settled(unknown.known(yaml.safe_load(block.text))).items():
+    for key, value in resolve_assumptions(unknown.known(yaml.safe_load(block.text))).items():
         owners = [name for name in (*MANIFESTS, "embodiment") if key in spec.schema(name)["properties"]]
         assert owners, f"{key} is no key of a manifest"
         assert [] in [validate(value, f"{name}#/properties/{key}") for name in owners]
@@ -153,17 +153,17 @@ def test_yaml_is_a_part_of_a_manifest_or_known(block: pages.Block) -> None:
 def test_json_is_a_document(block: pages.Block) -> None:
     document = json.loads(block.text)
     if "schema" in document:
-        known = document["schema"] in answers.answers()
+        is_answer = document["schema"] in answers.answers()
         standard = document["schema"].removeprefix("xpl.").partition("/")[0]
-        assert (answers.problems(document) if known else validate(document, standard)) == []
+        assert (answers.problems(document) if is_answer else validate(document, standard)) == []
 
 
 # -- links -------------------------------------------------------------------------------------------------------------
 
 
 def _linking() -> list[Path]:
-    rooms = ("envs/*/README.md", "policy/*/README.md", "tests/*/README.md", "conformance/vectors/README.md")
-    return [*pages.TOP, *pages.DOCS, *tracked(*rooms)]
+    patterns = ("envs/*/README.md", "policy/*/README.md", "tests/*/README.md", "conformance/vectors/README.md")
+    return [*pages.TOP, *pages.DOCS, *tracked(*patterns)]
 
 
 @pytest.mark.parametrize("path", _linking(), ids=_where)

@@ -47,9 +47,9 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
         r'<(?:script|img|iframe|source)\b[^>]*\bsrc="([^"]*)"|<link\b(?![^>]*rel="canonical")[^>]*\bhref="([^"]*)"'
     )
     for page in site.rglob("*.html"):
-        found = [source or linked for source, linked in loading.findall(page.read_text(encoding="utf-8"))]
-        assert found
-        assert [name for name in found if "//" in name] == [], page
+        sources = [source or linked for source, linked in loading.findall(page.read_text(encoding="utf-8"))]
+        assert sources
+        assert [name for name in sources if "//" in name] == [], page
     for sheet in site.rglob("*.css"):
         assert not re.search(r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", sheet.read_text(encoding="utf-8")), sheet
 

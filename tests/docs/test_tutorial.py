@@ -76,15 +76,15 @@ def test_the_tutorial_goes_as_it_says(tmp_path: Path, monkeypatch: pytest.Monkey
     if _torch() is None:
         pytest.skip(f"PyTorch is not here: name a Python that has it by {TORCH}, or install it with {TORCH}=install")
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # threads that wait for each other help nobody here
-    told = []
+    outputs = []
     for block in BLOCKS:
         if block.language == "python":
             _write(block, tmp_path)
         for words in pages.shell(block.text) if block.language == "console" else ():
             done = _run(words, tmp_path)
             assert done.returncode == ExitCode.CLEAN, f"{block}: {done.stdout}{done.stderr}"
-            told.append(done.stdout)
-    audit, lifted, elsewhere = told[-3:]
+            outputs.append(done.stdout)
+    audit, lifted, elsewhere = outputs[-3:]
     assert "verdict  OPEN" in audit
     assert "nothing wrong in what ran" in audit
     assert "profile=shadow" not in audit
