@@ -74,16 +74,16 @@ def differences(golden: Answers, given: PartialAnswers, spread: Mapping[str, flo
     if [len(chunk) for chunk in golden] != [len(chunk) for chunk in given]:
         return dict.fromkeys(spread, np.inf)
     pairs = [
-        (wanted, step)
+        (golden_step, step)
         for one, other in zip(golden, given, strict=True)
-        for wanted, step in zip(one, other, strict=True)
+        for golden_step, step in zip(one, other, strict=True)
     ]
-    known = [(wanted, step) for wanted, step in pairs if step is not None]
-    if 2 * len(known) < len(pairs):
+    known_pairs = [(golden_step, step) for golden_step, step in pairs if step is not None]
+    if 2 * len(known_pairs) < len(pairs):
         return dict.fromkeys(spread, np.inf)
-    wanted, found = columns([[one for one, _ in known]]), columns([[other for _, other in known]])
+    golden_step, found = columns([[one for one, _ in known_pairs]]), columns([[other for _, other in known_pairs]])
     result = {}
-    for key, values in wanted.items():
+    for key, values in golden_step.items():
         other = found.get(key)
         same = other is not None and other.shape == values.shape
         for index in range(values.shape[1]):
@@ -96,9 +96,9 @@ def differences(golden: Answers, given: PartialAnswers, spread: Mapping[str, flo
     return result
 
 
-def _largest(far: np.ndarray) -> float:
-    known = far[~np.isnan(far)]
-    return float(known.max(initial=0.0)) if 3 * len(known) >= len(far) else np.inf
+def _largest(shares: np.ndarray) -> float:
+    finite = shares[~np.isnan(shares)]
+    return float(finite.max(initial=0.0)) if 3 * len(finite) >= len(shares) else np.inf
 
 
 def _groups(key: str, width: int) -> Sequence[slice]:

@@ -113,46 +113,46 @@ class Explanation:
     @property
     def text(self) -> str:
         """The explanation as a finding says it, or "" if there is none."""
-        if (found := self.cause or self.near) is not None:
+        if (cause := self.cause or self.near) is not None:
             others = _join_with_or([tie.label for tie in self.ties[:3]])
             more = f" (as with {others}: the pairs do not tell them apart)" if others else ""
-            return found.text + more
-        told = [f"{one.text} in {format_parts(one.parts)}" for one in self.partial]
+            return cause.text + more
+        sentences = [f"{one.text} in {format_parts(one.parts)}" for one in self.partial]
         if self.reducing is not None:
-            told.append(f"{self.reducing.text}, which does not explain all of it")
-        return "; ".join([*told, *(pattern.words for pattern in self.patterns[:1])])
+            sentences.append(f"{self.reducing.text}, which does not explain all of it")
+        return "; ".join([*sentences, *(pattern.words for pattern in self.patterns[:1])])
 
     @property
     def best(self) -> Cause | Pattern | None:
         """What names a convention: the cause, or what comes nearest to one."""
-        found = (self.cause, self.near, *self.partial, *self.patterns, self.reducing)
-        return next((one for one in found if one is not None), None)
+        candidates = (self.cause, self.near, *self.partial, *self.patterns, self.reducing)
+        return next((one for one in candidates if one is not None), None)
 
 
-def explain(before: Differences, tried: Iterable[TriedChange], tolerance: float) -> Explanation:
+def explain(before: Differences, tried_changes: Iterable[TriedChange], tolerance: float) -> Explanation:
     """Return which single change explains the differences best.
 
     Args:
         before: how far the answers are from the golden ones, by number, as a share of their spread.
-        tried: changes, the likeliest first, and what remains with each.
+        tried_changes: changes, the likeliest first, and what remains with each.
         tolerance: largest share that is no difference.
     """
-    off = sorted((part for part, value in before.items() if value > tolerance), key=lambda part: -before[part])
+    differing = sorted((part for part, value in before.items() if value > tolerance), key=lambda part: -before[part])
     largest = max(before.values(), default=0.0)
-    start = Explanation(largest, tuple(off))
-    if not off:
+    start = Explanation(largest, tuple(differing))
+    if not differing:
         return start
-    changes = [one for one in tried if one.remaining.keys() == before.keys()]
-    whole = [cause for one in changes if (cause := _full_cause(one, before, off, tolerance)) is not None]
+    changes = [one for one in tried_changes if one.remaining.keys() == before.keys()]
+    whole = [cause for one in changes if (cause := _full_cause(one, before, differing, tolerance)) is not None]
     exact = [cause for cause in whole if not cause.left]
     if whole:
         best, *ties = _equal_causes(exact or whole, tolerance)
         return Explanation(
-            largest, tuple(off), cause=best if exact else None, near=None if exact else best, ties=tuple(ties)
+            largest, tuple(differing), cause=best if exact else None, near=None if exact else best, ties=tuple(ties)
         )
-    partial = _partial_causes(changes, before, off, tolerance)
-    lowers = None if partial else _reducing_cause(changes, before, off)
-    return Explanation(largest, tuple(off), partial=tuple(partial), reducing=lowers)
+    partial = _partial_causes(changes, before, differing, tolerance)
+    lowers = None if partial else _reducing_cause(changes, before, differing)
+    return Explanation(largest, tuple(differing), partial=tuple(partial), reducing=lowers)
 
 
 def _full_cause(one: TriedChange, before: Differences, off: Sequence[str], tolerance: float) -> Cause | None:
@@ -166,30 +166,30 @@ def _full_cause(one: TriedChange, before: Differences, off: Sequence[str], toler
 def _equal_causes(causes: Sequence[Cause], tolerance: float) -> list[Cause]:
     """Return the causes that leave as little as the best one, in their order; the first of equal words counts."""
     least = max(min(cause.after for cause in causes) * _LIKE, tolerance / _FACTOR)
-    found: dict[str, Cause] = {}
+    by_label: dict[str, Cause] = {}
     for cause in causes:
         if cause.after <= least:
-            found.setdefault(cause.label, cause)
-    return list(found.values())
+            by_label.setdefault(cause.label, cause)
+    return list(by_label.values())
 
 
 def _partial_causes(
-    changes: Sequence[TriedChange], before: Differences, off: Sequence[str], tolerance: float
+    changes: Sequence[TriedChange], before: Differences, differing: Sequence[str], tolerance: float
 ) -> list[Cause]:
     """Return changes that each mend some numbers and make no other worse, those that mend most first."""
-    found = []
+    causes = []
     for one in changes:
         left = one.remaining
         if any(left[part] > max(before[part] * _MENDED, tolerance) for part in before):
             continue
-        mended = tuple(part for part in off if left[part] <= tolerance or left[part] * _FACTOR <= before[part])
+        fixed = tuple(part for part in differing if left[part] <= tolerance or left[part] * _FACTOR <= before[part])
         # Small differences may fall by chance.
-        if mended and max(before[part] for part in mended) * _LARGE >= max(before.values()):
-            worst = max(before[part] for part in mended)
-            found.append(Cause(one.words, one.convention, worst, max(left[part] for part in mended), mended))
+        if fixed and max(before[part] for part in fixed) * _LARGE >= max(before.values()):
+            worst = max(before[part] for part in fixed)
+            causes.append(Cause(one.words, one.convention, worst, max(left[part] for part in fixed), fixed))
     chosen: list[Cause] = []
-    open_parts = set(off)
-    for cause in sorted(found, key=lambda cause: -len(cause.parts)):
+    open_parts = set(differing)
+    for cause in sorted(causes, key=lambda cause: -len(cause.parts)):
         if set(cause.parts) <= open_parts:
             chosen.append(cause)
             open_parts -= set(cause.parts)
@@ -215,7 +215,7 @@ def format_parts(parts: Sequence[str]) -> str:
     for part in sorted(parts, key=_split_part):
         key, index = _split_part(part)
         keys.setdefault(key, []).append(index)
-    told = []
+    texts = []
     for key, indices in keys.items():
         runs: list[list[int]] = []
         for index in indices:
@@ -223,8 +223,8 @@ def format_parts(parts: Sequence[str]) -> str:
                 runs[-1].append(index)
             else:
                 runs.append([index])
-        told += [f"{key}[{run[0]}..{run[-1]}]" if len(run) > 1 else f"{key}[{run[0]}]" for run in runs]
-    return ", ".join(told)
+        texts += [f"{key}[{run[0]}..{run[-1]}]" if len(run) > 1 else f"{key}[{run[0]}]" for run in runs]
+    return ", ".join(texts)
 
 
 def _split_part(part: str) -> tuple[str, int]:

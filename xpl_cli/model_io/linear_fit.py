@@ -59,11 +59,11 @@ class AnswerRows:
     def of(cls, threads: Sequence[EpisodeAnswers]) -> AnswerRows | None:
         """Return the steps of episodes; None if chunks are of other lengths."""
         golden = [chunk for thread in threads for chunk in thread.golden]
-        given = [chunk for thread in threads for chunk in thread.adapter]
-        if any(len(one) != len(other) for one, other in zip(golden, given, strict=True)):
+        answers = [chunk for thread in threads for chunk in thread.adapter]
+        if any(len(one) != len(other) for one, other in zip(golden, answers, strict=True)):
             return None
         states = [thread.observations[place][spec.Obs.STATE] for thread in threads for place in thread.asked_at]
-        return cls(columns(golden), columns(given), _repeat_states(given, states))
+        return cls(columns(golden), columns(answers), _repeat_states(answers, states))
 
 
 def fit_linear(
@@ -90,9 +90,9 @@ def fit_linear(
     return TriedChange(_summary(lines), _convention(lines), remaining) if lines else None
 
 
-def _repeat_states(given: Answers, states: Sequence[State]) -> dict[str, np.ndarray]:
+def _repeat_states(answers: Answers, states: Sequence[State]) -> dict[str, np.ndarray]:
     rows: dict[str, list[np.ndarray]] = {}
-    for steps, state in zip(given, states, strict=True):
+    for steps, state in zip(answers, states, strict=True):
         for step in steps:
             for key in step:
                 rows.setdefault(key, []).append(np.asarray(state[key], np.float64))
@@ -105,12 +105,12 @@ def _fit_line(rows: AnswerRows, part: str, spread: float) -> _LinearFit | None:
     index = int(rest)
     if key not in rows.adapter or (key.endswith(spec.State.EE_POSE) and index >= spec.POSITION_DIM):
         return None
-    wanted, found, start = (held[key][:, index] for held in (rows.golden, rows.adapter, rows.states))
-    inside = np.ones(len(found), bool)
+    golden, adapter, start = (by_key[key][:, index] for by_key in (rows.golden, rows.adapter, rows.states))
+    inside = np.ones(len(adapter), bool)
     if key.endswith(spec.State.EE_JOINT_STATE):  # what is quite closed or open may have been clipped
-        inside = (found > spec.GRIPPER_CLOSED) & (found < spec.GRIPPER_OPEN)
-        inside &= (wanted > spec.GRIPPER_CLOSED) & (wanted < spec.GRIPPER_OPEN)
-    if inside.sum() < max(_LEAST, len(found) // 16):
+        inside = (adapter > spec.GRIPPER_CLOSED) & (adapter < spec.GRIPPER_OPEN)
+        inside &= (golden > spec.GRIPPER_CLOSED) & (golden < spec.GRIPPER_OPEN)
+    if inside.sum() < max(_LEAST, len(adapter) // 16):
         return None
     still = np.zeros_like(start)
     bases = [
@@ -118,18 +118,18 @@ def _fit_line(rows: AnswerRows, part: str, spread: float) -> _LinearFit | None:
         ("change of the state", start, start),
         ("answer, and the state", still, start),
         ("answer less the state", start, still),
-        *((f"change of {other}", held[:, index], start) for other, held in _same_field_of_others(rows.states, key)),
+        *((f"change of {other}", by_key[:, index], start) for other, by_key in _same_field_of_others(rows.states, key)),
     ]
     best: _LinearFit | None = None
     for words, of, to in bases:
-        x, y = (found - of)[inside], (wanted - to)[inside]
+        x, y = (adapter - of)[inside], (golden - to)[inside]
         if np.ptp(x) <= _STILL:
             continue
         slope, constant = np.polyfit(x, y, 1)
         left = float(np.abs(slope * x + constant - y).max()) / spread
         if best is None or left * _BETTER < best.rest:
-            told = f"golden = {slope:.4g} * {words}" + (f" {constant:+.3g}" if abs(constant) > _NONE else "")
-            best = _LinearFit(left, float(slope), float(constant), told, of is not to)
+            formula = f"golden = {slope:.4g} * {words}" + (f" {constant:+.3g}" if abs(constant) > _NONE else "")
+            best = _LinearFit(left, float(slope), float(constant), formula, of is not to)
     return best
 
 
@@ -152,16 +152,16 @@ def _convention(lines: Mapping[str, _LinearFit]) -> str:
     What is counted from another state is a reference; grippers have their own; a factor of 57.3 is degrees; signs and
     zeros that are right angles away are of the joints; other scales and offsets normalise.
     """
-    found = list(lines.values())
-    if any(line.is_referred for line in found):
+    fits = list(lines.values())
+    if any(line.is_referred for line in fits):
         return "action_reference"
     if all(key.partition("[")[0].endswith(spec.State.EE_JOINT_STATE) for key in lines):
         return "gripper"
     factors = (np.rad2deg(1.0), np.deg2rad(1.0))
-    if all(min(abs(abs(line.slope) / factor - 1.0) for factor in factors) < _NEAR for line in found):
+    if all(min(abs(abs(line.slope) / factor - 1.0) for factor in factors) < _NEAR for line in fits):
         return "angle_unit"
-    if any(abs(abs(line.slope) - 1.0) >= _NEAR for line in found):
+    if any(abs(abs(line.slope) - 1.0) >= _NEAR for line in fits):
         return "normalization"
-    offsets = [line.constant for line in found if abs(line.constant) > _NONE]
+    offsets = [line.constant for line in fits if abs(line.constant) > _NONE]
     zeros = all(abs(one / _RIGHT_ANGLE - round(one / _RIGHT_ANGLE)) < _NEAR for one in offsets)
     return "joint_order" if zeros else "normalization"

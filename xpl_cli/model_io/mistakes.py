@@ -35,8 +35,8 @@ def in_block(case: AdapterCase, chunk: int | None = None) -> Iterator[tuple[Mist
     Raises:
         ConversionError: if the block itself does not fit.
     """
-    found = list(catalogue.config_mistakes(case))
-    yield from ((found[place], made) for place, made in fitting_blocks(case, found, chunk))
+    mistakes = list(catalogue.config_mistakes(case))
+    yield from ((mistakes[index], made) for index, made in fitting_blocks(case, mistakes, chunk))
 
 
 def fitting_blocks(
@@ -52,22 +52,22 @@ def fitting_blocks(
     def widths(of: Mapping[str, Any]) -> list[int]:
         return _widths(compile_interface(of, case.embodiment, case.action_type, case.folders, chunk))
 
-    wanted, seen = widths(block), {_canonical(block)}
-    for place, mistake in enumerate(mistakes):
+    own_widths, texts = widths(block), {_canonical(block)}
+    for index, mistake in enumerate(mistakes):
         try:
             made = apply_edits(block, mistake.edits or {})
         except (KeyError, IndexError, TypeError):  # of two mistakes one takes out what the other changes
             continue
         text = _canonical(made)
-        if text in seen:
+        if text in texts:
             continue
-        seen.add(text)
+        texts.add(text)
         try:
-            fits = widths(made) == wanted
+            fits = widths(made) == own_widths
         except ConversionError:
             continue
         if fits and _validator().is_valid(made):
-            yield place, made
+            yield index, made
 
 
 def _canonical(block: Mapping[str, Any]) -> str:

@@ -32,28 +32,30 @@ def order_patterns(threads: Sequence[EpisodeAnswers], before: Differences, toler
         tolerance: largest share that is no difference.
     """
     rows = AnswerRows.of(threads)
-    off = [part for part, share in before.items() if share > tolerance]
-    if rows is None or not off or len(next(iter(rows.golden.values()), ())) < _LEAST:
+    differing = [part for part, share in before.items() if share > tolerance]
+    if rows is None or not differing or len(next(iter(rows.golden.values()), ())) < _LEAST:
         return
-    yield from _thresholded(rows, off)
-    yield from _duplicated(rows, off)
-    yield from _permuted(rows, off)
+    yield from _thresholded(rows, differing)
+    yield from _duplicated(rows, differing)
+    yield from _permuted(rows, differing)
 
 
-def _thresholded(rows: AnswerRows, off: Sequence[str]) -> Iterator[Pattern]:
+def _thresholded(rows: AnswerRows, differing: Sequence[str]) -> Iterator[Pattern]:
     """Tell grippers that are only quite open or quite closed, where the model's are not."""
-    for part in off:
+    for part in differing:
         if _is_gripper(part):
-            found, wanted = np.unique(_column(rows.adapter, part)), np.unique(_column(rows.golden, part))
-            if len(found) <= 2 < len(wanted) and len(wanted) > _LEAST:
-                yield Pattern(f"{part} is only ever {' or '.join(f'{one:g}' for one in found)}: a threshold", "gripper")
+            adapter, golden = np.unique(_column(rows.adapter, part)), np.unique(_column(rows.golden, part))
+            if len(adapter) <= 2 < len(golden) and len(golden) > _LEAST:
+                yield Pattern(
+                    f"{part} is only ever {' or '.join(f'{one:g}' for one in adapter)}: a threshold", "gripper"
+                )
                 return
 
 
-def _duplicated(rows: AnswerRows, off: Sequence[str]) -> Iterator[Pattern]:
+def _duplicated(rows: AnswerRows, differing: Sequence[str]) -> Iterator[Pattern]:
     """Tell two numbers that are always told alike, where the model's differ."""
     parts = _parts(rows.adapter)
-    for part in off:
+    for part in differing:
         for other in parts:
             if other == part or _still(rows, part) or _is_gripper(part) != _is_gripper(other):
                 continue
@@ -64,41 +66,41 @@ def _duplicated(rows: AnswerRows, off: Sequence[str]) -> Iterator[Pattern]:
                 return
 
 
-def _permuted(rows: AnswerRows, off: Sequence[str]) -> Iterator[Pattern]:
+def _permuted(rows: AnswerRows, differing: Sequence[str]) -> Iterator[Pattern]:
     """Tell numbers that are told in the place of others, as they are or as changes of the state."""
     parts = [part for part in _parts(rows.adapter) if not _is_turn(part)]
-    found: dict[str, str] = {}
-    for part in (part for part in off if not _is_turn(part) and not _still(rows, part)):
+    sources: dict[str, str] = {}
+    for part in (part for part in differing if not _is_turn(part) and not _still(rows, part)):
         for other in parts:
             if other != part and _is_output_as(rows, part, other):
-                found[part] = other
+                sources[part] = other
                 break
-    if not found or (len(found) == 1 and len(off) > 2):
+    if not sources or (len(sources) == 1 and len(differing) > 2):
         return
-    (part, other), *more = found.items()
-    told = f" (and {len(more)} more numbers)" if more else ""
-    only = all(map(_is_gripper, (*found, *found.values())))
-    yield Pattern(f"what {part} should be is told in {other}{told}", "gripper" if only else "joint_order")
+    (part, other), *more = sources.items()
+    more_numbers = f" (and {len(more)} more numbers)" if more else ""
+    only = all(map(_is_gripper, (*sources, *sources.values())))
+    yield Pattern(f"what {part} should be is told in {other}{more_numbers}", "gripper" if only else "joint_order")
 
 
 def _is_output_as(rows: AnswerRows, part: str, other: str) -> bool:
     """Tell whether one number's model_io values are another's that are told."""
-    wanted, found = _column(rows.golden, part), _column(rows.adapter, other)
-    if _is_line(wanted, found):
+    golden, adapter = _column(rows.golden, part), _column(rows.adapter, other)
+    if _is_line(golden, adapter):
         return True
-    return _is_line(wanted - _column(rows.states, part), found - _column(rows.states, other))
+    return _is_line(golden - _column(rows.states, part), adapter - _column(rows.states, other))
 
 
-def _is_line(wanted: Column, found: Column) -> bool:
-    inside = np.ones(len(found), bool)
-    for values in (wanted, found):  # at the ends an opening may have been clipped
+def _is_line(golden: Column, adapter: Column) -> bool:
+    inside = np.ones(len(adapter), bool)
+    for values in (golden, adapter):  # at the ends an opening may have been clipped
         if values.min() >= spec.GRIPPER_CLOSED and values.max() <= spec.GRIPPER_OPEN:
             inside &= (values > spec.GRIPPER_CLOSED) & (values < spec.GRIPPER_OPEN)
-    if inside.sum() < max(_LEAST, len(found) // 4) or np.ptp(found[inside]) <= _STILL:
+    if inside.sum() < max(_LEAST, len(adapter) // 4) or np.ptp(adapter[inside]) <= _STILL:
         return False
-    slope, constant = np.polyfit(found[inside], wanted[inside], 1)
-    far = np.abs(slope * found[inside] + constant - wanted[inside]).max()
-    return bool(far <= _LIKE * np.ptp(wanted[inside]))
+    slope, constant = np.polyfit(adapter[inside], golden[inside], 1)
+    residual = np.abs(slope * adapter[inside] + constant - golden[inside]).max()
+    return bool(residual <= _LIKE * np.ptp(golden[inside]))
 
 
 def _parts(rows: Mapping[str, Column]) -> list[str]:

@@ -78,9 +78,9 @@ def patterns(
 
 
 def _is_constant(threads: Sequence[EpisodeAnswers], spread: Differences) -> bool:
-    chunks = [chunk for thread in threads for chunk in thread.adapter if len(chunk) > 1]
+    adapter = [chunk for thread in threads for chunk in thread.adapter if len(chunk) > 1]
     golden = [chunk for thread in threads for chunk in thread.golden if len(chunk) > 1]
-    return bool(chunks) and _moves(chunks, spread) <= _SAME < _moves(golden, spread)
+    return bool(adapter) and _moves(adapter, spread) <= _SAME < _moves(golden, spread)
 
 
 def _moves(chunks: Sequence[Sequence[object]], spread: Differences) -> float:
@@ -120,16 +120,16 @@ def _memory(
     others = tuple(one for one in HISTORY if convention in HISTORY and one != convention)
     remembers = kind.keeps_state or kind.history > 1
     if begins and later and all(begins) and (not any(later) or (remembers and sum(later) <= _FEW * len(later))):
-        told = {
+        cause = {
             "recurrent": "the state is not carried on, or not as often as the model does it",
             "history_length": "earlier observations are not the model's: how many, which, or in which order",
             "action_reference": "something is remembered that the model does not remember, or the other way round",
         }[convention]
-        words = f"answers to the first observation of an episode are right, and later ones are not: {told}"
+        words = f"answers to the first observation of an episode are right, and later ones are not: {cause}"
         yield Pattern(words, convention, others)
     elif again and answers[0].is_right and not any(again) and remembers:
-        told = "the first episode begins right, and later ones do not: what is remembered outlives a reset"
-        yield Pattern(told, convention, others)
+        cause = "the first episode begins right, and later ones do not: what is remembered outlives a reset"
+        yield Pattern(cause, convention, others)
 
 
 def _answers(
@@ -139,35 +139,33 @@ def _answers(
     for thread in threads:
         env = thread.observations[0].get(spec.Obs.ENV_IDX) if thread.observations else None
         number = episodes[env] = episodes.get(env, -1) + 1
-        for index, (place, golden, given) in enumerate(
-            zip(thread.asked_at, thread.golden, thread.adapter, strict=True)
-        ):
-            far = max(differences([golden], [given], spread).values())
-            yield _JudgedAnswer(number, index if by_question else place, far <= tolerance)
+        for index, (slot, golden, given) in enumerate(zip(thread.asked_at, thread.golden, thread.adapter, strict=True)):
+            share = max(differences([golden], [given], spread).values())
+            yield _JudgedAnswer(number, index if by_question else slot, share <= tolerance)
 
 
 def _steps(threads: Sequence[EpisodeAnswers], spread: Differences, tolerance: float) -> Iterator[Pattern]:
     """Tell if the first step of each chunk is right, and later ones are not."""
     golden = [chunk for thread in threads for chunk in thread.golden]
-    given = [chunk for thread in threads for chunk in thread.adapter]
-    if any(len(one) != len(other) or len(one) < 2 for one, other in zip(golden, given, strict=True)):
+    adapter = [chunk for thread in threads for chunk in thread.adapter]
+    if any(len(one) != len(other) or len(one) < 2 for one, other in zip(golden, adapter, strict=True)):
         return
-    begins = differences([chunk[:1] for chunk in golden], [chunk[:1] for chunk in given], spread)
+    begins = differences([chunk[:1] for chunk in golden], [chunk[:1] for chunk in adapter], spread)
     if max(begins.values()) <= tolerance:
-        told = (
+        words = (
             "the first step of each chunk is right, and later ones are not: steps are counted from each other otherwise"
         )
-        yield Pattern(told, "action_reference")
+        yield Pattern(words, "action_reference")
 
 
 def _is_drawn(threads: Sequence[EpisodeAnswers], spread: Differences) -> bool:
-    wanted = columns([chunk for thread in threads for chunk in thread.golden])
-    found = columns([chunk for thread in threads for chunk in thread.adapter])
-    for key, values in wanted.items():
-        if key not in found or found[key].shape != values.shape:
+    golden = columns([chunk for thread in threads for chunk in thread.golden])
+    adapter = columns([chunk for thread in threads for chunk in thread.adapter])
+    for key, values in golden.items():
+        if key not in adapter or adapter[key].shape != values.shape:
             return False
-        far = found[key] - values
-        error = far.std(0) / np.sqrt(len(far))
-        if (np.abs(far.mean(0)) > _SIGMAS * error + _SAME * spread[f"{key}[0]"]).any():
+        residuals = adapter[key] - values
+        error = residuals.std(0) / np.sqrt(len(residuals))
+        if (np.abs(residuals.mean(0)) > _SIGMAS * error + _SAME * spread[f"{key}[0]"]).any():
             return False
     return True

@@ -28,17 +28,17 @@ _FIELD = re.compile(r"\{[^{}]*\}|%s")
 def templates(folder: Path) -> list[str]:
     """Return the templates that reference.py of a package writes, and the place that it names as their source."""
     try:
-        said = reference_file.read_file(folder)
+        reference = reference_file.read_file(folder)
     except UserError:
         return []
-    found = list(_find_templates(folder / names.CODE, None))
-    source = said.conventions.get(sdk.Obs.INSTRUCTION)
-    place = _SOURCE.match(source.text) if source is not None else None
-    if place is not None:
-        path = (folder / place[1]).resolve()
+    texts = list(_find_templates(folder / names.CODE, None))
+    source = reference.conventions.get(sdk.Obs.INSTRUCTION)
+    match = _SOURCE.match(source.text) if source is not None else None
+    if match is not None:
+        path = (folder / match[1]).resolve()
         if path.is_relative_to(folder.resolve()):
-            found = [*_find_templates(path, int(place[2])), *found]
-    return list(dict.fromkeys(found))[:_MOST]
+            texts = [*_find_templates(path, int(match[2])), *texts]
+    return list(dict.fromkeys(texts))[:_MOST]
 
 
 def _find_templates(path: Path, line: int | None) -> Iterator[str]:

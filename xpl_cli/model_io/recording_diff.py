@@ -19,17 +19,17 @@ _SAME = 1e-6
 
 def describe_changes(before: GoldenPairs, after: GoldenPairs) -> Iterator[str]:
     """Yield what differs, a sentence for each robot and action type; nothing if all answers are the same."""
-    known = {(one.embodiment, one.action_type): one for one in before.sessions}
+    earlier = {(one.embodiment, one.action_type): one for one in before.sessions}
     for session in after.sessions:
         name = f"{session.embodiment} {session.action_type}"
-        old = known.pop((session.embodiment, session.action_type), None)
+        old = earlier.pop((session.embodiment, session.action_type), None)
         if old is None:
             yield f"{name}: {len(session.questions)} pairs are new"
         elif (old.calls, old.cameras, old.takes) != (session.calls, session.cameras, session.takes):
             yield f"{name}: other questions are asked, {len(session.questions)} instead of {len(old.questions)}"
         else:
             yield from _answers(name, old, session)
-    for name in (" ".join(key) for key in known):
+    for name in (" ".join(key) for key in earlier):
         yield f"{name}: its pairs are gone"
 
 
@@ -41,10 +41,11 @@ def _answers(name: str, old: PairSession, new: PairSession) -> Iterator[str]:
         return
     span = spreads(before)
     shares = differences(before, after, span)
-    moved = sorted((part for part, share in shares.items() if share > _SAME), key=lambda part: -shares[part])
-    if moved:
-        each = [differences([one], [other], span) for one, other in zip(before, after, strict=True)]
-        count = sum(any(share > _SAME for share in found.values()) for found in each)
-        most = shares[moved[0]]
-        far = f"{most:.2g} of its span" if np.isfinite(most) else "beyond its span"
-        yield f"{name}: {count} of {len(before)} answers differ, {moved[0]} by {far}; in {format_parts(moved)}"
+    differing = sorted((part for part, share in shares.items() if share > _SAME), key=lambda part: -shares[part])
+    if differing:
+        by_answer = [differences([one], [other], span) for one, other in zip(before, after, strict=True)]
+        count = sum(any(share > _SAME for share in answer_shares.values()) for answer_shares in by_answer)
+        most = shares[differing[0]]
+        distance = f"{most:.2g} of its span" if np.isfinite(most) else "beyond its span"
+        parts = format_parts(differing)
+        yield f"{name}: {count} of {len(before)} answers differ, {differing[0]} by {distance}; in {parts}"

@@ -56,68 +56,74 @@ def fit_rigid(
         tool: pose (7,) of the point between the fingertips in the flange; None if it is not known.
     """
     golden = [chunk for thread in threads for chunk in thread.golden]
-    given = [chunk for thread in threads for chunk in thread.adapter]
-    if any(len(one) != len(other) for one, other in zip(golden, given, strict=True)):
+    answers = [chunk for thread in threads for chunk in thread.adapter]
+    if any(len(one) != len(other) for one, other in zip(golden, answers, strict=True)):
         return
-    wanted, found = columns(golden), columns(given)
-    off = {part.partition("[")[0] for part, share in before.items() if share > tolerance}
-    keys = [key for key in wanted if key in off and key.endswith(spec.State.EE_POSE)]
-    if not keys or len(wanted[keys[0]]) < _LEAST or any(key not in found for key in keys):
+    golden_columns, adapter = columns(golden), columns(answers)
+    differing_keys = {part.partition("[")[0] for part, share in before.items() if share > tolerance}
+    keys = [key for key in golden_columns if key in differing_keys and key.endswith(spec.State.EE_POSE)]
+    if not keys or len(golden_columns[keys[0]]) < _LEAST or any(key not in adapter for key in keys):
         return
     states = [thread.observations[place]["state"] for thread in threads for place in thread.asked_at]
-    by_key = {key: _readings(wanted[key], found[key], _repeated(states, given, key), tool) for key in keys}
+    by_key = {key: _readings(golden_columns[key], adapter[key], _repeated(states, answers, key), tool) for key in keys}
     for readings in zip(*by_key.values(), strict=True):
         remaining = dict(before)
         for key, reading in zip(keys, readings, strict=True):
-            remaining.update(_left(key, reading.made, wanted[key], spread))
+            remaining.update(_left(key, reading.made, golden_columns[key], spread))
         yield TriedChange(readings[0].words, readings[0].convention, remaining)
 
 
-def _repeated(states: Sequence[Mapping[str, object]], given: Sequence[Sequence[object]], key: str) -> Poses:
-    return np.stack([np.asarray(state[key], float) for state, chunk in zip(states, given, strict=True) for _ in chunk])
+def _repeated(states: Sequence[Mapping[str, object]], answers: Sequence[Sequence[object]], key: str) -> Poses:
+    return np.stack(
+        [np.asarray(state[key], float) for state, chunk in zip(states, answers, strict=True) for _ in chunk]
+    )
 
 
-def _left(key: str, made: Poses, wanted: Poses, spread: Mapping[str, float]) -> Differences:
-    chunks = [[{key: values} for values in rows] for rows in (wanted, made)]
+def _left(key: str, made: Poses, golden: Poses, spread: Mapping[str, float]) -> Differences:
+    chunks = [[{key: values} for values in rows] for rows in (golden, made)]
     return differences(
         [chunks[0]], [chunks[1]], {part: value for part, value in spread.items() if part.startswith(key)}
     )
 
 
-def _readings(wanted: Poses, found: Poses, start: Poses, tool: Poses | None) -> list[_PoseFit]:
-    outer = _mean(rotation.multiply(wanted[:, _TURN], rotation.conjugate(found[:, _TURN])))
-    shift = (wanted[:, _PLACE] - rotation.rotate(outer, found[:, _PLACE])).mean(0)
-    inner = _mean(rotation.multiply(rotation.conjugate(found[:, _TURN]), wanted[:, _TURN]))
-    away = rotation.rotate(rotation.conjugate(found[:, _TURN]), wanted[:, _PLACE] - found[:, _PLACE]).mean(0)
+def _readings(golden: Poses, adapter: Poses, start: Poses, tool: Poses | None) -> list[_PoseFit]:
+    outer = _mean(rotation.multiply(golden[:, _TURN], rotation.conjugate(adapter[:, _TURN])))
+    shift = (golden[:, _PLACE] - rotation.rotate(outer, adapter[:, _PLACE])).mean(0)
+    inner = _mean(rotation.multiply(rotation.conjugate(adapter[:, _TURN]), golden[:, _TURN]))
+    offset = rotation.rotate(rotation.conjugate(adapter[:, _TURN]), golden[:, _PLACE] - adapter[:, _PLACE]).mean(0)
     readings = [
         _PoseFit(
-            _describe_transform("frame", shift, outer), "frame", poses.compose(np.concatenate((shift, outer)), found)
+            _describe_transform("frame", shift, outer), "frame", poses.compose(np.concatenate((shift, outer)), adapter)
         ),
         _PoseFit(
-            _describe_transform("point", away, inner), "point", poses.compose(found, np.concatenate((away, inner)))
+            _describe_transform("point", offset, inner),
+            "point",
+            poses.compose(adapter, np.concatenate((offset, inner))),
         ),
     ]
-    readings += _changes("flange", wanted, found, start)
+    readings += _changes("flange", golden, adapter, start)
     if tool is not None:
-        at_tool = (poses.compose(rows, tool) for rows in (wanted, found, start))
+        at_tool = (poses.compose(rows, tool) for rows in (golden, adapter, start))
         readings += _changes("tcp", *at_tool, point=tool)
     return readings
 
 
-def _changes(name: str, wanted: Poses, found: Poses, start: Poses, *, point: Poses | None = None) -> Iterator[_PoseFit]:
+def _changes(
+    name: str, golden: Poses, adapter: Poses, start: Poses, *, point: Poses | None = None
+) -> Iterator[_PoseFit]:
     """Yield what poses would be whose changes of the state are a constant map of what they are."""
     for to in ("fixed", "body"):
         for of in ("fixed", "body"):
-            moved, moves = _mapped(*(_moves(rows, start, frame) for rows, frame in ((found, of), (wanted, to))))
-            turned, turns = _mapped(*(_turns(rows, start, frame) for rows, frame in ((found, of), (wanted, to))))
-            place = start[:, _PLACE] + (moved if to == "fixed" else rotation.rotate(start[:, _TURN], moved))
+            moved, moves = _mapped(*(_moves(rows, start, frame) for rows, frame in ((adapter, of), (golden, to))))
+            turned, turns = _mapped(*(_turns(rows, start, frame) for rows, frame in ((adapter, of), (golden, to))))
+            positions = start[:, _PLACE] + (moved if to == "fixed" else rotation.rotate(start[:, _TURN], moved))
             turn = rotation.from_axis_angle(turned)
             pair = (turn, start[:, _TURN]) if to == "fixed" else (start[:, _TURN], turn)
-            made = np.concatenate((place, rotation.multiply(*pair)), axis=-1)
-            for kept, rows in (("", made), (" of place", _mixed(made, found)), (" of turn", _mixed(found, made))):
+            made = np.concatenate((positions, rotation.multiply(*pair)), axis=-1)
+            for scope, rows in (("", made), (" of place", _mixed(made, adapter)), (" of turn", _mixed(adapter, made))):
                 whole = rows if point is None else poses.compose(rows, poses.invert(point))
-                maps = {"": (moves, turns), " of place": (moves,), " of turn": (turns,)}[kept]
-                words = f"changes{kept} at the {name}: {to}, not {of}" if to != of else f"changes{kept} at the {name}"
+                maps = {"": (moves, turns), " of place": (moves,), " of turn": (turns,)}[scope]
+                words = f"changes{scope} at the {name}: {to}, not {of}" if to != of else f"changes{scope} at the {name}"
                 yield _PoseFit(words + _factors(maps), _convention(to != of, maps), whole)
 
 
@@ -136,10 +142,10 @@ def _turns(rows: Poses, start: Poses, frame: str) -> Poses:
     return rotation.to_axis_angle(rotation.multiply(*pair))
 
 
-def _mapped(found: Poses, wanted: Poses) -> tuple[Poses, Poses]:
+def _mapped(source: Poses, target: Poses) -> tuple[Poses, Poses]:
     """Return the vectors that the best linear map makes, and the map (3, 3)."""
-    linear = np.linalg.lstsq(found, wanted, rcond=None)[0]
-    return found @ linear, linear.T
+    linear = np.linalg.lstsq(source, target, rcond=None)[0]
+    return source @ linear, linear.T
 
 
 def _mean(quaternions: Poses) -> Poses:
@@ -166,14 +172,14 @@ def _factors(maps: Sequence[Poses]) -> str:
     return "".join(f", times {factor:.4g}" for factor in factors[:1])
 
 
-def _describe_transform(name: str, place: Poses, turn: Poses) -> str:
+def _describe_transform(name: str, position: Poses, turn: Poses) -> str:
     """Return a constant in words: a shift in m, a turn about an axis in degrees."""
     angle = rotation.to_axis_angle(turn)
     degrees = float(np.rad2deg(np.linalg.norm(angle)))
-    told = [f"{name}: moved by [{', '.join(f'{value:.4g}' for value in np.round(place, 4))}] m"]
+    texts = [f"{name}: moved by [{', '.join(f'{value:.4g}' for value in np.round(position, 4))}] m"]
     if degrees > _NEAR:
         axis = angle / np.linalg.norm(angle)
-        told.append(
+        texts.append(
             f"turned by {degrees:.4g} deg about [{', '.join(f'{value:.3g}' for value in np.round(axis, 3) + 0.0)}]"
         )
-    return ", ".join(told)
+    return ", ".join(texts)

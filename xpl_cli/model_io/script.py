@@ -215,9 +215,9 @@ class ScriptedScene:
             state.update(self._arm(arm, side, moment))
         return state
 
-    def observations(self, shown: Sequence[tuple[int, int]]) -> list[ObservationDict]:
+    def observations(self, recipes: Sequence[tuple[int, int]]) -> list[ObservationDict]:
         """Return the observations of a batch."""
-        return [self.observation(env, place) for env, place in shown]
+        return [self.observation(env, place) for env, place in recipes]
 
     @cached_property
     def _chain(self) -> Chain | None:
@@ -290,9 +290,9 @@ class ScriptedScene:
         joints = (lower + fractions * (upper - lower)).astype(np.float32)
         if self._chain is not None:
             return joints, poses.compose(self._mounts[side], self._chain.flange(joints.astype(np.float64)))
-        place = np.array([0.4, 0.2 * (1 - 2 * side), 0.3]) + 0.2 * (_spread(sdk.POSITION_DIM, moment + side) - 0.5)
+        position = np.array([0.4, 0.2 * (1 - 2 * side), 0.3]) + 0.2 * (_spread(sdk.POSITION_DIM, moment + side) - 0.5)
         angle = 3.02 if moment % 4 == _NEAR_HALF_TURN else 0.3 + 2.4 * _spread(1, moment + 5 * side)[0]
-        return joints, poses.pose(place, _oblique(angle))
+        return joints, poses.pose(position, _oblique(angle))
 
     def _effector(self, arm: Arm, side: int, moment: int) -> np.ndarray:
         """Return openings 0..1, sometimes quite closed or quite open, or a hand's angles, rad."""
@@ -318,11 +318,11 @@ class ScriptedScene:
 
 def with_episode_numbers(calls: Sequence[Call]) -> Iterator[tuple[Call, int]]:
     """Yield each call with the number of the episode that it belongs to: resets after something was shown."""
-    episode, shown = 0, False
+    episode, has_observed = 0, False
     for call in calls:
-        if call.reset and shown:
-            episode, shown = episode + 1, False
-        shown = shown or bool(call.show)
+        if call.reset and has_observed:
+            episode, has_observed = episode + 1, False
+        has_observed = has_observed or bool(call.show)
         yield call, episode
 
 

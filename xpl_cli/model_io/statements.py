@@ -56,31 +56,33 @@ _LONGEST: Final = 200
 def statements(manifest: Manifest) -> dict[str, tuple[Statement, ...]]:
     """Return by convention what a manifest says of it; places that say the same are one statement."""
     block = {} if manifest.model_io is None else manifest.model_io.data
-    found: dict[str, list[Statement]] = {}
-    places: dict[tuple[str, Path], dict[str, Any]] = {}
+    by_convention: dict[str, list[Statement]] = {}
+    values_by_place: dict[tuple[str, Path], dict[str, Any]] = {}
     for path, value in _leaves(block, ()):
         convention = convention_of_key(path)
         if convention is not None:
-            places.setdefault((convention, path[:-1]), {})[str(path[-1])] = value
+            values_by_place.setdefault((convention, path[:-1]), {})[str(path[-1])] = value
     if manifest.temporal.chunk is not None:
-        places["chunk", ("temporal",)] = {"chunk": manifest.temporal.chunk}
+        values_by_place["chunk", ("temporal",)] = {"chunk": manifest.temporal.chunk}
     standings = _certainties(manifest)
-    for (convention, path), values in places.items():
+    for (convention, path), values in values_by_place.items():
         hits = [standings[held] for held in standings if _touches(held, path, values)]
         standing = max((one for one, _ in hits), key=list(Certainty).index, default=Certainty.KNOWN)
-        told = ", ".join(f"{key}: {_format_value(value)}" for key, value in values.items())
+        text = ", ".join(f"{key}: {_format_value(value)}" for key, value in values.items())
         why = "; ".join(dict.fromkeys(why for _, why in hits))
-        _add(found.setdefault(convention, []), Statement((format_path(path) or "model_io",), told, standing, why))
-    return {convention: tuple(told) for convention, told in found.items()}
+        _add(
+            by_convention.setdefault(convention, []), Statement((format_path(path) or "model_io",), text, standing, why)
+        )
+    return {convention: tuple(text) for convention, text in by_convention.items()}
 
 
-def _add(found: list[Statement], new: Statement) -> None:
+def _add(statements: list[Statement], new: Statement) -> None:
     """Add a statement, or its place to that of a place that says the same."""
-    for number, old in enumerate(found):
+    for number, old in enumerate(statements):
         if replace(old, where=new.where) == new:
-            found[number] = replace(old, where=(*old.where, *new.where))
+            statements[number] = replace(old, where=(*old.where, *new.where))
             return
-    found.append(new)
+    statements.append(new)
 
 
 def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
@@ -99,15 +101,15 @@ def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
 
 def _certainties(manifest: Manifest) -> dict[Path, tuple[Certainty, str]]:
     """Return by path below the block, or below policy.yml, what is not known there, and why."""
-    found = {one.path: (Certainty.ASSUMED, one.why) for one in manifest.assumed}
+    by_path = {one.path: (Certainty.ASSUMED, one.why) for one in manifest.assumed}
     block = {} if manifest.model_io is None else manifest.model_io.data
-    found = {path[1:] if path[:1] == ("model_io",) else path: told for path, told in found.items()}
-    return found | {gap.path: (Certainty.UNKNOWN, gap.reason) for gap in gaps(block)}
+    by_path = {path[1:] if path[:1] == ("model_io",) else path: certainty for path, certainty in by_path.items()}
+    return by_path | {gap.path: (Certainty.UNKNOWN, gap.reason) for gap in gaps(block)}
 
 
-def _touches(held: Path, path: Path, values: Mapping[str, Any]) -> bool:
+def _touches(uncertain: Path, path: Path, values: Mapping[str, Any]) -> bool:
     """Tell whether what is not known at a path is one of the values of a place, or around them."""
-    return any(held == (*path, key)[: len(held)] for key in values)
+    return any(uncertain == (*path, key)[: len(uncertain)] for key in values)
 
 
 def _format_value(value: object) -> str:

@@ -178,7 +178,7 @@ def test_without_a_block_and_without_running_nothing_can_be_shown(tmp_path: Path
     folder = sights.made(tmp_path / "P", None)
     done = xpl("model-io", "show", str(folder), cwd=tmp_path)
     assert done.returncode == ExitCode.NOT_RUN
-    assert "has no block model_io" in done.stderr
+    assert "has no model_io block" in done.stderr
     assert "--run shows what predict gets" in done.stderr
 
 

@@ -49,41 +49,45 @@ class JointLimits(DemonstrationCheck):
     code, slug, severity = "XPL704", "joint-limits", "must"
     needs_probe = True
 
-    def __init__(self, about: DatasetInfo) -> None:
-        super().__init__(about)
-        self._places: list[tuple[str, int, int, float]] = []
-        robot = about.robot
-        found = about.found
+    def __init__(self, dataset: DatasetInfo) -> None:
+        super().__init__(dataset)
+        self._columns: list[tuple[str, int, int, float]] = []
+        robot = dataset.robot
+        probe_result = dataset.found
         if robot is None:
-            known = {one.value for one in found.answers if one.topic == "robot" and one.is_known}
-            robot = known.pop() if len(known) == 1 else None
+            robots = {one.value for one in probe_result.answers if one.topic == "robot" and one.is_known}
+            robot = robots.pop() if len(robots) == 1 else None
         self._robot = robot
-        for part in (*found.state, *found.command):
-            unit = found.value("angle unit", part.subject)
-            if unit and found.value("reference", part.subject) in {None, "absolute"}:
-                self._places.append((part.series.name, part.start, part.stop, np.pi / 180 if unit == "deg" else 1.0))
-        self._order = {one.subject: one.value for one in found.answers if one.topic == "joint order" and one.is_known}
+        for part in (*probe_result.state, *probe_result.command):
+            unit = probe_result.value("angle unit", part.subject)
+            if unit and probe_result.value("reference", part.subject) in {None, "absolute"}:
+                self._columns.append((part.series.name, part.start, part.stop, np.pi / 180 if unit == "deg" else 1.0))
+        self._order = {
+            one.subject: one.value for one in probe_result.answers if one.topic == "joint order" and one.is_known
+        }
 
     def inspect(self, episode: EpisodeData) -> None:
         """Compare its joints."""
         if self._robot is None:
             raise NotApplicable("the set names no robot that is known, and nothing measures it: --robot NAME says it")
-        if not self._places:
+        if not self._columns:
             raise NotApplicable("no column is known to hold joints")
         arm = get_embodiment(self._robot).arms[0]
         names = list(arm.joint_names or ())
-        for column, start, stop, unit in self._places:
+        for column, start, stop, unit in self._columns:
             if column not in episode.columns or arm.lower is None or arm.upper is None or stop - start != arm.dof:
                 continue
             rows = episode.columns[column][:, start:stop] * unit
             order = next((value for subject, value in self._order.items() if subject.startswith(column)), names)
-            places = [names.index(name) for name in order] if set(order) == set(names) else list(range(arm.dof))
-            off = np.maximum(arm.lower[places] - rows, rows - arm.upper[places])
-            for number in np.flatnonzero((off > _OUTSIDE).any(0)):
-                row = int(off[:, number].argmax())
-                name = names[places[number]] if names else f"number {number}"
+            columns_of_names = (
+                [names.index(name) for name in order] if set(order) == set(names) else list(range(arm.dof))
+            )
+            excess = np.maximum(arm.lower[columns_of_names] - rows, rows - arm.upper[columns_of_names])
+            for number in np.flatnonzero((excess > _OUTSIDE).any(0)):
+                row = int(excess[:, number].argmax())
+                name = names[columns_of_names[number]] if names else f"number {number}"
                 what = f"{name} in {column} is beyond its limits on {self._robot}"
-                self.tally.add(what, f"{episode.key} (step {row}, by {off[row, number]:.2g} rad)")
+                self.tally.add(what, f"{episode.key} (step {row}, by {excess[row, number]:.2g} rad)")
 
 
 class GripperRange(DemonstrationCheck):
@@ -110,34 +114,34 @@ class GripperRange(DemonstrationCheck):
     code, slug, severity = "XPL705", "gripper-range", "must"
     needs_probe = True
 
-    def __init__(self, about: DatasetInfo) -> None:
-        super().__init__(about)
-        parts = (*about.found.state, *about.found.command)
-        self._places = [(part.series.name, part.start, part.stop) for part in parts if part.kind == GRIPPER]
+    def __init__(self, dataset: DatasetInfo) -> None:
+        super().__init__(dataset)
+        parts = (*dataset.found.state, *dataset.found.command)
+        self._columns = [(part.series.name, part.start, part.stop) for part in parts if part.kind == GRIPPER]
         self._ranges: dict[tuple[str, int], list[tuple[str, float, float]]] = {}
 
     def inspect(self, episode: EpisodeData) -> None:
         """Note its ranges."""
-        if not self._places:
+        if not self._columns:
             raise NotApplicable("no column is known to be a gripper")
-        for column, start, stop in self._places:
+        for column, start, stop in self._columns:
             rows = episode.columns.get(column)
             if rows is None or not len(rows) or rows.shape[1] < stop or not np.isfinite(rows).all():
                 continue
-            for place in range(start, stop):
-                low, high = float(rows[:, place].min()), float(rows[:, place].max())
-                self._ranges.setdefault((column, place), []).append((episode.key, low, high))
+            for index in range(start, stop):
+                low, high = float(rows[:, index].min()), float(rows[:, index].max())
+                self._ranges.setdefault((column, index), []).append((episode.key, low, high))
 
     def findings(self) -> Iterator[Finding]:
         """Yield what leaves the range."""
         for (column, _), entries in self._ranges.items():
             lows, highs = np.array([low for _, low, _ in entries]), np.array([high for _, _, high in entries])
             low, high = (0.0, 1.0) if self.about.format == _STANDARD else self._usual(lows, highs)
-            room = (0.02 if self.about.format == _STANDARD else _BEYOND) * (high - low)
+            tolerance = (0.02 if self.about.format == _STANDARD else _BEYOND) * (high - low)
             if high <= low:
                 continue
             for key, least, most in entries:
-                if least < low - room or most > high + room:
+                if least < low - tolerance or most > high + tolerance:
                     what = f"the gripper in {column} leaves {low:.4g} to {high:.4g}"
                     self.tally.add(what, f"{key} ({least:.4g} to {most:.4g})")
         yield from self.tally.findings()
@@ -151,8 +155,8 @@ class GripperRange(DemonstrationCheck):
 class _QuaternionCheck(DemonstrationCheck):
     """Looks at all that is a quaternion."""
 
-    def __init__(self, about: DatasetInfo) -> None:
-        super().__init__(about)
+    def __init__(self, dataset: DatasetInfo) -> None:
+        super().__init__(dataset)
         self._has_quaternions = False
 
     def inspect(self, episode: EpisodeData) -> None:

@@ -40,8 +40,8 @@ class EpisodeSchema(DemonstrationCheck):
 
     code, slug, severity = "XPL701", "demonstrations-schema", "must"
 
-    def __init__(self, about: DatasetInfo) -> None:
-        super().__init__(about)
+    def __init__(self, dataset: DatasetInfo) -> None:
+        super().__init__(dataset)
         self._shapes: dict[tuple[str, tuple[int, ...]], list[str]] = {}
         self._cameras: dict[str, list[str]] = {}
         self._keys: list[str] = []
@@ -77,11 +77,11 @@ class EpisodeSchema(DemonstrationCheck):
         yield from self.tally.findings()
 
     def _missing(self, what: str, name: str, having: set[str]) -> None:
-        lacking = [key for key in self._keys if key not in having]
-        if lacking and len(having) >= len(lacking):
-            for key in lacking:
+        missing = [key for key in self._keys if key not in having]
+        if missing and len(having) >= len(missing):
+            for key in missing:
                 self.tally.add(f"the {what} {name} is missing", key)
-        elif lacking:
+        elif missing:
             for key in sorted(having):
                 self.tally.add(f"the {what} {name} is there, which others lack", key)
 
@@ -108,8 +108,8 @@ class TimeGaps(DemonstrationCheck):
 
     code, slug, severity = "XPL702", "time-gaps", "must"
 
-    def __init__(self, about: DatasetInfo) -> None:
-        super().__init__(about)
+    def __init__(self, dataset: DatasetInfo) -> None:
+        super().__init__(dataset)
         self._gaps = EpisodeTally()
         self._clocks = 0
 
@@ -195,11 +195,11 @@ class ActionIsState(DemonstrationCheck):
         for name, rows in episode.columns.items():
             if role_of(name) != COMMAND or len(rows) < 3:
                 continue
-            for other, seen in states.items():
-                if seen.shape != rows.shape:
+            for other, state_rows in states.items():
+                if state_rows.shape != rows.shape:
                     continue
-                moves = np.ptp(seen, axis=0) > 1e-6
-                same = np.abs(rows - seen) <= 1e-6 * np.maximum(np.ptp(seen, axis=0), 1e-3)
+                moves = np.ptp(state_rows, axis=0) > 1e-6
+                same = np.abs(rows - state_rows) <= 1e-6 * np.maximum(np.ptp(state_rows, axis=0), 1e-3)
                 if moves.sum() >= min(3, rows.shape[1]) and same[:, moves].mean() > 0.99:
                     self.tally.add(f"{name} is a copy of {other} in the same step", episode.key)
 
@@ -253,8 +253,8 @@ class ConstantNumbers(DemonstrationCheck):
 
     code, slug, severity = "XPL714", "constant-numbers", "should"
 
-    def __init__(self, about: DatasetInfo) -> None:
-        super().__init__(about)
+    def __init__(self, dataset: DatasetInfo) -> None:
+        super().__init__(dataset)
         self._low: dict[str, np.ndarray] = {}
         self._high: dict[str, np.ndarray] = {}
 
@@ -273,8 +273,8 @@ class ConstantNumbers(DemonstrationCheck):
         for name, low in self._low.items():
             still = np.abs(self._high[name] - low) <= 1e-9
             if still.any() and not still.all():
-                places = ", ".join(map(str, np.flatnonzero(still)))
+                indices = ", ".join(map(str, np.flatnonzero(still)))
                 values = ", ".join(f"{value:.4g}" for value in low[still][:4])
-                yield Finding(f"in {name} number {places} never changes", got=values)
+                yield Finding(f"in {name} number {indices} never changes", got=values)
             elif still.all() and len(still) > 2:
                 yield Finding(f"{name} never changes", got=", ".join(f"{value:.4g}" for value in low[:4]))

@@ -45,11 +45,11 @@ class FrameCount(DemonstrationCheck):
 
     def inspect(self, episode: EpisodeData) -> None:
         """Compare its counts."""
-        for name, shown in episode.cameras.items():
-            if shown.error:
-                self.tally.add(f"images of {name} cannot be read ({shown.error})", episode.key)
-            elif shown.count is not None and shown.count != episode.length:
-                where = f"{episode.key} ({shown.count} images, {episode.length} steps)"
+        for name, frames in episode.cameras.items():
+            if frames.error:
+                self.tally.add(f"images of {name} cannot be read ({frames.error})", episode.key)
+            elif frames.count is not None and frames.count != episode.length:
+                where = f"{episode.key} ({frames.count} images, {episode.length} steps)"
                 self.tally.add(f"{name} has another number of images than there are steps", where)
 
 
@@ -77,17 +77,17 @@ class FrozenFrames(DemonstrationCheck):
 
     def inspect(self, episode: EpisodeData) -> None:
         """Look at images that are equal."""
-        for name, shown in episode.cameras.items():
+        for name, frames in episode.cameras.items():
             side = _side(name)
             moves = _moving_steps(episode, side)
-            if shown.repeats is None or not len(shown.repeats) or moves is None:
+            if frames.repeats is None or not len(frames.repeats) or moves is None:
                 continue
-            if side and shown.repeats.all() and not any(_side(column) == side for column in episode.columns):
+            if side and frames.repeats.all() and not any(_side(column) == side for column in episode.columns):
                 continue  # the wrist camera of an arm that may well stand still
-            count = min(len(moves), len(shown.repeats))
-            held = shown.repeats[:count] & moves[:count]
-            longest = _longest_run(held)
-            share = held.sum() / max(int(moves[:count].sum()), 1)
+            count = min(len(moves), len(frames.repeats))
+            is_frozen = frames.repeats[:count] & moves[:count]
+            longest = _longest_run(is_frozen)
+            share = is_frozen.sum() / max(int(moves[:count].sum()), 1)
             if longest > _FROZEN or share > _SHARE:
                 where = f"{episode.key} ({longest} in a row, {100 * share:.0f} % of the steps that move)"
                 self.tally.add(f"{name} shows the same image while the robot moves", where)
@@ -116,9 +116,9 @@ def _moving_steps(episode: EpisodeData, side: str) -> np.ndarray | None:
     return np.any(fast, axis=0) if fast else None
 
 
-def _longest_run(held: np.ndarray) -> int:
+def _longest_run(flags: np.ndarray) -> int:
     """Return the length of the longest run of truths."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(int), [0]])))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
@@ -127,25 +127,27 @@ class _FirstFrameCheck(DemonstrationCheck):
 
     needs_images = True
 
-    def __init__(self, about: DatasetInfo) -> None:
-        super().__init__(about)
+    def __init__(self, dataset: DatasetInfo) -> None:
+        super().__init__(dataset)
         self._first: dict[str, list[tuple[str, np.ndarray]]] = {}
 
     def inspect(self, episode: EpisodeData) -> None:
         """Keep its first images."""
-        for name, shown in episode.cameras.items():
-            if shown.first is not None and shown.first.ndim == 3:
-                self._first.setdefault(name, []).append((episode.key, shown.first))
+        for name, frames in episode.cameras.items():
+            if frames.first is not None and frames.first.ndim == 3:
+                self._first.setdefault(name, []).append((episode.key, frames.first))
 
     def _frames_and_median(self) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
         """Yield camera, episode, its first image, and the median of all of that camera."""
-        enough = {name: shown for name, shown in self._first.items() if len(shown) >= _FEWEST}
+        enough = {
+            name: frames_of_camera for name, frames_of_camera in self._first.items() if len(frames_of_camera) >= _FEWEST
+        }
         if not enough:
             raise NotApplicable(f"fewer than {_FEWEST} episodes have images that could be compared")
-        for name, shown in enough.items():
-            size = shown[0][1].shape
-            same = [(key, image) for key, image in shown if image.shape == size]
-            some = np.stack([same[place][1] for place in spread(len(same), _MOST_COMPARED)])
+        for name, frames_of_camera in enough.items():
+            size = frames_of_camera[0][1].shape
+            same = [(key, image) for key, image in frames_of_camera if image.shape == size]
+            some = np.stack([same[index][1] for index in spread(len(same), _MOST_COMPARED)])
             usual = np.median(some.astype(np.float32), axis=0)
             for key, image in same:
                 yield name, key, image.astype(np.float32), usual
@@ -189,10 +191,10 @@ class MirroredCamera(_FirstFrameCheck):
                 "upside down": image[::-1],
                 "turned by half": image[::-1, ::-1],
             }
-            found = {way: _correlation(turned, usual) for way, turned in ways.items()}
-            way = max(found, key=lambda one: found[one])
-            if found[way] > 0.6 and found[way] - plain > 0.25:
-                where = f"{key} (alike by {found[way]:.2f} so, by {plain:.2f} as it is)"
+            correlations = {way: _correlation(turned, usual) for way, turned in ways.items()}
+            way = max(correlations, key=lambda one: correlations[one])
+            if correlations[way] > 0.6 and correlations[way] - plain > 0.25:
+                where = f"{key} (alike by {correlations[way]:.2f} so, by {plain:.2f} as it is)"
                 self.tally.add(f"{name} is {way} against the other episodes", where)
         yield from self.tally.findings()
 

@@ -100,16 +100,16 @@ def with_gripper(obs: ObservationDict, key: str, value: float) -> ObservationDic
 
 def only(obs: ObservationDict, names: tuple[str, ...]) -> ObservationDict:
     """Return the observation with these inputs and the environment's index, and nothing else."""
-    kept = {key: value for key, value in obs.items() if key in {*names, sdk.Obs.ENV_IDX}}
-    kept[sdk.Obs.VISION] = {
+    reduced = {key: value for key, value in obs.items() if key in {*names, sdk.Obs.ENV_IDX}}
+    reduced[sdk.Obs.VISION] = {
         camera: {sdk.Camera.COLOR: entry[sdk.Camera.COLOR]}
         for camera, entry in obs[sdk.Obs.VISION].items()
         if f"{sdk.Obs.VISION}.{camera}" in names
     }
-    kept[sdk.Obs.STATE] = {
+    reduced[sdk.Obs.STATE] = {
         key: value for key, value in obs[sdk.Obs.STATE].items() if f"{sdk.Obs.STATE}.{_leaf(key)}" in names
     }
-    return kept
+    return reduced
 
 
 def _leaf(key: str) -> str:

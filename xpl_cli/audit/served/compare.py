@@ -45,13 +45,13 @@ def _difference(first: object, second: object, slack: Mapping[str, float], allow
     if isinstance(first, dict) and isinstance(second, dict) and first.keys() == second.keys():
         entries = [(key, first[key], second[key], slack.get(key, allowed)) for key in first]
     elif isinstance(first, (list, tuple)) and isinstance(second, (list, tuple)) and len(first) == len(second):
-        entries = [(f"[{place}]", *pair, allowed) for place, pair in enumerate(zip(first, second, strict=True))]
+        entries = [(f"[{index}]", *pair, allowed) for index, pair in enumerate(zip(first, second, strict=True))]
     elif any(isinstance(value, (dict, list, tuple)) for value in (first, second)):
         return f"{brief(first)} against {brief(second)}"
     else:
         return _array_difference(first, second, allowed)
-    found = ((label, _difference(one, other, slack, room)) for label, one, other, room in entries)
-    return next((f"{label} {what}" for label, what in found if what), None)
+    differences = ((label, _difference(one, other, slack, tolerance)) for label, one, other, tolerance in entries)
+    return next((f"{label} {what}" for label, what in differences if what), None)
 
 
 def _array_difference(first: object, second: object, allowed: float) -> str | None:
@@ -71,11 +71,11 @@ def is_answer_list(value: object, count: int | None = None) -> TypeGuard[Sequenc
     return isinstance(value, (list, tuple)) and len(value) > 0 and (count is None or len(value) == count)
 
 
-def describe_wrong_batch(answer: object, alone: dict[int, object], wanted: Sequence[int]) -> str:
+def describe_wrong_batch(answer: object, alone: dict[int, object], requested: Sequence[int]) -> str:
     """Say for which environments a wrong batch answers, and what follows, given what each of them answers."""
     if not isinstance(answer, (list, tuple)):
         return f"gives {brief(answer)}: robots get no command"
-    if len(answer) != len(wanted):
+    if len(answer) != len(requested):
         return f"gives {len(answer)} chunks: robots receive each other's commands"
     actual = [next((env for env, chunk in alone.items() if same(chunk, item)), None) for item in answer]
     if None in actual:

@@ -29,9 +29,9 @@ class Scale:
         given: all answers of the experiment: chunks, lists of chunks, or errors, which have no place on a scale.
     """
 
-    def __init__(self, given: Iterable[object]) -> None:
+    def __init__(self, answers: Iterable[object]) -> None:
         columns: dict[str, list[np.ndarray]] = defaultdict(list)
-        for answer in given:
+        for answer in answers:
             for key, values in _columns(answer):
                 columns[key].append(values)
         self._spread = {key: _spread(values) for key, values in columns.items()}

@@ -49,13 +49,13 @@ def _compare(path: tuple[str | int, ...], first: object, second: object) -> Mism
     elif isinstance(first, (list, tuple)) and isinstance(second, (list, tuple)):
         if len(first) != len(second):
             return Mismatch(path, _describe_length(first), _describe_length(second))
-        entries = ((place, a, b) for place, (a, b) in enumerate(zip(first, second, strict=True)))
+        entries = ((index, a, b) for index, (a, b) in enumerate(zip(first, second, strict=True)))
     elif _is_array(first) and _is_array(second):
         return _arrays(path, first, second)
     else:
         return _scalars(path, first, second)
-    found = (_compare((*path, key), a, b) for key, a, b in entries)
-    return next((one for one in found if one is not None), None)
+    mismatches = (_compare((*path, key), a, b) for key, a, b in entries)
+    return next((one for one in mismatches if one is not None), None)
 
 
 def _arrays(path: tuple[str | int, ...], first: object, second: object) -> Mismatch | None:

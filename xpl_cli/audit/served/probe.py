@@ -71,9 +71,9 @@ class Probe(Servers):
             why = _NO_ROBOT if is_open else str(error)
             raise NotRun(f"{why}: name one with --set {sdk.Deploy.ENV_CFG_TYPE}=NAME") from None
         self.action_type: str = self.config[sdk.Deploy.ACTION_TYPE]
-        refused = why_undeclared(target.manifest, self.embodiment.name, self.action_type)
-        if refused is not None and {sdk.Deploy.ENV_CFG_TYPE, sdk.Deploy.ACTION_TYPE} & options.overrides.keys():
-            raise NotRun(f"{refused}: --set asks for what the policy was not made for")
+        reason = why_undeclared(target.manifest, self.embodiment.name, self.action_type)
+        if reason is not None and {sdk.Deploy.ENV_CFG_TYPE, sdk.Deploy.ACTION_TYPE} & options.overrides.keys():
+            raise NotRun(f"{reason}: --set asks for what the policy was not made for")
         self.checkpoint = ServedCheckpoint.of(target, self.config)
         self.checkpoint_before = {} if self.checkpoint is None else self.checkpoint.state()
         self._first_answer: Answer = None
@@ -110,14 +110,14 @@ class Probe(Servers):
         vision = result[sdk.Obs.VISION]
         for camera, size in image_sizes(self.package.manifest, options.pop("size", self._scenario.SIZE)).items():
             if camera in vision:
-                again = self._scenario.observation(robot, env, step, cameras=cameras, size=size, **options)
-                vision[camera] = again[sdk.Obs.VISION][camera]
+                resized = self._scenario.observation(robot, env, step, cameras=cameras, size=size, **options)
+                vision[camera] = resized[sdk.Obs.VISION][camera]
         return result
 
     def observations(self, envs: Sequence[int], step: int = 0, instruction: str | None = None) -> list[ObservationDict]:
         """Return the scripted observations of several environments, each with its own instruction or all with one."""
-        told = {} if instruction is None else {sdk.Obs.INSTRUCTION: instruction}
-        return [{**self.observation(env, step), **told} for env in envs]
+        override = {} if instruction is None else {sdk.Obs.INSTRUCTION: instruction}
+        return [{**self.observation(env, step), **override} for env in envs]
 
     def require_deterministic(self) -> None:
         """Stop a rule that compares answers where the manifest says that they differ anyway.
@@ -167,13 +167,13 @@ class Probe(Servers):
     @cached_property
     def depends_on_observations(self) -> bool:
         """Whether answers depend on anything that the adapter is shown; also where it does not answer."""
-        shown = (self.observation(), self.observation(1, 2))
+        observations = (self.observation(), self.observation(1, 2))
         with Client(self.server().url, config=self.config | bounded_timeouts(self.config) | PATIENCE) as client:
             try:
-                answered = [(client.call(sdk.Method.RESET), client.infer(obs))[1] for obs in shown]
+                answers = [(client.call(sdk.Method.RESET), client.infer(obs))[1] for obs in observations]
             except ClientError:
                 return True
-        return not same(*answered)
+        return not same(*answers)
 
     @cached_property
     def repeats_in_place(self) -> bool:
@@ -205,25 +205,25 @@ class Probe(Servers):
         with self.run() as policy:
             return policy.act(obs)
 
-    def batch_answer(self, observations: Sequence[object], wanted: Sequence[int] | None) -> Answer:
+    def batch_answer(self, observations: Sequence[object], envs: Sequence[int] | None) -> Answer:
         """Return the comparable answer to `get_action_batch(wanted)` after a batch of observations in a new episode."""
         with self.run() as policy:
             policy.reset()
             policy.update_obs_batch(observations)
-            return policy.get_action_batch(wanted)
+            return policy.get_action_batch(envs)
 
     def batch_episode(self, envs: Sequence[int], steps: int = 3, instruction: str | None = None) -> list[Answer]:
         """Play a comparable episode of some environments in one batch; return the answer of every step.
 
         Each environment has its own instruction, or all have the one that is given.
         """
-        answered = []
+        answers = []
         with self.run() as policy:
             policy.reset()
             for step in range(steps):
                 policy.update_obs_batch(self.observations(envs, step, instruction))
-                answered.append(policy.get_action_batch(envs))
-        return answered
+                answers.append(policy.get_action_batch(envs))
+        return answers
 
     def batch_difference(self, first: object, second: object) -> str | None:
         """Return where answers to equal observations, in batches of other sizes, differ by more than kernels round.

@@ -119,21 +119,21 @@ class RecordedClient:
 
     def act(self, obs: object) -> Answer:
         """Start an episode, show one observation and return the chunk, or the first error on the way to it."""
-        begun = self.reset()
-        return begun if isinstance(begun, PolicyServerError) else self.act_at_once(obs)
+        reset_answer = self.reset()
+        return reset_answer if isinstance(reset_answer, PolicyServerError) else self.act_at_once(obs)
 
     def act_at_once(self, obs: object) -> Answer:
         """Show one observation and return the chunk, without a reset before."""
-        shown = self.update_obs(obs)
-        return shown if isinstance(shown, PolicyServerError) else self.get_action()
+        update_answer = self.update_obs(obs)
+        return update_answer if isinstance(update_answer, PolicyServerError) else self.get_action()
 
-    def prepare_case(self, told: Config) -> Answer:
+    def prepare_case(self, case: Config) -> Answer:
         """Announce a case, its name among what is told; None where the adapter has no hook for it."""
-        return self._recorder.request(sdk.Message.PREPARE_CASE, lambda: self._client.prepare_case(**told))
+        return self._recorder.request(sdk.Message.PREPARE_CASE, lambda: self._client.prepare_case(**case))
 
-    def trial_end(self, told: Config) -> Answer:
+    def trial_end(self, result: Config) -> Answer:
         """Tell how a trial went; None where the adapter has no hook for it."""
-        return self._recorder.request(sdk.Message.TRIAL_END, lambda: self._client.trial_end(told))
+        return self._recorder.request(sdk.Message.TRIAL_END, lambda: self._client.trial_end(result))
 
     def call(self, name: str, obs: Any = None) -> Answer:
         """Run any operation of the wire or of the policy."""

@@ -25,15 +25,15 @@ class CuttingRelay:
     """
 
     def __init__(self, url: str) -> None:
-        there = urllib.parse.urlsplit(url)
-        self._address = (there.hostname or "localhost", there.port or 0)
+        address = urllib.parse.urlsplit(url)
+        self._address = (address.hostname or "localhost", address.port or 0)
         self._cut_direction: str | None = None
         self._stopped = threading.Event()
         self._sockets: list[socket.socket] = []
         self._lock = threading.Lock()
         self._listening = socket.create_server(("127.0.0.1", 0))
         self._accepting = threading.Thread(target=self._accept, daemon=True)
-        self.url = f"{there.scheme}://127.0.0.1:{self._listening.getsockname()[1]}"
+        self.url = f"{address.scheme}://127.0.0.1:{self._listening.getsockname()[1]}"
 
     def cut_answer(self) -> str:
         """Lose what the server sends next, and the connection; return that in words."""
@@ -91,8 +91,8 @@ class CuttingRelay:
 
     def _close(self) -> None:
         with self._lock:
-            held, self._sockets = self._sockets, []
-        for end in held:
+            sockets, self._sockets = self._sockets, []
+        for end in sockets:
             with contextlib.suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
             end.close()

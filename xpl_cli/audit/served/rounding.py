@@ -31,7 +31,7 @@ OF_SPAN, _OF_SIZE = 0.02, 0.005
 them. Half precision rounds by the size of numbers; who divides by the batch is not excused."""
 
 
-def measure_rounding(answered: Ask, scenes: Sequence[ObservationDict]) -> dict[str, float]:
+def measure_rounding(ask: Ask, scenes: Sequence[ObservationDict]) -> dict[str, float]:
     """Return by how much answers may differ between batches of other sizes, for each key of an action.
 
     One observation is shown to every environment of batches of several sizes. An environment has one answer in all of
@@ -40,27 +40,27 @@ def measure_rounding(answered: Ask, scenes: Sequence[ObservationDict]) -> dict[s
     for all, as a share of the largest number: a gripper has few numbers to see it by.
 
     Args:
-        answered: returns the chunks for some environments after a batch of observations in a new episode.
+        ask: returns the chunks for some environments after a batch of observations in a new episode.
         scenes: observations of several environments that differ.
 
     Returns:
         By key, in the key's unit; empty where the batches are not answered in one form.
     """
-    together = _by_key([answered(scenes, [int(obs[sdk.Obs.ENV_IDX]) for obs in scenes])])
-    if not together:
+    values_by_key = _by_key([ask(scenes, [int(obs[sdk.Obs.ENV_IDX]) for obs in scenes])])
+    if not values_by_key:
         return {}
-    size = {key: float(np.abs(values).max(initial=0.0)) for key, values in together.items()}
+    size = {key: float(np.abs(values).max(initial=0.0)) for key, values in values_by_key.items()}
     share = 0.0
     for scene in scenes:
-        batches = [_answer_copies(answered, scene, count) for count in _COUNTS]
+        batches = [_answer_copies(ask, scene, count) for count in _COUNTS]
         if not all(map(is_answer_list, batches)):
             return {}
         for env in range(len(batches)):
-            alike = _by_key([batch[env : env + 1] for batch in batches[env:]])
-            if alike.keys() != together.keys():
+            same_by_key = _by_key([batch[env : env + 1] for batch in batches[env:]])
+            if same_by_key.keys() != values_by_key.keys():
                 return {}
-            share = max([share, *(_span(values) / size[key] for key, values in alike.items() if size[key] > 0)])
-    return {key: min(_TIMES * share * size[key], rounding_limit(values)) for key, values in together.items()}
+            share = max([share, *(_span(values) / size[key] for key, values in same_by_key.items() if size[key] > 0)])
+    return {key: min(_TIMES * share * size[key], rounding_limit(values)) for key, values in values_by_key.items()}
 
 
 def rounding_limit(values: np.ndarray) -> float:
@@ -72,9 +72,9 @@ def rounding_limit(values: np.ndarray) -> float:
     return max(OF_SPAN * _span(values), _OF_SIZE * float(np.abs(values).max(initial=0.0)))
 
 
-def _answer_copies(answered: Ask, scene: ObservationDict, count: int) -> Answer:
+def _answer_copies(ask: Ask, scene: ObservationDict, count: int) -> Answer:
     envs = list(range(count))
-    return answered([{**scene, sdk.Obs.ENV_IDX: env} for env in envs], envs)
+    return ask([{**scene, sdk.Obs.ENV_IDX: env} for env in envs], envs)
 
 
 def _span(values: np.ndarray) -> float:

@@ -98,11 +98,11 @@ class Servers(ABC):
             try:
                 return self._open.enter_context(self._serve_tried())
             except ServerStartError as error:
-                other = serving_choice.next_choice(self.choice, error, self.options)
-                if other is None:
+                next_choice = serving_choice.next_choice(self.choice, error, self.options)
+                if next_choice is None:
                     self._problem = error
                     raise
-                self.choice = other
+                self.choice = next_choice
 
     @contextlib.contextmanager
     def connected(self, url: str, **client_options: Any) -> Iterator[RecordedClient]:
@@ -172,8 +172,8 @@ class Servers(ABC):
 
     def describe_end(self, reason: str, log: Sequence[str]) -> str:
         """Return why a server ended, with the place where the adapter stood if it hung."""
-        place = innermost_frame(log, self.package.path.resolve()) if any(words in reason for words in HUNG) else None
-        return reason if place is None else f"{reason}; it stood at {place}"
+        location = innermost_frame(log, self.package.path.resolve()) if any(words in reason for words in HUNG) else None
+        return reason if location is None else f"{reason}; it stood at {location}"
 
     @property
     def start_problem(self) -> ServerStartError | None:

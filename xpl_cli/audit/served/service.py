@@ -66,21 +66,21 @@ class ServiceRun:
             probe.server()  # settles what is served; this server may be gone already, which is what rules ask about
         if probe.start_problem is not None:
             raise NotRun(f"the server did not start: {probe.start_problem}")
-        seen = cls()
+        run = cls()
         try:
             with probe.fresh_server({sdk.Deploy.SEED: USUAL_SEED}) as server:
-                goes_on = seen._run_episode(probe, server.url)
-                seen.processes = processes.descendants(server.pid)
+                goes_on = run._run_episode(probe, server.url)
+                run.processes = processes.descendants(server.pid)
                 if goes_on:  # of one that ends, processes are between two parents
-                    seen._inspect_processes(server.pid, kept_apart=bool(probe.options.bounds.flags))
+                    run._inspect_processes(server.pid, kept_apart=bool(probe.options.bounds.flags))
         except ServerStartError as error:
             raise NotRun(f"the server did not start: {error}") from None
-        seen.code, seen.stop_seconds = server.exit_code, server.stop_seconds or 0.0
-        seen.survivors = [member for member in seen.processes if member.is_alive]
-        seen.log = list(server.log)
-        if seen.failure is not None:
-            seen.failure = probe.describe_end(server.last_error or seen.failure, server.log)
-        return seen
+        run.code, run.stop_seconds = server.exit_code, server.stop_seconds or 0.0
+        run.survivors = [member for member in run.processes if member.is_alive]
+        run.log = list(server.log)
+        if run.failure is not None:
+            run.failure = probe.describe_end(server.last_error or run.failure, server.log)
+        return run
 
     @property
     def first(self) -> float:
@@ -118,8 +118,8 @@ class ServiceRun:
                 policy.reset()
                 for obs in observations:
                     started = time.perf_counter()
-                    shown, answer = policy.update_obs(obs), policy.get_action()
-                    for failed in (shown, answer):
+                    updated, answer = policy.update_obs(obs), policy.get_action()
+                    for failed in (updated, answer):
                         if isinstance(failed, PolicyServerError):
                             self.failure = str(failed) if failed.is_infrastructure_error else None
                             return True
@@ -131,28 +131,28 @@ class ServiceRun:
         return True
 
     def _inspect_processes(self, front_end: int, *, kept_apart: bool) -> None:
-        started = [member.pid for member in self.processes if member.parent == front_end and member.group == member.pid]
-        own = {pid for one in started for pid in (processes.launcher_chain(one) if kept_apart else [one])}
-        groups = {member.group for member in self.processes if member.pid in own}
+        workers = [member.pid for member in self.processes if member.parent == front_end and member.group == member.pid]
+        own_pids = {pid for one in workers for pid in (processes.launcher_chain(one) if kept_apart else [one])}
+        groups = {member.group for member in self.processes if member.pid in own_pids}
         for member in self.processes:
             # The worker leads its group; a child that leads one, or that the front end had to adopt, has left.
-            if member.group not in groups or (member.group == member.pid and member.pid not in own):
+            if member.group not in groups or (member.group == member.pid and member.pid not in own_pids):
                 self.left_group.append((member, member.command))
             self.listening += [(address, member) for address in _listening(member.pid)]
 
 
 def _listening(pid: int) -> list[str]:
     """Return the TCP addresses on which a process listens."""
-    held = set()
+    sockets = set()
     with contextlib.suppress(OSError):
         for descriptor in Path(f"/proc/{pid}/fd").iterdir():
             with contextlib.suppress(OSError):
-                held.add(descriptor.readlink().name)
-    found = []
+                sockets.add(descriptor.readlink().name)
+    addresses = []
     for table in _TABLES:
         with contextlib.suppress(OSError):
             for line in Path(f"/proc/{pid}/net/{table}").read_text(encoding="ascii").splitlines()[1:]:
                 columns = line.split()
-                if columns[3] == _LISTENS and f"socket:[{columns[9]}]" in held:
-                    found.append(f"port {int(columns[1].rpartition(':')[2], 16)}")
-    return found
+                if columns[3] == _LISTENS and f"socket:[{columns[9]}]" in sockets:
+                    addresses.append(f"port {int(columns[1].rpartition(':')[2], 16)}")
+    return addresses

@@ -89,13 +89,13 @@ def explain_failure(
     return f"{before}{'; in shadow mode: ' if before else ''}{why}{advice}"
 
 
-def _describe_missing_checkpoint(known: str, config: Mapping[str, object], policy_dir: Path) -> str:
+def _describe_missing_checkpoint(described: str, config: Mapping[str, object], policy_dir: Path) -> str:
     """Return that there is no checkpoint, where what is known to lack does not say so."""
     try:
         checkpoint.resolve(config, policy_dir)
     except checkpoint.CheckpointError as error:
-        told = describe_missing(MissingRequirement(_CHECKPOINT, str(error)))
-        return "" if str(error) in known else told
+        description = describe_missing(MissingRequirement(_CHECKPOINT, str(error)))
+        return "" if str(error) in described else description
     return ""
 
 

@@ -82,8 +82,8 @@ class KinematicsVerdict:
     @property
     def replaced(self) -> str:
         """What is declared where other words fit better."""
-        told = {key: self.declared[key] for key in self.best if key in self.declared}
-        return _format_words(told) or "what is declared"
+        words = {key: self.declared[key] for key in self.best if key in self.declared}
+        return _format_words(words) or "what is declared"
 
     @property
     def sentence(self) -> str:
@@ -94,18 +94,18 @@ class KinematicsVerdict:
         if self.outcome == UNEXPLAINED:
             return f"{self.where}: {errors} from where the joints put it, and no words explain that; {self.because}"
         if self.outcome == ANSWERS:
-            told = f"{self.change} fits to {_figure(self.best_error)} {self.unit}"
-            return f"{self.where}: these rows tell what is open: {told}{self._margin}"
+            fit = f"{self.change} fits to {_figure(self.best_error)} {self.unit}"
+            return f"{self.where}: these rows tell what is open: {fit}{self._margin}"
         if self.outcome == DIFFERS:
-            told = f"{self.change} fits to {_figure(self.best_error)} {self.unit}"
-            return f"{self.where}: {told}, {self.replaced} only to {_figure(self.declared_error)}{self._margin}"
+            fit = f"{self.change} fits to {_figure(self.best_error)} {self.unit}"
+            return f"{self.where}: {fit}, {self.replaced} only to {_figure(self.declared_error)}{self._margin}"
         return f"{self.where}: agrees to {errors}{self._margin}"
 
     @property
     def _margin(self) -> str:
         margin = f"; the next reading is at {_figure(self.next_error)}" if self.next_error is not None else ""
-        told = "; ".join(f"{key} {' or '.join(values)}" for key, values in self.open.items())
-        return f"{margin}; these rows do not tell {told}" if told else margin
+        undetermined = "; ".join(f"{key} {' or '.join(values)}" for key, values in self.open.items())
+        return f"{margin}; these rows do not tell {undetermined}" if undetermined else margin
 
     def document(self) -> dict[str, Any]:
         """Return the verdict as JSON; errors to a thousandth, so that machines agree."""
@@ -151,17 +151,17 @@ def judge(columns: Sequence[SampleColumns], embodiment: Embodiment) -> list[Kine
         KinematicsError: if the standard has no kinematics of the robot.
     """
     chain = Chain.from_embodiment(embodiment.data)
-    found: list[KinematicsVerdict] = []
+    verdicts: list[KinematicsVerdict] = []
     for side in embodiment.data["arms"]:
-        given = [one for one in columns if one.entry["arm"] == side]
+        own_columns = [one for one in columns if one.entry["arm"] == side]
         for leads in (False, True):
-            seen = [one for one in given if one.kind != JOINTS and one.leads is leads]
-            joints = _joints(given, leads=leads)
-            if seen and joints is not None:
+            poses = [one for one in own_columns if one.kind != JOINTS and one.leads is leads]
+            joints = _joints(own_columns, leads=leads)
+            if poses and joints is not None:
                 others = [one for one in columns if one.kind == JOINTS and one.entry["arm"] != side]
                 options = list(readings.joints(joints, _joints(others, leads=leads), embodiment))
-                found += _judge_arm(_ArmKinematics(embodiment, side, chain, options), joints, seen)
-    return found
+                verdicts += _judge_arm(_ArmKinematics(embodiment, side, chain, options), joints, poses)
+    return verdicts
 
 
 def has_kinematics(embodiment: Embodiment) -> bool:
@@ -175,19 +175,19 @@ def has_kinematics(embodiment: Embodiment) -> bool:
 
 def _joints(columns: Sequence[SampleColumns], *, leads: bool) -> SampleColumns | None:
     """Return an arm's joints; of the same kind, if there are some: commands lead what is measured."""
-    found = [one for one in columns if one.kind == JOINTS]
-    return next((one for one in found if one.leads is leads), found[0] if found else None)
+    candidates = [one for one in columns if one.kind == JOINTS]
+    return next((one for one in candidates if one.leads is leads), candidates[0] if candidates else None)
 
 
 def _judge_arm(
-    arm: _ArmKinematics, joints: SampleColumns, seen: Sequence[SampleColumns]
+    arm: _ArmKinematics, joints: SampleColumns, pose_columns: Sequence[SampleColumns]
 ) -> Iterator[KinematicsVerdict]:
-    still = _describe_too_little_motion(arm)
-    if still:
-        for one in (joints, *seen):
-            yield KinematicsVerdict(one.where, arm.side, one.kind, OPEN, len(one.rows), because=still)
+    reason = _describe_too_little_motion(arm)
+    if reason:
+        for one in (joints, *pose_columns):
+            yield KinematicsVerdict(one.where, arm.side, one.kind, OPEN, len(one.rows), because=reason)
         return
-    table = [_ReadingErrors(one, arm, follows=one.leads is not joints.leads) for one in seen]
+    table = [_ReadingErrors(one, arm, follows=one.leads is not joints.leads) for one in pose_columns]
     every = range(len(arm.options))
     if all(one.least(0) <= one.tolerance for one in table):  # with these readings: may the joints be other ones?
         errors = [[one.of_best(option) / _FLOOR[one.kind] for option in every] for one in table]
@@ -312,8 +312,10 @@ class _ReadingErrors:
 
     def _open(self, alike: Sequence[tuple[int, int]]) -> dict[str, list[str]]:
         """Return the words on which readings that fit alike are not one, with their values."""
-        kept = [self._read.words_of(*place) for place in alike]
-        values = {key: list(dict.fromkeys(words.get(key, "none") for words in kept)) for key in kept[0]}
+        readings_alike = [self._read.words_of(*place) for place in alike]
+        values = {
+            key: list(dict.fromkeys(words.get(key, "none") for words in readings_alike)) for key in readings_alike[0]
+        }
         return {key: found for key, found in values.items() if len(found) > 1}
 
     def _of(self, option: int) -> np.ndarray:

@@ -143,7 +143,7 @@ def _forms(columns: SampleColumns) -> Iterator[tuple[dict[str, str], np.ndarray]
 def _places(columns: SampleColumns, embodiment: Embodiment) -> list[tuple[str, str, str]]:
     """Return arm, point and frame as declared, then the others that the standard knows of this robot."""
     entry = columns.entry
-    found = []
+    places = []
     for frame in _first(entry.get("frame", "world"), frames.FRAMES):
         for point in _first(entry.get("point", "flange"), POINTS):
             for arm in _first(entry["arm"], list(embodiment.data["arms"]) if frame == "world" else [entry["arm"]]):
@@ -151,8 +151,8 @@ def _places(columns: SampleColumns, embodiment: Embodiment) -> list[tuple[str, s
                     offsets(embodiment, arm, point, frame)
                 except ConversionError:  # the standard does not know what lies between
                     continue
-                found.append((arm, point, frame))
-    return found
+                places.append((arm, point, frame))
+    return places
 
 
 @cache
@@ -167,5 +167,5 @@ def offsets(embodiment: Embodiment, arm: str, point: str, frame: str) -> tuple[n
     return outer, tool(embodiment) if point == "tcp" else still
 
 
-def _first(one: str, known: Sequence[str]) -> list[str]:
-    return [one, *(word for word in known if word != one)]
+def _first(one: str, options: Sequence[str]) -> list[str]:
+    return [one, *(word for word in options if word != one)]

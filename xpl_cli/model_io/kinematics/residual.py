@@ -27,13 +27,13 @@ def angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return result
 
 
-def of_positions(seen: np.ndarray, expected: np.ndarray) -> str:
+def of_positions(positions: np.ndarray, expected: np.ndarray) -> str:
     """Return what is left over between positions (N, 3), m, and the poses (N, 7) that were expected."""
-    about = expected[:, :3].mean(0), seen.mean(0)
-    turn = _kabsch(expected[:, :3] - about[0], seen - about[1])
+    about = expected[:, :3].mean(0), positions.mean(0)
+    turn = _kabsch(expected[:, :3] - about[0], positions - about[1])
     shift = about[1] - rotation.rotate(turn, about[0])
-    outside = _rms(seen - rotation.rotate(turn, expected[:, :3]) - shift)
-    tool = rotation.rotate(rotation.conjugate(expected[:, 3:]), seen - expected[:, :3])
+    outside = _rms(positions - rotation.rotate(turn, expected[:, :3]) - shift)
+    tool = rotation.rotate(rotation.conjugate(expected[:, 3:]), positions - expected[:, :3])
     inside = _rms(tool - tool.mean(0))
     if min(inside, outside) > _FITS["mm"]:
         return "no fixed frame and no fixed tool explains them either"
@@ -51,29 +51,34 @@ def of_rotations(readings: PoseReadings, expected: Sequence[np.ndarray]) -> str:
         readings: of the rows.
         expected: poses (N, 7) at each of their places.
     """
-    read: dict[str, np.ndarray] = {}
+    by_form: dict[str, np.ndarray] = {}
     for words, values in zip(readings.words, readings.values, strict=True):
         name = [f"{key}: {words[key]}" for key in ("form", "euler", "unit", "direction") if key in words]
-        read.setdefault(", ".join(name), values)
+        by_form.setdefault(", ".join(name), values)
     one, two = np.triu_indices(min(len(expected[0]), _COMPARED), 1)
-    wanted = angles(expected[0][one, 3:], expected[0][two, 3:])
-    apart = {form: _rms((angles(values[one], values[two]) - wanted)[:, None], 1.0) for form, values in read.items()}
-    forms = [form for form, error in apart.items() if error <= _FITS["degrees"]]
+    expected_angles = angles(expected[0][one, 3:], expected[0][two, 3:])
+    errors = {
+        form: _rms((angles(values[one], values[two]) - expected_angles)[:, None], 1.0)
+        for form, values in by_form.items()
+    }
+    forms = [form for form, error in errors.items() if error <= _FITS["degrees"]]
     if not forms:
         return "no form explains how far they are apart among themselves, in no frame and with no tool"
     fits: list[tuple[float, str]] = []
-    for form, (place, there) in itertools.product(forms, zip(readings.places, expected, strict=True)):
-        _, point, frame = place
-        outer = rotation.multiply(read[form], rotation.conjugate(there[:, 3:]))
-        inner = rotation.multiply(rotation.conjugate(there[:, 3:]), read[form])
-        for turns, told in ((outer, f"the {frame} frame"), (inner, f"the {point}")):
+    for form, (location, poses) in itertools.product(forms, zip(readings.places, expected, strict=True)):
+        _, point, frame = location
+        outer = rotation.multiply(by_form[form], rotation.conjugate(poses[:, 3:]))
+        inner = rotation.multiply(rotation.conjugate(poses[:, 3:]), by_form[form])
+        for turns, description in ((outer, f"the {frame} frame"), (inner, f"the {point}")):
             mean = _mean(turns)
             error = float(np.sqrt((angles(turns, mean) ** 2).mean()))
-            fits.append((error, f"with {form} and {told} turned by {_turn(mean)} they agree to {error:.1f} degrees"))
-    error, told = min(fits, key=lambda fit: round(fit[0], 3))  # of those alike the first, which is as declared
+            fits.append(
+                (error, f"with {form} and {description} turned by {_turn(mean)} they agree to {error:.1f} degrees")
+            )
+    error, description = min(fits, key=lambda fit: round(fit[0], 3))  # of those alike the first, which is as declared
     if error > _FITS["degrees"]:
         return f"{' or '.join(forms)} fits, in another frame and with another tool than the standard's"
-    return told
+    return description
 
 
 def _mean(turns: np.ndarray) -> np.ndarray:

@@ -43,20 +43,20 @@ def judge_samples(manifest: Manifest, folders: Sequence[Path]) -> list[Kinematic
     robots = list(_robots(manifest))
     if not robots:
         raise NotJudgeableError("the standard has the joint frames of none of the declared robots")
-    failed = None
+    first_error = None
     for robot in robots:  # the first that the rows fit
         try:
             columns = samples.collect(model_io, folders, robot)
         except ConversionError as error:
-            failed = failed or error
+            first_error = first_error or error
             continue
-        found = consistency.judge(columns, robot)
-        if not found:
+        verdicts = consistency.judge(columns, robot)
+        if not verdicts:
             raise NotJudgeableError(
                 "model_io.samples hold no joints and poses of one arm, absolute and of the same moments"
             )
-        return found
-    raise failed or AssertionError("a robot fits, or an error says why not")
+        return verdicts
+    raise first_error or AssertionError("a robot fits, or an error says why not")
 
 
 def _robots(manifest: Manifest) -> Iterator[Embodiment]:

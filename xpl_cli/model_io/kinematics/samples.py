@@ -60,12 +60,12 @@ def collect(model_io: Entry, folders: Sequence[Path], embodiment: Embodiment) ->
     Raises:
         ConversionError: if samples cannot be read, or do not fit the block or the robot.
     """
-    found = [
+    parts = [
         columns
-        for place, entry in enumerate(model_io.get("samples", ()))
-        for columns in _columns(model_io, entry, f"model_io.samples {place}", folders, embodiment)
+        for index, entry in enumerate(model_io.get("samples", ()))
+        for columns in _columns(model_io, entry, f"model_io.samples {index}", folders, embodiment)
     ]
-    counts = sorted({len(columns.rows) for columns in found})
+    counts = sorted({len(columns.rows) for columns in parts})
     if len(counts) > 1:
         raise ConversionError(
             f"model_io.samples have {' and '.join(map(str, counts))} rows; row i of each has to be the same moment"
@@ -73,7 +73,7 @@ def collect(model_io: Entry, folders: Sequence[Path], embodiment: Embodiment) ->
     if not counts:
         return []
     chosen = np.unique(np.linspace(0, counts[0] - 1, min(counts[0], _MOST_ROWS)).round().astype(int))
-    return [replace(one, rows=one.rows[chosen]) for one in found]
+    return [replace(one, rows=one.rows[chosen]) for one in parts]
 
 
 def _columns(
@@ -89,15 +89,15 @@ def _columns(
         {sum(item.width for item in made), *([vector["pad"]] if isinstance(vector.get("pad"), int) else [])}
     )
     if rows.shape[1] not in widths:
-        told = " or ".join(f"(N, {width})" for width in widths)
+        reference = " or ".join(f"(N, {width})" for width in widths)
         raise ConversionError(
-            f"{where}: expected rows {told}, {entry['file']} has the shape {rows.shape}; mend its parts"
+            f"{where}: expected rows {reference}, {entry['file']} has the shape {rows.shape}; mend its parts"
         )
     start = 0
     for (kind, how, unknown), one in zip(parts, made, strict=True):
-        told = how.get("reference") or vector.get("reference") or _ABSOLUTE
+        reference = how.get("reference") or vector.get("reference") or _ABSOLUTE
         is_whole = not isinstance(one, JointsPart) or one.is_whole  # a part of an arm leads nowhere
-        if kind in _JUDGED and told == _ABSOLUTE and is_whole:
+        if kind in _JUDGED and reference == _ABSOLUTE and is_whole:
             yield SampleColumns(f"{where}, {one.label}", kind, how, rows[:, start : start + one.width], leads, unknown)
         start += one.width
 
@@ -114,18 +114,20 @@ def _closed(
         ((kind, how),) = item.items()
         result.append((kind, {key: value for key, value in how.items() if not _is_open(value)}, how))
     rest = [
-        make_part({kind: known}, embodiment).width for kind, known, _ in result if kind != "rotation" or "form" in known
+        make_part({kind: values}, embodiment).width
+        for kind, values, _ in result
+        if kind != "rotation" or "form" in values
     ]
     forms = {rotations.WIDTHS[form]: form for form in reversed(rotations.WIDTHS) if form != "euler"}
-    for kind, known, _ in result:
-        if kind == "rotation" and known.get("form") == "euler":
-            known.setdefault("euler", "xyz")
+    for kind, values, _ in result:
+        if kind == "rotation" and values.get("form") == "euler":
+            values.setdefault("euler", "xyz")
         elif kind == "rotation":
-            known.setdefault("form", forms.get(width - sum(rest), "quaternion_wxyz"))
+            values.setdefault("form", forms.get(width - sum(rest), "quaternion_wxyz"))
     unknown = [{key for key in how if _is_open(how[key])} for _, _, how in result]
     return [
-        (kind, known, frozenset(words | {"euler"} if "form" in words else words))
-        for (kind, known, _), words in zip(result, unknown, strict=True)
+        (kind, values, frozenset(words | {"euler"} if "form" in words else words))
+        for (kind, values, _), words in zip(result, unknown, strict=True)
     ]
 
 
@@ -139,20 +141,22 @@ def _vector(model_io: Entry, entry: Entry, where: str) -> tuple[Entry, bool]:
         return {"parts": entry["parts"]}, False
     if entry["of"] == "action":
         return model_io["action"], True
-    known = {state["input"]: state for state in model_io.get("state", ())}
-    if entry["of"] not in known:
+    vectors = {state["input"]: state for state in model_io.get("state", ())}
+    if entry["of"] not in vectors:
         raise ConversionError(
-            f"{where}: no vector {entry['of']!r}; say one of {', '.join([*known, 'action'])}, or parts"
+            f"{where}: no vector {entry['of']!r}; say one of {', '.join([*vectors, 'action'])}, or parts"
         )
-    return known[entry["of"]], False
+    return vectors[entry["of"]], False
 
 
 def _rows(entry: Entry, where: str, folders: Sequence[Path]) -> np.ndarray:
     """Return the rows of an entry, (N, width) float64."""
     path = tables.find(entry["file"], folders)
     if path is None:
-        told = ", ".join(map(str, folders))
-        raise ConversionError(f"{where} names the file {entry['file']}, which is in none of: {told}; copy it there")
+        folder_list = ", ".join(map(str, folders))
+        raise ConversionError(
+            f"{where} names the file {entry['file']}, which is in none of: {folder_list}; copy it there"
+        )
     try:
         rows = np.asarray(tables.read(path, entry.get("key", "").split("/")), np.float64)
     except (TypeError, ValueError) as error:

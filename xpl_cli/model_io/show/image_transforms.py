@@ -20,26 +20,26 @@ _LEAST = 2.0
 """Mean difference, of 255, below which pictures are alike."""
 
 
-def describe_transform(seen: np.ndarray, camera: np.ndarray, entry: Entry) -> list[str]:
+def describe_transform(image: np.ndarray, camera: np.ndarray, entry: Entry) -> list[str]:
     """Return what lies between a camera's picture and what a model gets of it; [] if nothing does.
 
     Args:
-        seen: (h, w, 3) uint8, as it is shown to people.
+        image: (h, w, 3) uint8, as it is shown to people.
         camera: (H, W, 3) uint8 RGB.
         entry: of `images` in the model_io block, whose scaling and cutting is no difference.
     """
-    return nearest_transform(seen, camera, entry)[0]
+    return nearest_transform(image, camera, entry)[0]
 
 
-def nearest_transform(seen: np.ndarray, camera: np.ndarray, entry: Entry | None = None) -> tuple[list[str], float]:
+def nearest_transform(image: np.ndarray, camera: np.ndarray, entry: Entry | None = None) -> tuple[list[str], float]:
     """Return what lies between a camera's picture and another, as `exchanged`, and what is left then, 0 to 255."""
-    found = {words: difference(seen, made, entry or {}) for words, made in _made(camera).items()}
-    words = min(found, key=lambda name: found[name])
-    plain = found[()]
-    return ([], plain) if found[words] > _CLEARER * plain or plain < _LEAST else (list(words), found[words])
+    errors = {words: difference(image, made, entry or {}) for words, made in _made(camera).items()}
+    words = min(errors, key=lambda name: errors[name])
+    plain = errors[()]
+    return ([], plain) if errors[words] > _CLEARER * plain or plain < _LEAST else (list(words), errors[words])
 
 
-def difference(seen: np.ndarray, camera: np.ndarray, entry: Entry) -> float:
+def difference(image: np.ndarray, camera: np.ndarray, entry: Entry) -> float:
     """Return the mean difference, 0 to 255, between a picture and what scaling and cutting makes of a camera's."""
     steps = [step for step in entry.get("steps", ()) if next(iter(step)) in _GEOMETRY]
     plain = {"input": "", "cameras": [""], "steps": steps, "channels": "rgb", "layout": "hwc", "dtype": "uint8"}
@@ -47,9 +47,9 @@ def difference(seen: np.ndarray, camera: np.ndarray, entry: Entry) -> float:
         made = ImageInput(plain).view(camera)
     except ConversionError:  # larger than what it is cut out of
         return float("inf")
-    if made.shape != seen.shape:
-        made = _stretched(made, seen.shape[0], seen.shape[1])
-    return float(np.abs(made.astype(np.float32) - seen).mean())
+    if made.shape != image.shape:
+        made = _stretched(made, image.shape[0], image.shape[1])
+    return float(np.abs(made.astype(np.float32) - image).mean())
 
 
 def _made(camera: np.ndarray) -> dict[tuple[str, ...], np.ndarray]:

@@ -72,24 +72,29 @@ class Number:
         return asdict(self)
 
 
-def of_state(entry: Entry, vector: ModelVector, given: np.ndarray, state: State, robot: Embodiment) -> list[Number]:
+def of_state(
+    entry: Entry, vector: ModelVector, values_given: np.ndarray, state: State, robot: Embodiment
+) -> list[Number]:
     """Return the numbers of a state vector.
 
     Args:
         entry: of `state` in the block.
         vector: compiled from it.
-        given: (padded,) what the model gets.
+        values_given: (padded,) what the model gets.
         state: the standard's.
         robot: the robot.
     """
     # From the state, and not back through normalisation: what was clipped, or never moved, does not come back.
     before = np.concatenate([item.read(state) for item in vector.parts])
-    found = []
+    numbers = []
     for index, (name, unit, item, says, partners) in enumerate(_columns(entry, vector, robot)):
-        values = {"model": [float(given[index])], "before": [float(before[index])]}
-        standard = [Partner(name=told, values=[_value(state, key, at)], unit=its) for told, key, at, its in partners]
-        found.append(Number(index, item.label, name, unit, says, values, standard))
-    return [*found, *_padding(vector, given[None])]
+        values = {"model": [float(values_given[index])], "before": [float(before[index])]}
+        standard = [
+            Partner(name=partner_name, values=[_value(state, key, offset)], unit=partner_unit)
+            for partner_name, key, offset, partner_unit in partners
+        ]
+        numbers.append(Number(index, item.label, name, unit, says, values, standard))
+    return [*numbers, *_padding(vector, values_given[None])]
 
 
 def of_action(
@@ -111,25 +116,31 @@ def of_action(
     vector, first = interface.action.vector, interface.action.first
     rows = np.asarray(answer, np.float64)[[first, first + len(steps) - 1]]
     before = vector.denormalize(rows)
-    found = []
+    numbers = []
     for index, (name, unit, item, says, partners) in enumerate(_columns(entry, vector, robot)):
-        told = item.reference or entry["reference"]
+        reference = item.reference or entry["reference"]
         values = {"model": rows[:, index].tolist(), "before": before[:, index].tolist()}
         standard = [
-            Partner(name=its_name, values=[_value(steps[0], key, at), _value(steps[-1], key, at)], unit=its)
-            for its_name, key, at, its in partners
+            Partner(
+                name=partner_name,
+                values=[_value(steps[0], key, offset), _value(steps[-1], key, offset)],
+                unit=partner_unit,
+            )
+            for partner_name, key, offset, partner_unit in partners
         ]
-        said = told if item.kind != "fill" else ""
-        found.append(Number(index, item.label, name, unit, ", ".join(filter(None, (said, says))), values, standard))
-    return [*found, *_padding(vector, rows)]
+        reference_text = reference if item.kind != "fill" else ""
+        numbers.append(
+            Number(index, item.label, name, unit, ", ".join(filter(None, (reference_text, says))), values, standard)
+        )
+    return [*numbers, *_padding(vector, rows)]
 
 
 def _columns(
     entry: Entry, vector: ModelVector, robot: Embodiment
 ) -> Iterator[tuple[str, str, Part, str, list[tuple[str, str, int, str]]]]:
     """Yield for each number its name, unit and part, what is said of it, and its partners in the standard."""
-    for told, item in zip(entry["parts"], vector.parts, strict=True):
-        ((kind, how),) = told.items()
+    for entry_part, item in zip(entry["parts"], vector.parts, strict=True):
+        ((kind, how),) = entry_part.items()
         names = _names(kind, how, item, robot)
         unit = _unit(kind, how)
         says = _says(kind, how)
@@ -146,8 +157,8 @@ def _names(kind: str, how: Entry, item: Part, robot: Embodiment) -> Sequence[str
             return [f"about {axis}" for axis in how["euler"]]
         return _NAMES[how["form"]]
     if kind in ("joints", "hand"):
-        known = how.get("names") or (arm_of(robot, how["arm"]).joint_names if kind == "joints" else None)
-        return known or [
+        joint_names = how.get("names") or (arm_of(robot, how["arm"]).joint_names if kind == "joints" else None)
+        return joint_names or [
             f"{'joint' if kind == 'joints' else 'finger joint'} {place + 1}" for place in range(item.width)
         ]
     if kind == "gripper":
@@ -198,9 +209,9 @@ def _partners(kind: str, how: Entry, item: Part, place: int, robot: Embodiment) 
         if place == 0:
             yield f"{item.key}[0] opening", item.key, 0, ""
     else:
-        known = arm_of(robot, how["arm"]).joint_names if kind == "joints" else None
+        joint_names = arm_of(robot, how["arm"]).joint_names if kind == "joints" else None
         names = how.get("names")
-        index = known.index(names[place]) if known and names else place
+        index = joint_names.index(names[place]) if joint_names and names else place
         yield f"{item.key}[{index}]", item.key, index, "rad"
 
 

@@ -19,7 +19,7 @@ PAGE: Final = "index.html"
 SHEET: Final = "show.png"
 
 
-def write(seen: ShowReport, folder: Path) -> list[str]:
+def write(report: ShowReport, folder: Path) -> list[str]:
     """Write the page and the picture, and return their paths.
 
     Raises:
@@ -27,16 +27,16 @@ def write(seen: ShowReport, folder: Path) -> list[str]:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        atomic.write_file(folder / PAGE, page(seen).encode())
-        atomic.write_file(folder / SHEET, sheet(seen))
+        atomic.write_file(folder / PAGE, page(report).encode())
+        atomic.write_file(folder / SHEET, sheet(report))
     except OSError as error:
         raise UserError(f"{folder} cannot be written: {error.strerror or error}") from None
     return [str(folder / PAGE), str(folder / SHEET)]
 
 
-def list_notes(seen: ShowReport) -> Iterator[str]:
+def list_notes(report: ShowReport) -> Iterator[str]:
     """Yield what people should look at."""
-    yield from seen.notes
-    for view in seen.views:
+    yield from report.notes
+    for view in report.views:
         for note in view.notes:
             yield f"{view.input}, {view.camera}{f', {view.when} ago' if view.when else ''}: {note}"

@@ -56,29 +56,29 @@ class PredictCall:
 
 
 def run_predict(
-    package: Package, config: Config, observations: Sequence[Observation], place: RunOptions
+    package: Package, config: Config, observations: Sequence[Observation], options: RunOptions
 ) -> PredictCall:
     """Show an adapter an episode, ask at its last observation, and return what `predict` got and said.
 
     Raises:
         UserError: if the adapter cannot be loaded, does not answer, or has no `predict`.
     """
-    order = {
+    request = {
         "policy_dir": str(package.path),
         "config": dict(config),
         "manifest": dict(package.manifest.data),
         "observations": [dict(one) for one in observations],
     }
-    python = interpreter.resolve(package.path, package.manifest.environment, python=place.python, env=place.env)
-    done = subprocess_task.run(
-        _ERRAND, order, subprocess_task.TaskSettings(python, package.path, patience=place.patience)
+    python = interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=options.env)
+    task_result = subprocess_task.run(
+        _ERRAND, request, subprocess_task.TaskSettings(python, package.path, patience=options.patience)
     )
-    for answer in done.answers:
+    for answer in task_result.answers:
         if answer.error is not None:
             raise UserError(f"{package.path}: {answer.error}", code=ExitCode.NOT_RUN)
-    if done.problem is not None or len(done.answers) < len(("load", "question")):
-        raise UserError(f"{package.path}: its process {done.failure}", code=ExitCode.NOT_RUN)
-    result = done.answers[1].result
+    if task_result.problem is not None or len(task_result.answers) < len(("load", "question")):
+        raise UserError(f"{package.path}: its process {task_result.failure}", code=ExitCode.NOT_RUN)
+    result = task_result.answers[1].result
     if "inputs" not in result:
         raise UserError(f"{package.path} answers without calling predict", code=ExitCode.NOT_RUN)
     raw = result.get("raw")
@@ -113,19 +113,19 @@ def find_images(inputs: Any, observation: Observation) -> list[ImageView]:
         for name, entry in (observation.get(sdk.Obs.VISION) or {}).items()
         if sdk.Camera.COLOR in entry
     }
-    found: list[ImageView] = []
+    views: list[ImageView] = []
     for name, value in _values(inputs):
-        for place, values in enumerate(_planes(value)) if isinstance(value, np.ndarray) else ():
-            if len(found) == _MOST_PICTURES or not taken:
-                return found
-            found.append(_guess_view(name, place, values, value, taken))
-    return found
+        for index, values in enumerate(_planes(value)) if isinstance(value, np.ndarray) else ():
+            if len(views) == _MOST_PICTURES or not taken:
+                return views
+            views.append(_guess_view(name, index, values, value, taken))
+    return views
 
 
 def _guess_view(
-    name: str, place: int, values: np.ndarray, value: np.ndarray, taken: Mapping[str, np.ndarray]
+    name: str, index: int, values: np.ndarray, value: np.ndarray, taken: Mapping[str, np.ndarray]
 ) -> ImageView:
-    view = ImageView(name, place, "", 0, values, values, values, value.shape, str(value.dtype), (), ())
+    view = ImageView(name, index, "", 0, values, values, values, value.shape, str(value.dtype), (), ())
     inside = _unframed(view.raw)
     camera, words = min(
         ((one, image_transforms.nearest_transform(inside, picture)) for one, picture in taken.items()),
@@ -134,7 +134,7 @@ def _guess_view(
     notes = [f"most like {camera}", *words[0]]
     return ImageView(
         name,
-        place,
+        index,
         camera,
         0,
         taken[camera],

@@ -112,101 +112,105 @@ class ShowReport:
         }
 
 
-def report_from_block(what: ShownAdapter, scene: ShownScene, steps: tuple[Steps, str] | None = None) -> ShowReport:
+def report_from_block(adapter: ShownAdapter, scene: ShownScene, steps: tuple[Steps, str] | None = None) -> ShowReport:
     """Return what the model gets of a scene, and how it would say a command, by the block alone.
 
     Args:
-        what: the adapter.
+        adapter: the adapter.
         scene: what it is shown.
         steps: a command, and where it is from; by default one is made up.
 
     Raises:
         UserError: if the scene lacks what the model reads, or the adapter has no block.
     """
-    _, interface = _require_block(what)
+    _, interface = _require_block(adapter)
     inputs = _inputs(interface, scene)
     now = scene.observations[-1]
-    wanted, told = steps or (
-        _made_up_steps(what, now[sdk.Obs.STATE]),
+    steps_shown, source = steps or (
+        _made_up_steps(adapter, now[sdk.Obs.STATE]),
         "a command that was made up: it holds still at the first step, and moves until the last",
     )
-    notes = [*what.notes, *_code_notes(what)]
+    notes = [*adapter.notes, *_code_notes(adapter)]
     answer: np.ndarray | None = None
     try:
-        answer = interface.action.encode(wanted, now[sdk.Obs.STATE], {})
+        answer = interface.action.encode(steps_shown, now[sdk.Obs.STATE], {})
     except (ConversionError, ValueError, KeyError) as error:
         notes.append(f"the action cannot be shown: {error}")
-    seen = ShowReport(
-        what.package.name, what.robot.name, what.action_type, scene, "By the model_io block; the model did not run"
+    report = ShowReport(
+        adapter.package.name,
+        adapter.robot.name,
+        adapter.action_type,
+        scene,
+        "By the model_io block; the model did not run",
     )
-    return _fill_report(replace(seen, notes=notes), what, inputs, _ShownAction(answer, wanted, told))
+    return _fill_report(replace(report, notes=notes), adapter, inputs, _ShownAction(answer, steps_shown, source))
 
 
-def report_from_run(what: ShownAdapter, scene: ShownScene, place: predict_run.RunOptions) -> ShowReport:
+def report_from_run(adapter: ShownAdapter, scene: ShownScene, options: predict_run.RunOptions) -> ShowReport:
     """Return what `predict` got of a scene, and what it said.
 
     Raises:
         UserError: if the adapter cannot be run.
     """
-    found = predict_run.run_predict(what.package, what.config, scene.observations, place)
+    call = predict_run.run_predict(adapter.package, adapter.config, scene.observations, options)
     how = "Watched: what predict got and said"
-    seen = ShowReport(what.package.name, what.robot.name, what.action_type, scene, how)
-    if what.interface is None or what.model_io is None:
+    report = ShowReport(adapter.package.name, adapter.robot.name, adapter.action_type, scene, how)
+    if adapter.interface is None or adapter.model_io is None:
         notes = ["no model_io block: nothing says what these numbers mean, so that they are shown as they are"]
         return replace(
-            seen,
-            views=predict_run.find_images(found.inputs, scene.observations[-1]),
-            notes=[*notes, *predict_run.describe_inputs(found.inputs)],
+            report,
+            views=predict_run.find_images(call.inputs, scene.observations[-1]),
+            notes=[*notes, *predict_run.describe_inputs(call.inputs)],
             instruction=scene.observations[-1].get(sdk.Obs.INSTRUCTION),
         )
-    notes = list(what.notes)
-    made = _inputs(what.interface, scene)
+    notes = list(adapter.notes)
+    expected_inputs = _inputs(adapter.interface, scene)
     inputs: dict[str, Any] = {}
-    given = predict_run.unbatched(found.inputs)
-    for name, expected in made.items():
-        if name not in given:
-            notes.append(f"predict got no {name}, which the block names; it got {', '.join(given)}")
+    inputs_given = predict_run.unbatched(call.inputs)
+    for name, expected in expected_inputs.items():
+        if name not in inputs_given:
+            notes.append(f"predict got no {name}, which the block names; it got {', '.join(inputs_given)}")
             continue
-        inputs[name] = given[name]
-        difference = _describe_difference(given[name], expected)
+        inputs[name] = inputs_given[name]
+        difference = _describe_difference(inputs_given[name], expected)
         if difference:
             notes.append(f"{name}: {difference} than the block makes")
-    answer = found.raw if isinstance(found.raw, np.ndarray) else np.zeros(0)
-    width = what.interface.action.vector.padded
-    usable = answer.shape[1:] == (width,) and bool(found.steps)
-    if found.failure:
-        notes.append(f"what it answered makes no action: {found.failure}")
+    answer = call.raw if isinstance(call.raw, np.ndarray) else np.zeros(0)
+    width = adapter.interface.action.vector.padded
+    usable = answer.shape[1:] == (width,) and bool(call.steps)
+    if call.failure:
+        notes.append(f"what it answered makes no action: {call.failure}")
     elif not usable:
         notes.append(f"predict answered the shape {answer.shape}; the block says (H, {width})")
-    said = _ShownAction(answer if usable else None, found.steps, "what the model answered")
-    return _fill_report(replace(seen, notes=notes), what, inputs, said)
+    action = _ShownAction(answer if usable else None, call.steps, "what the model answered")
+    return _fill_report(replace(report, notes=notes), adapter, inputs, action)
 
 
-def first_pair(what: ShownAdapter) -> tuple[ShownScene, Steps, str] | None:
+def first_pair(adapter: ShownAdapter) -> tuple[ShownScene, Steps, str] | None:
     """Return the first question of golden_pairs.json: its scene, the golden answer, and what it is called.
 
     Raises:
         PairsError: if there is such a file, and it cannot be read.
     """
-    if not (what.package.path / names.PAIRS).is_file():
+    if not (adapter.package.path / names.PAIRS).is_file():
         return None
-    for session in pairs.read(what.package.path).sessions:
-        if (session.embodiment, session.action_type) == (what.robot.name, what.action_type) and session.questions:
+    for session in pairs.read(adapter.package.path).sessions:
+        if (session.embodiment, session.action_type) == (adapter.robot.name, adapter.action_type) and session.questions:
             question = session.questions[0]
-            shown = session.scene.observations(question.recipes)
-            told = f"{names.PAIRS}, {question.where}"
-            return ShownScene(shown, told), session.chunk(question), f"what {names.CODE} answered ({told})"
+            observations = session.scene.observations(question.recipes)
+            origin = f"{names.PAIRS}, {question.where}"
+            return ShownScene(observations, origin), session.chunk(question), f"what {names.CODE} answered ({origin})"
     return None
 
 
-def _require_block(what: ShownAdapter) -> tuple[Entry, Interface]:
-    if what.model_io is None or what.interface is None:
+def _require_block(adapter: ShownAdapter) -> tuple[Entry, Interface]:
+    if adapter.model_io is None or adapter.interface is None:
         raise UserError(
-            f"{what.package.path} has no block model_io: nothing says what its model reads, and nothing can be shown",
+            f"{adapter.package.path} has no model_io block, which would say what the model reads",
             hint="--run shows what predict gets, as it is",
             code=ExitCode.NOT_RUN,
         )
-    return what.model_io, what.interface
+    return adapter.model_io, adapter.interface
 
 
 @dataclass(frozen=True)
@@ -218,40 +222,44 @@ class _ShownAction:
     told: str
 
 
-def _fill_report(seen: ShowReport, what: ShownAdapter, inputs: Mapping[str, Any], said: _ShownAction) -> ShowReport:
+def _fill_report(
+    report: ShowReport, adapter: ShownAdapter, inputs: Mapping[str, Any], action: _ShownAction
+) -> ShowReport:
     """Return what is shown of a block's inputs and of an action."""
-    model_io, interface = _require_block(what)
-    now = seen.scene.observations[-1]
+    model_io, interface = _require_block(adapter)
+    now = report.scene.observations[-1]
     state = now[sdk.Obs.STATE]
-    vectors, read = [], []
+    vectors, read_vectors = [], []
     for entry in model_io.get("state", ()):
         name = entry["input"]
         if name in inputs:
             vector, values = interface.states[name], _newest(interface, name, inputs[name])
-            shown = numbers.of_state(entry, vector, values, state, what.robot)
-            vectors.append(StateVector(name, _vector_words(entry), shown))
-            read.append(robot_figure.ReadVector(name, entry, vector, vector.denormalize(values.astype(np.float64))))
+            numbers_shown = numbers.of_state(entry, vector, values, state, adapter.robot)
+            vectors.append(StateVector(name, _vector_words(entry), numbers_shown))
+            read_vectors.append(
+                robot_figure.ReadVector(name, entry, vector, vector.denormalize(values.astype(np.float64)))
+            )
     return replace(
-        seen,
-        views=views.views(model_io, inputs, seen.scene.observations),
+        report,
+        views=views.views(model_io, inputs, report.scene.observations),
         vectors=vectors,
         texts={name: str(value) for name, value in inputs.items() if isinstance(value, str)},
         instruction=now.get(sdk.Obs.INSTRUCTION),
         action=[]
-        if said.answer is None
-        else numbers.of_action(model_io["action"], interface, said.answer, said.steps, what.robot),
-        action_from=said.told,
-        action_words=_action_words(model_io, len(said.steps)),
-        figures=robot_figure.figures(what.robot, state, read, said.steps),
-        witness=_witness(what),
+        if action.answer is None
+        else numbers.of_action(model_io["action"], interface, action.answer, action.steps, adapter.robot),
+        action_from=action.told,
+        action_words=_action_words(model_io, len(action.steps)),
+        figures=robot_figure.figures(adapter.robot, state, read_vectors, action.steps),
+        witness=_witness(adapter),
     )
 
 
-def _witness(what: ShownAdapter) -> list[str]:
+def _witness(adapter: ShownAdapter) -> list[str]:
     """Return what kinematics says of the samples; nothing where there are none."""
-    if what.package.manifest.model_io is None or not what.package.manifest.model_io.samples:
+    if adapter.package.manifest.model_io is None or not adapter.package.manifest.model_io.samples:
         return []
-    manifest, folder = what.package.manifest, what.package.path
+    manifest, folder = adapter.package.manifest, adapter.package.path
     try:
         return [verdict.sentence for verdict in sample_verdicts.judge_samples(manifest, [folder])]
     except (sample_verdicts.NotJudgeableError, ConversionError) as error:
@@ -273,14 +281,14 @@ def _newest(interface: Interface, name: str, value: Any) -> np.ndarray:
     return array if history is None else array[history.newest]
 
 
-def _made_up_steps(what: ShownAdapter, state: State) -> Steps:
+def _made_up_steps(adapter: ShownAdapter, state: State) -> Steps:
     """Return a command: the first step holds still, the last is a little further, with grippers half way to closed."""
-    count = what.interface.action.steps if what.interface and what.interface.action.steps else _STEPS
+    count = adapter.interface.action.steps if adapter.interface and adapter.interface.action.steps else _STEPS
     steps = []
-    for place in range(count):
-        share = place / max(1, count - 1)
+    for step_number in range(count):
+        share = step_number / max(1, count - 1)
         step = {}
-        for key, width in what.robot.dims(what.action_type).items():
+        for key, width in adapter.robot.dims(adapter.action_type).items():
             now = np.asarray(state[key], np.float64).copy()
             if key.endswith(sdk.State.EE_POSE):
                 now[: sdk.POSITION_DIM] += share * _MOVE[0] * np.arange(1, sdk.POSITION_DIM + 1)
@@ -293,17 +301,17 @@ def _made_up_steps(what: ShownAdapter, state: State) -> Steps:
     return steps
 
 
-def _code_notes(what: ShownAdapter) -> list[str]:
+def _code_notes(adapter: ShownAdapter) -> list[str]:
     """Return what the block says that code does: it is not in what is shown."""
-    listed = (what.model_io or {}).get("code") or ()
+    listed = (adapter.model_io or {}).get("code") or ()
     return [f"done in code, and not shown here: {sentence}; --run shows it" for sentence in listed]
 
 
-def _describe_difference(given: Any, expected: Any) -> str:
+def _describe_difference(value: Any, expected: Any) -> str:
     """Return in what an input differs from what the block makes, "" if in nothing."""
-    if isinstance(expected, str) or isinstance(given, str):
-        return "" if given == expected else f"predict got {given!r}, other"
-    one, other = np.asarray(given), np.asarray(expected)
+    if isinstance(expected, str) or isinstance(value, str):
+        return "" if value == expected else f"predict got {value!r}, other"
+    one, other = np.asarray(value), np.asarray(expected)
     if one.shape != other.shape:
         return f"predict got the shape {one.shape}, not {other.shape}: other"
     if one.dtype != other.dtype:
@@ -315,11 +323,11 @@ def _describe_difference(given: Any, expected: Any) -> str:
 
 def _vector_words(entry: Entry) -> str:
     rule = entry.get("normalize") or {}
-    told = [f"normalised by {rule['rule']}" if "rule" in rule else "not normalised"]
-    told += [f"numbers of {rule['file']}"] if "file" in rule else []
-    told += [f"clipped to {rule['clip'][0]} to {rule['clip'][1]}"] if "clip" in rule else []
-    told += [f"padded to {entry['pad']}"] if "pad" in entry else []
-    return ", ".join(told)
+    texts = [f"normalised by {rule['rule']}" if "rule" in rule else "not normalised"]
+    texts += [f"numbers of {rule['file']}"] if "file" in rule else []
+    texts += [f"clipped to {rule['clip'][0]} to {rule['clip'][1]}"] if "clip" in rule else []
+    texts += [f"padded to {entry['pad']}"] if "pad" in entry else []
+    return ", ".join(texts)
 
 
 def _action_words(model_io: Entry, steps: int) -> str:

@@ -75,26 +75,26 @@ class _Paper:
         return buffer.getvalue()
 
 
-def sheet(seen: ShowReport) -> bytes:
+def sheet(report: ShowReport) -> bytes:
     """Return everything that is shown as a PNG."""
     paper = _Paper()
-    paper.lines(f"What {seen.policy} sees", 30)
-    paper.lines(f"{seen.robot}, {seen.action_type} control. Shown: {seen.scene.origin}. {seen.how}.", 14, _SOFT)
-    for note in seen.notes:
+    paper.lines(f"What {report.policy} sees", 30)
+    paper.lines(f"{report.robot}, {report.action_type} control. Shown: {report.scene.origin}. {report.how}.", 14, _SOFT)
+    for note in report.notes:
         paper.lines(note, 14, _ALARM)
-    if seen.views:
+    if report.views:
         paper.heading("Pictures")
-        for view in seen.views:
+        for view in report.views:
             _view(paper, view)
-    _words(paper, seen)
-    if seen.figures and paper.room():
+    _words(paper, report)
+    if report.figures and paper.room():
         paper.heading("Robot")
         paper.lines(ROBOT, 14, _SOFT)
         left = float(_EDGE)
-        for figure in seen.figures:
+        for figure in report.figures:
             figure.draw(paper.pen, left, paper.top, 1.1)
             left += 1.1 * figure.width + 10
-        paper.top += round(1.1 * max(figure.height for figure in seen.figures))
+        paper.top += round(1.1 * max(figure.height for figure in report.figures))
     return paper.png()
 
 
@@ -104,23 +104,23 @@ ROBOT: Final = (
 )
 
 
-def _words(paper: _Paper, seen: ShowReport) -> None:
+def _words(paper: _Paper, report: ShowReport) -> None:
     """Write what is told in numbers and words."""
-    for vector in seen.vectors:
+    for vector in report.vectors:
         paper.heading(f"State: {vector.input}")
         paper.lines(vector.words, 14, _SOFT)
         _table(paper, formatting.HEADS, vector.numbers)
-    for name, text in seen.texts.items():
+    for name, text in report.texts.items():
         paper.heading(f"Instruction: {name}")
-        paper.lines(f"standard: {seen.instruction!r}")
+        paper.lines(f"standard: {report.instruction!r}")
         paper.lines(f"model: {text!r}")
-    if seen.action:
+    if report.action:
         paper.heading("Action")
-        paper.lines(f"{seen.action_from}. {seen.action_words}. First and last step.", 14, _SOFT)
-        _table(paper, formatting.ACTION_HEADS, seen.action)
-    if seen.witness:
+        paper.lines(f"{report.action_from}. {report.action_words}. First and last step.", 14, _SOFT)
+        _table(paper, formatting.ACTION_HEADS, report.action)
+    if report.witness:
         paper.heading("What the robot's kinematics says of model_io.samples")
-        for sentence in seen.witness:
+        for sentence in report.witness:
             paper.lines(sentence)
 
 
@@ -129,16 +129,16 @@ def _view(paper: _Paper, view: ImageView) -> None:
     if not paper.room():
         return
     titles = (f"camera: {view.camera}", f"model: {view.input} {formatting.when(view)}", "its numbers as they are")
-    shown = (view.taken, view.seen, view.raw)
+    pictures = (view.taken, view.seen, view.raw)
     below = (" x ".join(map(str, view.taken.shape)), ", ".join(view.words), formatting.about(view))
     top = paper.top
     bottom = top
-    for place, (title, picture, told) in enumerate(zip(titles, shown, below, strict=True)):
-        left = _EDGE + place * (_PICTURE[0] + 30)
+    for column, (title, picture, caption) in enumerate(zip(titles, pictures, below, strict=True)):
+        left = _EDGE + column * (_PICTURE[0] + 30)
         paper.words(title, left, top, 15)
         made = _fitted(picture)
         paper.image.paste(made, (left, top + 22))
-        lines = textwrap.wrap(told, 46)[:_MOST_LINES]
+        lines = textwrap.wrap(caption, 46)[:_MOST_LINES]
         for number, line in enumerate(lines):
             paper.words(line, left, top + 26 + made.height + 16 * number, 12.5, _SOFT)
         bottom = max(bottom, top + 30 + made.height + 16 * len(lines))

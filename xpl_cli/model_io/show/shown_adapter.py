@@ -66,19 +66,23 @@ def load_adapter(package: Package, overrides: Config) -> ShownAdapter:
     """
     config = package.config(overrides)
     try:
-        body = get_embodiment(str(config.get(sdk.Deploy.ENV_CFG_TYPE)))
+        robot = get_embodiment(str(config.get(sdk.Deploy.ENV_CFG_TYPE)))
     except UnknownEmbodimentError as error:
         raise UserError(str(error)) from None
     if not package.manifest.model_io:
-        return ShownAdapter(package, config, None, None, body, ())
-    told = package.manifest.model_io.data
-    made = ShownAdapter(package, config, told, None, body, tuple(_holes(package.path, config, told)))
+        return ShownAdapter(package, config, None, None, robot, ())
+    block = package.manifest.model_io.data
+    adapter = ShownAdapter(package, config, block, None, robot, tuple(_holes(package.path, config, block)))
     folders = checkpoint.folders(config, package.path)
     try:
-        model_io = fill_gaps(told, body, made.action_type, missing_files(told, folders)) if made.notes else told
+        model_io = (
+            fill_gaps(block, robot, adapter.action_type, missing_files(block, folders)) if adapter.notes else block
+        )
         chunk = package.manifest.temporal.chunk
         return replace(
-            made, model_io=model_io, interface=compile_interface(model_io, body, made.action_type, folders, chunk)
+            adapter,
+            model_io=model_io,
+            interface=compile_interface(model_io, robot, adapter.action_type, folders, chunk),
         )
     except ConversionError as error:
         raise UserError(f"{package.path}: {error}", code=ExitCode.NOT_RUN) from None
@@ -86,6 +90,6 @@ def load_adapter(package: Package, overrides: Config) -> ShownAdapter:
 
 def _holes(path: Path, config: Config, model_io: Entry) -> list[str]:
     """Return what is open in a block, or not there, and was filled in."""
-    found = [f"open: {gap.where} ({gap.reason}); a plain value stands there" for gap in gaps(model_io)]
-    lacking = missing_files(model_io, checkpoint.folders(config, path))
-    return [*found, *(f"{file} is not there: its normalisation is left out" for file in lacking)]
+    notes = [f"open: {gap.where} ({gap.reason}); a plain value stands there" for gap in gaps(model_io)]
+    missing = missing_files(model_io, checkpoint.folders(config, path))
+    return [*notes, *(f"{file} is not there: its normalisation is left out" for file in missing)]

@@ -91,34 +91,34 @@ def views(model_io: Entry, inputs: Mapping[str, np.ndarray], observations: Seque
         observations: of the episode, oldest first.
     """
     histories = ModelIO.parse(model_io).histories("images")
-    found = []
+    image_views = []
     for entry, history in zip(model_io.get("images", ()), histories, strict=True):
         if entry["input"] not in inputs:
             continue
-        given = np.asarray(inputs[entry["input"]])
-        frames = given if history.length > 1 else given[None]
+        frames_given = np.asarray(inputs[entry["input"]])
+        frames = frames_given if history.length > 1 else frames_given[None]
         ages = replace(history, length=len(frames)).ages  # an adapter's own encode may show another number
         for when, values in sorted(zip(ages, frames, strict=True), key=lambda one: one[0]):
             then = observations[max(0, len(observations) - 1 - when)]
-            found += list(_of(entry, values, then, when))
-    return found
+            image_views += list(_of(entry, values, then, when))
+    return image_views
 
 
 def _of(entry: Entry, value: np.ndarray, observation: Observation, when: int) -> Iterator[ImageView]:
     item = ImageInput(entry)
     taken = {camera: get_image(observation, camera) for camera in item.cameras}
-    for place, (camera, values, seen) in enumerate(
+    for index, (camera, values, picture) in enumerate(
         zip(item.cameras, item.views(value), item.visible_images(value), strict=True)
     ):
-        notes = [*_exchanged(entry, seen, taken, camera), *_misnamed(entry, camera)]
+        notes = [*_exchanged(entry, picture, taken, camera), *_misnamed(entry, camera)]
         yield ImageView(
             item.name,
-            place,
+            index,
             camera,
             when,
             taken[camera],
             np.ascontiguousarray(values),
-            seen,
+            picture,
             tuple(value.shape),
             str(value.dtype),
             tuple(_words(entry)),
@@ -126,11 +126,11 @@ def _of(entry: Entry, value: np.ndarray, observation: Observation, when: int) ->
         )
 
 
-def _exchanged(entry: Entry, seen: np.ndarray, taken: Mapping[str, np.ndarray], camera: str) -> Iterator[str]:
-    yield from image_transforms.describe_transform(seen, taken[camera], entry)
-    nearest = min(taken, key=lambda name: image_transforms.difference(seen, taken[name], entry))
-    if image_transforms.difference(seen, taken[nearest], entry) < 0.5 * image_transforms.difference(
-        seen, taken[camera], entry
+def _exchanged(entry: Entry, picture: np.ndarray, taken: Mapping[str, np.ndarray], camera: str) -> Iterator[str]:
+    yield from image_transforms.describe_transform(picture, taken[camera], entry)
+    nearest = min(taken, key=lambda name: image_transforms.difference(picture, taken[name], entry))
+    if image_transforms.difference(picture, taken[nearest], entry) < 0.5 * image_transforms.difference(
+        picture, taken[camera], entry
     ):
         yield f"shows {nearest}"
 
@@ -139,11 +139,14 @@ def _misnamed(entry: Entry, camera: str) -> Iterator[str]:
     """Yield what the input's own name says otherwise than the camera's."""
     if len(entry["cameras"]) > 1:
         return
-    name, shown = (set(re.split(r"[^a-z]+", text.lower())) for text in (entry["input"], camera))
+    name, camera_words = (set(re.split(r"[^a-z]+", text.lower())) for text in (entry["input"], camera))
     for one, other in (_SIDES, _SIDES[::-1]):
-        if one in name and other not in name and other in shown and one not in shown:
+        if one in name and other not in name and other in camera_words and one not in camera_words:
             yield f"the input is called {entry['input']}, and shows {camera}"
-    kinds = [{kind for kind, words in _PLACES.items() if given & set(words)} for given in (name, shown)]
+    kinds = [
+        {kind for kind, words in _PLACES.items() if words_of_name & set(words)}
+        for words_of_name in (name, camera_words)
+    ]
     if kinds[0] and kinds[1] and not kinds[0] & kinds[1]:
         yield f"the input is called {entry['input']}, and shows {camera}"
 
@@ -153,12 +156,12 @@ def _words(entry: Entry) -> Iterator[str]:
     for step in entry.get("steps", ()):
         ((kind, how),) = step.items()
         if isinstance(how, dict):
-            told = " ".join(
+            values = " ".join(
                 "x".join(map(str, value)) if isinstance(value, list) else str(value if value is not True else key)
                 for key, value in how.items()
                 if value is not False
             )
-            yield f"{kind} {told}"
+            yield f"{kind} {values}"
         else:
             yield f"{kind} {how}"
     yield f"channels {entry['channels']}"

@@ -26,7 +26,7 @@ from xpl_cli.audit.offline.search.replay import QuestionRefusedError, replay_cal
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics.atomic import write_file
-from xpl_cli.basics.words import amount, listed
+from xpl_cli.basics.phrases import count_noun, join_limited
 
 if TYPE_CHECKING:
     from xpl.trajectory import Folder, Trajectory
@@ -63,7 +63,7 @@ class DemonstrationComparison:
         trajectories = self._episodes()
         if len(trajectories) < LEAST_EPISODES:
             raise NotRun(
-                f"{amount(len(trajectories), 'episode')} tell nothing for certain: at least {LEAST_EPISODES} are needed"
+                f"{count_noun(len(trajectories), 'episode')} are too few: at least {LEAST_EPISODES} are needed"
             )
         indices = np.unique(np.linspace(0, len(trajectories) - 1, min(len(trajectories), _MOST_EPISODES)).astype(int))
         try:
@@ -216,7 +216,7 @@ class DemonstrationComparison:
         differing = [name for name, digest in digests.items() if not _has_digest(root / name, root, digest)]
         if differing:
             raise NotRun(
-                f"the demonstrations are not those that {declaration.FILE} names: {listed(differing, 1)} differ"
+                f"the demonstrations are not those that {declaration.FILE} names: {join_limited(differing, 1)} differ"
             )
         from xpl.trajectory import Trajectory
 
