@@ -21,31 +21,31 @@ if TYPE_CHECKING:
 def test_every_recipe_records_prepares_trains_and_judges(which: tuple[str, str], tmp_path: Path) -> None:
     """With what its package reads: cameras, or what the simulator tells."""
     policy, task = which
-    asked = learned.parse_arguments(["--policy", policy, "--task", task])
+    arguments = learned.parse_arguments(["--policy", policy, "--task", task])
     package, _, variant = policy.partition(":")
-    found = list(learned.stages(learned.RECIPES[which], ROOT / "policy" / package, tmp_path, asked))
-    names = [stage.words[0] for stage in found]
+    all_stages = list(learned.stages(learned.RECIPES[which], ROOT / "policy" / package, tmp_path, arguments))
+    names = [stage.words[0] for stage in all_stages]
     assert list(dict.fromkeys(names)) == ["record", "install", "prepare", "train", "eval", "report"]
     assert [name for name in names if name in ("prepare", "train")] == ["prepare", "train"]
-    recorded = " ".join(found[0].words)
+    recorded = " ".join(all_stages[0].words)
     assert ("--images none" in recorded) == (variant == "state")
-    chosen = {"variant=state" in stage.words for stage in found if stage.words[0] in ("prepare", "train", "eval")}
+    chosen = {"variant=state" in stage.words for stage in all_stages if stage.words[0] in ("prepare", "train", "eval")}
     assert chosen == {variant == "state"}
     assert (ROOT / "policy" / package).is_dir()
 
 
 def test_who_reads_is_judged_with_other_instructions_too(tmp_path: Path) -> None:
     policy, task = "Tiny_VLA", "pick_by_language"
-    asked = learned.parse_arguments(["--policy", policy, "--task", task])
-    found = learned.stages(learned.RECIPES[policy, task], tmp_path, tmp_path, asked)
-    judged = [stage.words for stage in found if stage.words[0] == "eval"]
-    told = [words[words.index("--instruction") + 1] if "--instruction" in words else None for words in judged]
-    assert told == [None, None, "swap", "swap", "blank"]
+    arguments = learned.parse_arguments(["--policy", policy, "--task", task])
+    all_stages = learned.stages(learned.RECIPES[policy, task], tmp_path, tmp_path, arguments)
+    judged = [stage.words for stage in all_stages if stage.words[0] == "eval"]
+    instructions = [words[words.index("--instruction") + 1] if "--instruction" in words else None for words in judged]
+    assert instructions == [None, None, "swap", "swap", "blank"]
     assert len({words[words.index("--out") + 1] for words in judged}) == 5
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--policy", "ACT"], "go together"),
         (["--policy", "ACT", "--task", "mw-push"], "lift_cube, push_block"),
@@ -53,12 +53,12 @@ def test_who_reads_is_judged_with_other_instructions_too(tmp_path: Path) -> None
     ],
 )
 def test_what_there_is_not_is_refused_with_what_there_is(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
         learned.parse_arguments(words)
     assert ended.value.code == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_it_goes_on_after_what_is_done_and_never_with_other_settings(
@@ -80,12 +80,12 @@ def test_it_goes_on_after_what_is_done_and_never_with_other_settings(
     monkeypatch.setattr(subprocess, "run", ran)
     recipe = learned.RECIPES["ACT:state", "lift_cube"]
     given = ["--policy", "ACT:state", "--task", "lift_cube", "--out", str(tmp_path), "--judge", "2"]
-    asked = learned.parse_arguments(given)
+    arguments = learned.parse_arguments(given)
     with pytest.raises(SystemExit, match="train ended with exit code 4"):
-        learned.run(recipe, asked)
+        learned.run(recipe, arguments)
     codes.clear()
     assert called == ["record", "install", "prepare", "train"]
-    result = learned.run(recipe, asked)
+    result = learned.run(recipe, arguments)
     assert called[4:] == ["train", "eval", "report"]
     assert set(result["reports"]) == {"clean"}
     with pytest.raises(SystemExit, match="other settings"):

@@ -39,14 +39,14 @@ def _json(*arguments: str | Path) -> dict[str, Any]:
 
 def test_a_set_is_recorded_and_is_valid(tmp_path: Path) -> None:
     demos = tmp_path / "demos"
-    told = _json("record", *PLAIN, "--episodes", "1", "--out", demos)
-    assert (told["episodes"], told["steps"], told["tasks"][0]["discarded"]) == (1, 5, 0)
+    answer = _json("record", *PLAIN, "--episodes", "1", "--out", demos)
+    assert (answer["episodes"], answer["steps"], answer["tasks"][0]["discarded"]) == (1, 5, 0)
     refused = xpl("record", *PLAIN, "--episodes", "2", "--out", demos)
     assert (refused.code, "--resume" in refused.stderr) == (2, True)
     assert xpl("spec", "validate", demos / "episode_0000000.hdf5").code == 0
-    found = trajectory.open_folder(demos)[0]
-    assert found.image("cam_head", 4).shape == (16, 16, 3)
-    assert (found.episode["policy"], found.episode["seed"]) == ("demo_policy", 0)
+    episode = trajectory.open_folder(demos)[0]
+    assert episode.image("cam_head", 4).shape == (16, 16, 3)
+    assert (episode.episode["policy"], episode.episode["seed"]) == ("demo_policy", 0)
 
 
 def test_practice_leaves_the_evaluation_seeds_alone() -> None:
@@ -79,14 +79,17 @@ def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path
             (tmp_path / trajectory_recorder.file_name(index)).write_bytes(b"12345")
     line = planned(cells=[PlannedCell("lift", "clean", None, range(5), frozen=False)])
     request = collect.RecordRequest("E", config.RecordingConfig(str(tmp_path), config.SUCCESS), episodes=2)
-    told = collect._summary(records.Run(tmp_path / "run", line, finals=lines), request, "P", 1.0)
-    assert told.tasks == [
+    demonstrations = collect._summary(records.Run(tmp_path / "run", line, finals=lines), request, "P", 1.0)
+    assert demonstrations.tasks == [
         collect.TaskDemonstrations(
             "lift", "clean", 2, requested=2, tried=4, discarded=1, infrastructure_errors=1, steps=14
         )
     ]
-    assert (told.bytes, [path.name for path in tmp_path.glob("*.hdf5")].count("episode_0000004.hdf5")) == (10, 0)
-    assert "1 of 4 tries discarded, 1 infrastructure errors" in told.text()
+    assert (demonstrations.bytes, [path.name for path in tmp_path.glob("*.hdf5")].count("episode_0000004.hdf5")) == (
+        10,
+        0,
+    )
+    assert "1 of 4 tries discarded, 1 infrastructure errors" in demonstrations.text()
     collect._restore_surplus(tmp_path)
     assert (tmp_path / "episode_0000004.hdf5").is_file()
     (tmp_path / "episode_0000000.hdf5").unlink()
@@ -107,11 +110,11 @@ def test_a_missing_policy_is_reported_in_one_sentence(tmp_path: Path) -> None:
 def test_an_evaluation_keeps_its_episodes_on_request(tmp_path: Path) -> None:
     """With what the policy was shown: the record beside it tells the same."""
     demos, run = tmp_path / "demos", tmp_path / "run"
-    place = ("eval", "demo_policy", "--env", "offline", "--horizon", "4", "--record", demos, "--out", run)
-    _json(*place)
-    found = trajectory.open_folder(demos)[0]
+    command = ("eval", "demo_policy", "--env", "offline", "--horizon", "4", "--record", demos, "--out", run)
+    _json(*command)
+    episode = trajectory.open_folder(demos)[0]
     final = records.read(run).finals[0]
-    assert [len(found), found.episode["steps"], found.episode["seed"]] == [5, final.steps, final.seed]
+    assert [len(episode), episode.episode["steps"], episode.episode["seed"]] == [5, final.steps, final.seed]
     again = xpl("eval", "demo_policy", "--env", "offline", "--record", demos)
     assert (again.code, "already" in again.stderr) == (2, True)
     assert xpl("eval", "demo_policy", "--env", "offline", "--keep", "all").code == 2
@@ -130,8 +133,8 @@ def test_the_expert_of_a_simulation_is_recorded_through_a_kill(tmp_path: Path) -
     running.wait()
     done = subprocess.run([*command, "--resume", "--workers", "2"], env=environment, check=False, capture_output=True)
     assert done.returncode == 0, done.stderr
-    found = trajectory.open_folder(demos)
-    assert len(found) == 4
-    assert all(one.episode["success"] for one in found)
+    episodes = trajectory.open_folder(demos)
+    assert len(episodes) == 4
+    assert all(one.episode["success"] for one in episodes)
     finals = records.read(demos / "run").finals
-    assert [one.episode["seed"] for one in found] == [line.seed for line in finals.values() if line.success][:4]
+    assert [one.episode["seed"] for one in episodes] == [line.seed for line in finals.values() if line.success][:4]

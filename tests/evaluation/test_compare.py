@@ -29,10 +29,10 @@ ONE: dict[str, Any] = {"tasks": ["lift_cube"], "settings": ["clean"]}
 def compared(first: Path, second: Path) -> dict[str, Any]:
     """Return the comparison of two recorded runs, which keeps to its schema and can be shown."""
     result = compare(records.read(first), records.read(second))
-    found = result.as_json()
-    assert [str(problem) for problem in validate(found, "comparison")] == []
+    comparison = result.as_json()
+    assert [str(problem) for problem in validate(comparison, "comparison")] == []
     assert verdicts.text(result)
-    return found
+    return comparison
 
 
 @pytest.fixture
@@ -44,9 +44,9 @@ def runs(tmp_path: Path) -> tuple[Path, Path]:
 
 def test_the_better_policy_is_named_with_its_margin(runs: tuple[Path, Path]) -> None:
     """On pairs with equal seeds, by the exact test; for each task the p-values are corrected."""
-    found = compared(*runs)
-    rows, overall = found["cells"], found["overall"]
-    assert found["verdict"].startswith("Bar is better than Foo: ")
+    comparison = compared(*runs)
+    rows, overall = comparison["cells"], comparison["overall"]
+    assert comparison["verdict"].startswith("Bar is better than Foo: ")
     assert overall["pairs"] == sum(row["pairs"] for row in rows) == 120
     table = PairedCounts(*(overall[name] for name in PairedCounts._fields))
     assert overall["p_value"] == intervals.mcnemar(table) < 0.001
@@ -59,13 +59,13 @@ def test_the_better_policy_is_named_with_its_margin(runs: tuple[Path, Path]) -> 
 def test_no_difference_shown_is_not_called_equality(tmp_path: Path) -> None:
     foo = synthetic(tmp_path / "foo", **ONE, episodes=20, rate=0.5, policy="Foo")
     bar = synthetic(tmp_path / "bar", **ONE, episodes=20, rate=0.55, policy="Bar")
-    found = compared(foo, bar)
-    low, high = found["overall"]["interval"]
+    comparison = compared(foo, bar)
+    low, high = comparison["overall"]["interval"]
     assert low < 0 < high
-    assert found["verdict"].startswith("Neither is shown to be better: Foo has")
+    assert comparison["verdict"].startswith("Neither is shown to be better: Foo has")
     assert (
         f"Anything from {round(low * 100):+d} to {round(high * 100):+d} points for Bar fits these data."
-        in found["verdict"]
+        in comparison["verdict"]
     )
 
 
@@ -74,39 +74,39 @@ def test_a_run_played_again_is_recognised(tmp_path: Path) -> None:
     first = synthetic(tmp_path / "first")
     again = tmp_path / "again"
     shutil.copytree(first, again)
-    found = compared(first, again)
-    assert found["verdict"].startswith(f"{first} and {again} succeeded in the same episodes: ")
-    assert found["same_trajectories"] == found["overall"]["pairs"]
+    comparison = compared(first, again)
+    assert comparison["verdict"].startswith(f"{first} and {again} succeeded in the same episodes: ")
+    assert comparison["same_trajectories"] == comparison["overall"]["pairs"]
     moved = compared(first, rewritten(again, lambda lines: [*lines[:-1], {**lines[-1], "digest": "0" * 64}]))
-    assert moved["same_trajectories"] == found["same_trajectories"] - 1
+    assert moved["same_trajectories"] == comparison["same_trajectories"] - 1
 
 
 def test_infrastructure_errors_are_compared_as_failed_and_others_only_where_both_have_them(tmp_path: Path) -> None:
     """Seeds that one run lacks are left out, and this is said; whoever spoils an episode has not won it."""
     foo = synthetic(tmp_path / "foo", **ONE, episodes=40, policy="Foo", rate=1.0, faults=Faults(infrastructure=0.2))
     bar = synthetic(tmp_path / "bar", **ONE, episodes=30, policy="Bar", rate=1.0, first_seed=5, faults=Faults(policy=0))
-    found = compared(foo, bar)
+    comparison = compared(foo, bar)
     errors = [line.seed for line in records.read(foo).finals.values() if line.failure == "infrastructure"]
-    row = found["overall"]
+    row = comparison["overall"]
     assert row["pairs"] == 30
     assert row["only_second"] >= sum(5 <= seed < 35 for seed in errors) > 0
-    assert found["left_out"] == {"first": 10, "second": 0}
-    assert [entry["what"] for entry in found["differences"]] == ["seeds of lift_cube (clean)"]
+    assert comparison["left_out"] == {"first": 10, "second": 0}
+    assert [entry["what"] for entry in comparison["differences"]] == ["seeds of lift_cube (clean)"]
 
 
 def test_what_differs_besides_the_policy_is_told(runs: tuple[Path, Path]) -> None:
     control = {"horizon": None, "attempts": 3}
-    found = compared(runs[0], rewritten(runs[1], action_type="ee", control=control, until_width=0.5))
-    assert {entry["what"] for entry in found["differences"]} == {
+    comparison = compared(runs[0], rewritten(runs[1], action_type="ee", control=control, until_width=0.5))
+    assert {entry["what"] for entry in comparison["differences"]} == {
         "control", "executed actions of a chunk", "width at which a task ends",
     }  # fmt: skip
 
 
 def test_tasks_that_one_run_lacks_are_told(tmp_path: Path) -> None:
     foo = synthetic(tmp_path / "foo", policy="Foo")
-    found = compared(foo, synthetic(tmp_path / "bar", ["lift_cube"], ["clean", "other"], policy="Bar"))
-    assert [(row["task"], row["setting"]) for row in found["cells"]] == [("lift_cube", "clean")]
-    (entry,) = found["differences"]
+    comparison = compared(foo, synthetic(tmp_path / "bar", ["lift_cube"], ["clean", "other"], policy="Bar"))
+    assert [(row["task"], row["setting"]) for row in comparison["cells"]] == [("lift_cube", "clean")]
+    (entry,) = comparison["differences"]
     assert entry["second"] == "lift_cube (other)"
 
 
@@ -134,8 +134,8 @@ def test_equal_seeds_that_drew_other_scenes_are_refused(runs: tuple[Path, Path])
     moved = rewritten(runs[1], lambda lines: [line | (elsewhere if line["seed"] == 7 else {}) for line in lines])
     with pytest.raises(IncomparableError, match=r"in 4 common episodes .* first in lift_cube \(clean\), seed 7"):
         compared(runs[0], moved)
-    found = compared(runs[0], rewritten(runs[1], lambda lines: [{**line, "layout": None} for line in lines]))
-    assert found["known_layouts"] == 0
+    comparison = compared(runs[0], rewritten(runs[1], lambda lines: [{**line, "layout": None} for line in lines]))
+    assert comparison["known_layouts"] == 0
 
 
 def test_exit_codes(tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_the_documentation_shows_what_the_command_prints(tmp_path: Path) -> None
             return {**line, "success": won, "failure": None if won else "task", "digest": None}
 
         folders.append(rewritten(folder, lambda lines, outcome=outcome: [*map(outcome, lines)]))
-    shown = verdicts.text(compare(*map(records.read, folders))).splitlines()
+    printed = verdicts.text(compare(*map(records.read, folders))).splitlines()
     page = (ROOT / "docs" / "statistics.md").read_text(encoding="utf-8")
-    assert "\n".join(shown[:6]) in page, "\n".join(shown)
-    assert shown[-2].removeprefix("- ") in page.replace("\n  ", " ")
+    assert "\n".join(printed[:6]) in page, "\n".join(printed)
+    assert printed[-2].removeprefix("- ") in page.replace("\n  ", " ")

@@ -64,7 +64,7 @@ def test_the_scripts_of_a_scaffold_run_a_debug_evaluation(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "said"),
+    ("options", "code", "message"),
     [
         (["--env", "mujoco", "--task", "fold_shirt"], ExitCode.NOT_FOUND, "lift_cube"),
         (["--env", "isaac"], ExitCode.NOT_FOUND, "mujoco, offline"),
@@ -73,11 +73,11 @@ def test_the_scripts_of_a_scaffold_run_a_debug_evaluation(tmp_path: Path) -> Non
     ],
 )
 def test_what_cannot_be_evaluated_is_refused_in_one_sentence(
-    tmp_path: Path, options: list[str], code: ExitCode, said: str
+    tmp_path: Path, options: list[str], code: ExitCode, message: str
 ) -> None:
     done = commands.xpl("eval", "demo_policy", *options, folder=tmp_path)
     assert (done.code, done.stdout, commands.problem(done)) == (code, "", None)
-    assert said in done.stderr
+    assert message in done.stderr
 
 
 @pytest.mark.slow
@@ -98,21 +98,32 @@ def test_a_policy_whose_process_dies_in_every_attempt_has_failed(frail: Path, tm
 @pytest.mark.slow
 def test_the_record_of_an_episode_does_not_depend_on_who_plays_it(tmp_path: Path) -> None:
     """Seed, layout, wording, steps and digest are equal here and in other processes; the report is as specified."""
-    place = ["--env", "mujoco", "--task", "lift_cube", "--setting", "randomized", "--episodes", "2", "--num-envs", "2"]
+    scenario = [
+        "--env",
+        "mujoco",
+        "--task",
+        "lift_cube",
+        "--setting",
+        "randomized",
+        "--episodes",
+        "2",
+        "--num-envs",
+        "2",
+    ]
     config = {"task": "lift_cube", "embodiment": "arx_x5", "num_envs": 2, "cameras": False, "setting": "randomized"}
     played = environments.make("mujoco", config)
     played.reset([0, 1])
     pairs = []
     for workers in (0, 2):
         options = ["--workers", str(workers), "--horizon", "5", "--json"]
-        done = xpl("eval", "scripted_expert", *place, *options, cwd=tmp_path)
+        done = xpl("eval", "scripted_expert", *scenario, *options, cwd=tmp_path)
         assert done.returncode == ExitCode.CLEAN, done.stderr
         report = json.loads(done.stdout)
         assert validate(report, "evaluation") == []
         assert (report["setting"], report["horizon"], report["workers"]) == ("randomized", 5, workers)
         for record, fresh in zip(report["episodes"], played.results(), strict=True):
-            told = {key: record[key] for key in ("seed", "setting", "instruction", "layout")}
-            assert told == {key: fresh[key] for key in told}
+            fields = {key: record[key] for key in ("seed", "setting", "instruction", "layout")}
+            assert fields == {key: fresh[key] for key in fields}
             assert (record["end_reason"], record["attempts"], record["corrections"]) == ("success", 1, {})
         pairs.append([[record[key] for key in ("steps", "digest")] for record in report["episodes"]])
     assert pairs[0] == pairs[1]
@@ -194,15 +205,15 @@ SLOW = WILD.replace("def get_action(self):", "def get_action(self):\n           
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize(("real_time", "held"), [(True, drill.STEPS), (False, None)])
+@pytest.mark.parametrize(("real_time", "expected"), [(True, drill.STEPS), (False, None)])
 def test_actions_age_unless_the_environment_waits(
-    frail: Path, write_adapter: Callable[..., Path], tmp_path: Path, *, real_time: bool, held: int | None
+    frail: Path, write_adapter: Callable[..., Path], tmp_path: Path, *, real_time: bool, expected: int | None
 ) -> None:
     """A model that thinks for twelve control steps is too slow for a robot, and not for a simulation."""
     facts = json.loads((frail / "env.yml").read_text())
     (frail / "env.yml").write_text(json.dumps({**facts, "real_time": real_time}), encoding="utf-8")
     done = xpl("eval", str(write_adapter(SLOW)), *HOLD, "--horizon", "1", "--set", "far=0.0", cwd=tmp_path)
-    assert json.loads(done.stdout)["corrections"].get("action_age") == held
+    assert json.loads(done.stdout)["corrections"].get("action_age") == expected
 
 
 def test_an_adapter_without_a_loop_is_driven_with_a_horizon(
@@ -216,20 +227,20 @@ def test_an_adapter_without_a_loop_is_driven_with_a_horizon(
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "said"),
+    ("options", "code", "message"),
     [
         (["--setting", "dusty"], ExitCode.NOT_FOUND, "clean"),
         (["--eval-env", "venv:nowhere"], ExitCode.NOT_RUN, "nowhere/bin/python"),
     ],
 )
 def test_where_an_environment_cannot_be_played_one_sentence_says_so(
-    frail: Path, tmp_path: Path, options: list[str], code: ExitCode, said: str
+    frail: Path, tmp_path: Path, options: list[str], code: ExitCode, message: str
 ) -> None:
     done = commands.xpl("eval", "demo_policy", *HOLD, *options, folder=tmp_path)
     assert (done.code, commands.problem(done)) == (code, None)
     answer = json.loads(done.stdout)
     assert (answer["schema"], answer["exit_code"]) == ("xpl.error/1", code)
-    assert said in answer["message"]
+    assert message in answer["message"]
     assert answer["message"] in done.stderr
 
 
@@ -318,8 +329,8 @@ def test_an_environment_renders_what_the_policy_declares(write_adapter: Callable
 def test_the_robot_is_the_first_that_policy_and_environment_both_have(environment: str, robot: str | None) -> None:
     """The policy's own first one if the environment has that; whoever names one is heard."""
     expert = package.load(ROOT / "policy" / "benchmark_expert")
-    wanted = {} if robot is None else {"env_cfg_type": robot}
-    assert with_robot(expert, environment, {"seed": 3}) == {"seed": 3, **wanted}
+    overrides = {} if robot is None else {"env_cfg_type": robot}
+    assert with_robot(expert, environment, {"seed": 3}) == {"seed": 3, **overrides}
     assert with_robot(expert, environment, {"env_cfg_type": "aloha"}) == {"env_cfg_type": "aloha"}
     named = replace(expert, deploy={**expert.deploy, "env_cfg_type": "so100"})
     assert with_robot(named, environment, {}) == {}
@@ -330,7 +341,12 @@ def test_an_episode_with_an_infrastructure_error_in_every_attempt_counts_as_fail
     won = episode()
     failed = episode(success=None, score=None, end_reason="infrastructure", failure="infrastructure")
     played = EvalSetup("Foo", "mujoco", "lift_cube", "clean", "arx_x5", "joint")
-    told = Evaluation(played, [won, failed])
-    assert (told.successes, told.success_rate, told.mean_score, told.infrastructure_errors) == (1, 0.5, 0.5, 1)
+    evaluation = Evaluation(played, [won, failed])
+    assert (evaluation.successes, evaluation.success_rate, evaluation.mean_score, evaluation.infrastructure_errors) == (
+        1,
+        0.5,
+        0.5,
+        1,
+    )
     assert Evaluation(played, [failed]).success_rate is None
-    assert validate(told.as_json(), "evaluation") == []
+    assert validate(evaluation.as_json(), "evaluation") == []

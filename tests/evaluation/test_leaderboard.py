@@ -43,47 +43,47 @@ def _rank(*runs: records.Run, **options: bool) -> ranking.Ranking:
 def test_runs_are_ranked_by_success_and_compared_with_the_first(tmp_path: Path) -> None:
     """The row of a run says what its own summary says, and by how much it is behind on equal seeds."""
     runs = [_run(tmp_path, name, episodes=40, rate=rate) for name, rate in (("Low", 0.3), ("High", 0.9), ("Mid", 0.6))]
-    found = _rank(*runs)
-    assert validate(found.as_json(), "leaderboard") == []
-    assert [(row.rank, row.policy) for row in found.rows] == [(1, "High"), (2, "Mid"), (3, "Low")]
+    result = _rank(*runs)
+    assert validate(result.as_json(), "leaderboard") == []
+    assert [(row.rank, row.policy) for row in result.rows] == [(1, "High"), (2, "Mid"), (3, "Low")]
     overall = summarise(runs[1]).overall
-    assert found.rows[0].success_rate == overall.success_rate
-    assert found.rows[0].success_interval == overall.success_interval
-    assert found.rows[0].mean_score == overall.mean_score
-    assert found.rows[0].to_first is None
-    assert all(row.to_first.difference < 0 for row in found.rows[1:])
-    assert not any("No difference from" in note for note in found.notes)
+    assert result.rows[0].success_rate == overall.success_rate
+    assert result.rows[0].success_interval == overall.success_interval
+    assert result.rows[0].mean_score == overall.mean_score
+    assert result.rows[0].to_first is None
+    assert all(row.to_first.difference < 0 for row in result.rows[1:])
+    assert not any("No difference from" in note for note in result.notes)
 
 
 def test_what_the_episodes_do_not_tell_apart_is_said(tmp_path: Path) -> None:
-    found = _rank(*(_run(tmp_path, name, rate=0.6) for name in ("One", "Other")))
-    first, second = (row.policy for row in found.rows)
+    result = _rank(*(_run(tmp_path, name, rate=0.6) for name in ("One", "Other")))
+    first, second = (row.policy for row in result.rows)
     assert any(
-        note.startswith(f"No difference from {first} is shown by these episodes: {second}.") for note in found.notes
+        note.startswith(f"No difference from {first} is shown by these episodes: {second}.") for note in result.notes
     )
-    assert ranking_text.describe_standing(found.rows[1]) == "no difference from the first shown"
+    assert ranking_text.describe_standing(result.rows[1]) == "no difference from the first shown"
 
 
 def test_equal_runs_share_a_rank_and_have_names_of_their_own(tmp_path: Path) -> None:
     """The same policy twice is told by the folders; the next rank is left out."""
     same = [records.read(synthetic(tmp_path / name, rate=0.9)) for name in ("a", "b")]
-    found = _rank(*same, _run(tmp_path, "Worse", rate=0.1))
-    assert [row.rank for row in found.rows] == [1, 1, 3]
-    assert found.labels[:2] == [f"Foo ({tmp_path / name})" for name in ("a", "b")]
+    result = _rank(*same, _run(tmp_path, "Worse", rate=0.1))
+    assert [row.rank for row in result.rows] == [1, 1, 3]
+    assert result.labels[:2] == [f"Foo ({tmp_path / name})" for name in ("a", "b")]
 
 
 def test_a_run_whose_adapter_could_reach_its_judge_is_neither_ranked_nor_submitted(tmp_path: Path) -> None:
     """One episode is enough, of which the record says so, or says nothing."""
-    told = (("Kept", {"containment": "isolated"}), ("Trusted", {"containment": "trusted"}), ("Unsaid", {}))
+    variants = (("Kept", {"containment": "isolated"}), ("Trusted", {"containment": "trusted"}), ("Unsaid", {}))
     runs = [
         records.read(rewritten(synthetic(tmp_path / name, policy=name), lambda lines, last=last: [
             *lines[:-1], {**{key: value for key, value in lines[-1].items() if key != "containment"}, **last}]))
-        for name, last in told
+        for name, last in variants
     ]  # fmt: skip
-    found = _rank(*runs)
-    assert {row.policy for row in found.rows} == {"Kept"}
-    assert any("Trusted is not ranked: in 1 of its 80 episodes the system" in note for note in found.notes)
-    assert any("Unsaid is not ranked: in 1 of its 80 episodes the record" in note for note in found.notes)
+    result = _rank(*runs)
+    assert {row.policy for row in result.rows} == {"Kept"}
+    assert any("Trusted is not ranked: in 1 of its 80 episodes the system" in note for note in result.notes)
+    assert any("Unsaid is not ranked: in 1 of its 80 episodes the record" in note for note in result.notes)
     with pytest.raises(UserError, match="no run can be ranked") as caught:
         _rank(runs[1])
     assert caught.value.code == ExitCode.NOT_RUN
@@ -94,11 +94,11 @@ def test_a_run_whose_adapter_could_reach_its_judge_is_neither_ranked_nor_submitt
 def test_a_run_with_too_many_infrastructure_errors_is_not_ranked(tmp_path: Path) -> None:
     """It is named with the reason; a run with few of them is ranked by the rate with these as failures."""
     broken, bad = _run(tmp_path, "Broken", faults=Faults(infrastructure=1.0)), _run(tmp_path, "Bad", rate=0.0)
-    found = _rank(broken, bad)
-    assert [row.policy for row in found.rows] == ["Bad"]
+    result = _rank(broken, bad)
+    assert [row.policy for row in result.rows] == ["Bad"]
     assert (
         "Broken is not ranked: 80 of its 80 episodes ended with an infrastructure error, more than 10%"
-        in ranking_text.text(found)
+        in ranking_text.text(result)
     )
     with pytest.raises(UserError, match="no run can be ranked"):
         _rank(broken)
@@ -127,11 +127,11 @@ def test_a_record_that_contradicts_itself_about_success_is_not_ranked(tmp_path: 
 
 
 def test_a_ranking_is_written_for_people_papers_and_tables(tmp_path: Path) -> None:
-    found = _rank(*(_run(tmp_path, name) for name in ("One", "Other_|_two")))
-    assert len([line for line in ranking_text.text(found).splitlines() if "/80" in line or "/79" in line]) <= 2
-    assert "| Other\\_\\|\\_two |" in ranking_text.as_markdown(found)
-    rows = list(csv.DictReader(io.StringIO(ranking_text.as_csv(found))))
-    assert [float(row["success_rate"]) for row in rows] == [row.success_rate for row in found.rows]
+    result = _rank(*(_run(tmp_path, name) for name in ("One", "Other_|_two")))
+    assert len([line for line in ranking_text.text(result).splitlines() if "/80" in line or "/79" in line]) <= 2
+    assert "| Other\\_\\|\\_two |" in ranking_text.as_markdown(result)
+    rows = list(csv.DictReader(io.StringIO(ranking_text.as_csv(result))))
+    assert [float(row["success_rate"]) for row in rows] == [row.success_rate for row in result.rows]
     assert rows[0]["p_value"] == ""
 
 
@@ -161,19 +161,19 @@ def test_runs_that_are_not_alike_are_ranked_only_by_those_who_want_it(
     if "spec" in options:  # which common episodes do not fix
         with pytest.raises(comparable_runs.IncompatibleRunsError):
             _rank(*runs, common=True)
-    found = _rank(*runs, anyway=True)
-    assert any(note.startswith(message) for note in found.notes)
-    assert "in spite of differences" in ranking_text.title(found)
-    assert validate(found.as_json(), "leaderboard") == []
+    result = _rank(*runs, anyway=True)
+    assert any(note.startswith(message) for note in result.notes)
+    assert "in spite of differences" in ranking_text.title(result)
+    assert validate(result.as_json(), "leaderboard") == []
 
 
 def test_other_machines_are_named_and_no_reason_to_refuse(tmp_path: Path) -> None:
     runs = _run(tmp_path, "One"), _run(tmp_path, "Other")
     facts = next(iter(runs[1].machines.values()))
     facts["system"] = "another system"
-    found = _rank(*runs)
-    assert any(note.startswith("Machine: system: ") and "another system" in note for note in found.notes)
-    assert "in spite of differences" not in ranking_text.title(found)
+    result = _rank(*runs)
+    assert any(note.startswith("Machine: system: ") and "another system" in note for note in result.notes)
+    assert "in spite of differences" not in ranking_text.title(result)
 
 
 def test_common_episodes_make_runs_alike(tmp_path: Path) -> None:
@@ -182,14 +182,14 @@ def test_common_episodes_make_runs_alike(tmp_path: Path) -> None:
         _run(tmp_path, "One", tasks=["a", "b", "c"], episodes=30, faults=Faults(infrastructure=0.05)),
         _run(tmp_path, "Other", tasks=["b", "a"], episodes=30, first_seed=10, played=100),
     ]
-    found = _rank(*runs, common=True)
-    assert found.tasks == ["a", "b"]
-    judged = {row.judged for row in found.rows}
+    result = _rank(*runs, common=True)
+    assert result.tasks == ["a", "b"]
+    judged = {row.judged for row in result.rows}
     assert len(judged) == 1
     counted = [{(cell.task, cell.setting, seed) for cell in cells(run) for seed in cell.by_seed} for run in runs]
     assert judged == {len(counted[0] & counted[1])}
-    assert found.rows[1].to_first.pairs == judged.pop()
-    assert any(note.startswith("Only episodes of all runs count") for note in found.notes)
+    assert result.rows[1].to_first.pairs == judged.pop()
+    assert any(note.startswith("Only episodes of all runs count") for note in result.notes)
 
 
 def test_a_field_without_a_common_episode_or_with_a_run_twice_is_none(tmp_path: Path) -> None:
@@ -219,12 +219,12 @@ def test_the_command_ranks_and_writes_what_others_read(tmp_path: Path) -> None:
 def test_robodojo_reads_rates_scores_and_details_by_index(tmp_path: Path) -> None:
     """Numbers of its own kind: a rate to 1, a score to 100, details from 0 on; an infrastructure error is a failure."""
     run = _run(tmp_path, "One", faults=Faults(policy=0.1, infrastructure=0.2))
-    found = {path.parts: json.loads(text) for path, text in export.robodojo(run)}
-    assert {parts[0] for parts in found} == {"lift_cube", "lift_cube_random", "stack_cubes", "stack_cubes_random"}
-    assert {parts[1:3] + parts[4:] for parts in found} == {("One", "arx_x5", "2026-11-21_09-00-00", "_result.json")}
-    assert all(parts[3].startswith("0_ckpt_name=") and parts[3].endswith(",action_type=joint") for parts in found)
+    exported = {path.parts: json.loads(text) for path, text in export.robodojo(run)}
+    assert {parts[0] for parts in exported} == {"lift_cube", "lift_cube_random", "stack_cubes", "stack_cubes_random"}
+    assert {parts[1:3] + parts[4:] for parts in exported} == {("One", "arx_x5", "2026-11-21_09-00-00", "_result.json")}
+    assert all(parts[3].startswith("0_ckpt_name=") and parts[3].endswith(",action_type=joint") for parts in exported)
     cell = cells(run)[0]
-    result = next(result for parts, result in found.items() if parts[0] == "lift_cube")
+    result = next(result for parts, result in exported.items() if parts[0] == "lift_cube")
     assert set(result) == {"success_rate", "eval_time", "score", "details"}
     assert result["eval_time"] == len(cell.certain) == 20 > len(cell.outcomes)
     assert result["success_rate"] == sum(cell.certain) / 20
@@ -237,10 +237,10 @@ def test_robodojo_reads_rates_scores_and_details_by_index(tmp_path: Path) -> Non
 
 def test_robotwin_reads_a_plain_number(tmp_path: Path) -> None:
     run = _run(tmp_path, "One")
-    found = {path.parts[:3]: text for path, text in export.robotwin(run)}
+    exported = {path.parts[:3]: text for path, text in export.robotwin(run)}
     for cell in cells(run):
         rate = sum(cell.outcomes) / len(cell.outcomes)
-        assert float(found[cell.task, "One", cell.setting]) == rate
+        assert float(exported[cell.task, "One", cell.setting]) == rate
 
 
 def test_names_make_no_way_out_of_the_folder(tmp_path: Path) -> None:

@@ -31,10 +31,10 @@ def _run(folder: Path, policy: str = "Foo", settings: tuple[str, ...] = (SETTING
 def test_every_report_says_it_first(tmp_path: Path) -> None:
     """Summary, page, comparison, and what `xpl eval` prints; of a usual run none does."""
     run = _run(tmp_path)
-    found = summarise(run)
-    assert SAID in found.notes[0]
-    assert SETTING in found.notes[0]
-    assert SAID in markdown.render(run, found).splitlines()[2]
+    run_summary = summarise(run)
+    assert SAID in run_summary.notes[0]
+    assert SETTING in run_summary.notes[0]
+    assert SAID in markdown.render(run, run_summary).splitlines()[2]
     assert SAID in compare(run, _run(tmp_path, "Bar")).notes[0]
     usual = summarise(_run(tmp_path, "Usual", ("clean",)))
     assert not any(SAID in note for note in usual.notes)
@@ -44,9 +44,9 @@ def test_every_report_says_it_first(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rate", [None, 1.0])
 def test_an_evaluation_says_it_beside_its_figure(setting: str, is_said: bool, rate: float | None) -> None:
     played = EvalSetup("x", "x", "x", setting, "x", "joint")
-    told = Evaluation(played, [episode(success=None if rate is None else True, score=rate)])
-    assert told.success_rate == rate
-    assert (SAID in told.text()) is is_said
+    evaluation = Evaluation(played, [episode(success=None if rate is None else True, score=rate)])
+    assert evaluation.success_rate == rate
+    assert (SAID in evaluation.text()) is is_said
 
 
 def test_no_leaderboard_takes_it(tmp_path: Path) -> None:

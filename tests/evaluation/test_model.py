@@ -61,10 +61,10 @@ _ANSWER = {"schema", "next"}
 )
 def test_fields_are_those_of_the_schema(kind: type, schema: dict[str, Any], apart: set[str]) -> None:
     """What the schema lets be missing may be missing in the class."""
-    known = {item.name: item for item in fields(kind)}
-    assert set(known) == set(schema["properties"]) - apart
-    optional = set(known) - set(schema["required"])
-    assert not [name for name in optional if known[name].default is MISSING]
+    fields_by_name = {item.name: item for item in fields(kind)}
+    assert set(fields_by_name) == set(schema["properties"]) - apart
+    optional = set(fields_by_name) - set(schema["required"])
+    assert not [name for name in optional if fields_by_name[name].default is MISSING]
 
 
 def test_a_record_is_written_as_it_was_read(tmp_path: Path) -> None:
@@ -73,17 +73,17 @@ def test_a_record_is_written_as_it_was_read(tmp_path: Path) -> None:
     raw = [json.loads(line) for line in (folder / records.FILE).read_text().splitlines()]
     run = records.read(folder)
     assert run.plan.as_json() == raw[0]
-    for found, line in zip(run.attempts, raw[2:], strict=True):
-        told = found.as_json()
-        assert {key: value for key, value in told.items() if value is not None or key in line} == line
-        assert validate(told, lines.definition("episode")) == []
+    for attempt, line in zip(run.attempts, raw[2:], strict=True):
+        written = attempt.as_json()
+        assert {key: value for key, value in written.items() if value is not None or key in line} == line
+        assert validate(written, lines.definition("episode")) == []
 
 
 def test_what_may_be_null_is_always_written() -> None:
     """Whoever reads a record need not ask whether there is an instruction, a layout or a digest."""
     properties = _RECORD["episode"]["properties"]
-    told = episode().as_json()
+    line = episode().as_json()
     nullable = {name for name, entry in properties.items() if "null" in entry.get("type", ()) or "anyOf" in entry}
-    assert nullable | {"failure"} <= told.keys()
-    assert {"steps", "stages", "error", "trace"}.isdisjoint(told)
-    assert validate(told, lines.definition("episode")) == []
+    assert nullable | {"failure"} <= line.keys()
+    assert {"steps", "stages", "error", "trace"}.isdisjoint(line)
+    assert validate(line, lines.definition("episode")) == []

@@ -56,8 +56,8 @@ def _background(page: Page) -> int:
 
 
 def _text(page: Page, selector: str) -> str:
-    found: str = page(f"document.querySelector({json.dumps(selector)}).innerText")
-    return found
+    text: str = page(f"document.querySelector({json.dumps(selector)}).innerText")
+    return text
 
 
 @pytest.mark.sampled(1)
@@ -110,8 +110,8 @@ def test_the_list_can_be_narrowed(page: Page, url: str, run: Path) -> None:
     page(f"{{ {choose.format('media', '', 'change')} }}")
     page(f"{{ {choose.format('search', '29', 'input')} }}")
     rows = page("[...document.querySelectorAll('#list tr.episode')].map(row => row.id)")
-    wanted = [one.index for one in finals if 29 in (one.seed, one.index)]
-    assert rows == [f"episode-{index}" for index in wanted]
+    expected = [one.index for one in finals if 29 in (one.seed, one.index)]
+    assert rows == [f"episode-{index}" for index in expected]
     page("document.querySelector('button.link').click()")
     assert page("document.querySelector('#search').value") in {one.error or one.end_reason for one in finals}
 

@@ -31,8 +31,8 @@ def run(tmp_path: Path) -> records.Run:
 
 def _next(run: records.Run, index: int, **more: Any) -> EpisodeRecord:
     slot = run.plan.slots()[index]
-    place = {"index": index, "task": slot.task, "setting": slot.setting, "seed": slot.seed}
-    return replace(run.finals[0], **place, **more)
+    key = {"index": index, "task": slot.task, "setting": slot.setting, "seed": slot.seed}
+    return replace(run.finals[0], **key, **more)
 
 
 SPOILT = {"success": None, "failure": "infrastructure", "end_reason": "infrastructure", "error": "the server ended"}
@@ -42,9 +42,9 @@ def test_a_line_tells_what_happened_and_how_far_the_run_is(
     run: records.Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Episodes of an earlier process count, except for the pace."""
-    with show_progress(run, 5) as shown:
-        shown.add(_next(run, 3, final=False, wall_seconds=36.0, **SPOILT), 5)
-        shown.add(_next(run, 3), 4)
+    with show_progress(run, 5) as view:
+        view.add(_next(run, 3, final=False, wall_seconds=36.0, **SPOILT), 5)
+        view.add(_next(run, 3), 4)
     first, second = capsys.readouterr().err.splitlines()
     assert first.startswith("lift, clean, seed 3: infrastructure (the server ended), will be retried; 3 of 8 episodes")
     assert second.startswith("lift, clean, seed 3: success; 4 of 8 episodes, 4 of 4 succeeded (51 to 100 %), ")
@@ -64,11 +64,11 @@ def test_a_terminal_shows_cells_and_the_last_failure(run: records.Run, monkeypat
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "100")
     ours, theirs = pty.openpty()
-    with os.fdopen(ours, "rb", buffering=0) as told:
+    with os.fdopen(ours, "rb", buffering=0) as terminal_output:
         with os.fdopen(theirs, "w") as terminal:
             monkeypatch.setattr(sys, "stderr", terminal)
-            with show_progress(run, 5) as shown:
-                shown.add(_next(run, 3, **SPOILT), 4)
-        text = _all_of(told)
+            with show_progress(run, 5) as view:
+                view.add(_next(run, 3, **SPOILT), 4)
+        text = _all_of(terminal_output)
     for part in ("clean", "4/4", "randomized", "0/4", "3 of 3 succeeded", "last failure: lift, clean, seed 3"):
         assert part in text

@@ -31,7 +31,7 @@ JOB = RolloutJob(0, 1, "hold", "clean", 0)
 
 
 @pytest.fixture
-def orders(tmp_path: Path) -> tuple[RolloutConfig, ServerConfig]:
+def configs(tmp_path: Path) -> tuple[RolloutConfig, ServerConfig]:
     """Return what lanes and servers of a run are told."""
     environment, adapter = drill.environment(tmp_path), package.load(drill.adapter(tmp_path))
     line = plan.make_plan(adapter, environment, adapter.config({}), plan.PlanRequest()).plan
@@ -39,9 +39,9 @@ def orders(tmp_path: Path) -> tuple[RolloutConfig, ServerConfig]:
 
 
 @pytest.fixture
-def player(orders: tuple[RolloutConfig, ServerConfig]) -> Iterator[RolloutActor]:
+def player(configs: tuple[RolloutConfig, ServerConfig]) -> Iterator[RolloutActor]:
     """Return a lane with a server of its own; both are ended, which Ray would do by ending its process."""
-    player = RolloutActor(xpl_cli.__version__, *orders, number=3, token=None)
+    player = RolloutActor(xpl_cli.__version__, *configs, number=3, token=None)
     yield player
     if player._rollout_worker is not None:
         player._rollout_worker.close()
@@ -75,26 +75,28 @@ def _played(player: RolloutActor) -> RolloutResult:
 
 
 @pytest.mark.parametrize("what", ["version", "adapter", "environment", "checkpoint"])
-def test_a_machine_with_something_else_is_refused(orders: tuple[RolloutConfig, ServerConfig], what: str) -> None:
+def test_a_machine_with_something_else_is_refused(configs: tuple[RolloutConfig, ServerConfig], what: str) -> None:
     """Whatever an episode's outcome follows from must be what the run was planned with."""
-    lane, server = orders
+    rollout_config, server = configs
     version = xpl_cli.__version__
     if what == "version":
         version = "0.0.0"
     elif what == "adapter":
-        (Path(lane.policy) / "model.py").write_text("Model = None", encoding="utf-8")
+        (Path(rollout_config.policy) / "model.py").write_text("Model = None", encoding="utf-8")
     elif what == "environment":
-        lane = replace(lane, environment=str(Path(lane.environment).parent / "nowhere"))
+        rollout_config = replace(rollout_config, environment=str(Path(rollout_config.environment).parent / "nowhere"))
     else:
         server = replace(server, checkpoint_digest="0" * 64)
-    refusal = RolloutActor(version, lane, server, 0, None).ready()
+    refusal = RolloutActor(version, rollout_config, server, 0, None).ready()
     assert isinstance(refusal, Refusal)
     assert refusal.error().code == ExitCode.NOT_RUN
     assert what in refusal.message or what == "version"
 
 
 @pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
-def test_without_ray_the_backend_says_how_to_get_it(orders: tuple[RolloutConfig, ServerConfig], tmp_path: Path) -> None:
+def test_without_ray_the_backend_says_how_to_get_it(
+    configs: tuple[RolloutConfig, ServerConfig], tmp_path: Path
+) -> None:
     done = xpl("eval", "Drilled", "--env", "drill", "--out", "run", "--backend", "ray", cwd=tmp_path)
     assert done.returncode == ExitCode.NOT_RUN
     assert "pip install 'ray" in done.stderr

@@ -86,7 +86,7 @@ def test_a_last_line_of_zeros_counts_for_nothing(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "message"),
     [
         (lambda lines: [*lines, lines[-1]], "has a final line already"),
         (lambda lines: [*lines, {**lines[-1], "index": 99}], "no episode 99"),
@@ -96,9 +96,9 @@ def test_a_last_line_of_zeros_counts_for_nothing(folder: Path) -> None:
     ],
     ids=["twice", "beyond", "other seed", "other plan", "no plan"],
 )
-def test_a_record_that_contradicts_itself_is_refused(folder: Path, spoil: Any, said: str) -> None:
+def test_a_record_that_contradicts_itself_is_refused(folder: Path, spoil: Any, message: str) -> None:
     _write(folder, spoil(_lines(folder)))
-    with pytest.raises(RecordError, match=said):
+    with pytest.raises(RecordError, match=message):
         records.read(folder)
 
 

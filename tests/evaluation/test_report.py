@@ -37,9 +37,9 @@ def _write(folder: Path, out: Path | None = None, budget: int = MUCH) -> Path:
 
 
 def _data(page: str) -> Any:
-    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
-    assert found is not None
-    return json.loads(found[1])
+    match = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    assert match is not None
+    return json.loads(match[1])
 
 
 # --- Files ------------------------------------------------------------------------------------------------------------
@@ -58,9 +58,9 @@ def test_a_report_is_a_page_and_the_same_for_machines_and_for_papers(tmp_path: P
     rows = list(csv.DictReader(io.StringIO((run / "report/episodes.csv").read_text())))
     assert [int(row["index"]) for row in rows] == list(range(24))
     assert sum(row["success"] == "1" for row in rows) == document["summary"]["overall"]["successes"]
-    said = (run / "report/report.md").read_text()
-    assert "| lift\\_cube | clean |" in said
-    assert document["summary"]["notes"][-1].split(":")[0] in said
+    text = (run / "report/report.md").read_text()
+    assert "| lift\\_cube | clean |" in text
+    assert document["summary"]["notes"][-1].split(":")[0] in text
 
 
 def test_what_cannot_be_reported_is_said_in_a_sentence(tmp_path: Path) -> None:
@@ -132,10 +132,10 @@ def test_the_list_holds_every_episode(tmp_path: Path) -> None:
     data = _data((_write(run) / report_files.PAGE).read_text())["episodes"]
     finals = list(records.read(run).finals.values())
     columns, values = data["columns"], data["values"]
-    assert [values[place] for place in columns["task"]] == [one.task for one in finals]
-    assert [values[place] for place in columns["error"]] == [one.error for one in finals]
-    assert [values[place] for place in columns["outcome"]] == [episodes.verdict(one) for one in finals]
-    assert {"success", "task", "policy", "infrastructure"} == {values[place] for place in columns["outcome"]}
+    assert [values[index] for index in columns["task"]] == [one.task for one in finals]
+    assert [values[index] for index in columns["error"]] == [one.error for one in finals]
+    assert [values[index] for index in columns["outcome"]] == [episodes.verdict(one) for one in finals]
+    assert {"success", "task", "policy", "infrastructure"} == {values[index] for index in columns["outcome"]}
     assert sum(map(len, data["earlier"].values())) == sum(one.attempt - 1 for one in finals) > 0
 
 
@@ -145,9 +145,9 @@ def test_the_list_holds_every_episode(tmp_path: Path) -> None:
 def test_what_exceeds_the_budget_is_linked(tmp_path: Path) -> None:
     """Without a budget films are reached beside the page, wherever that is, and curves are named."""
     run = synthetic(tmp_path / "a run", episodes=2, traces=3, films=2)
-    shown = _data((_write(run, tmp_path / "elsewhere", budget=0) / report_files.PAGE).read_text())["media"]
-    assert shown["0"]["film"] == {"source": "../a%20run/films/0.webp", "video": False}
-    assert shown["2"] == {"trace": "../a%20run/traces/2.npz"}
+    media_by_index = _data((_write(run, tmp_path / "elsewhere", budget=0) / report_files.PAGE).read_text())["media"]
+    assert media_by_index["0"]["film"] == {"source": "../a%20run/films/0.webp", "video": False}
+    assert media_by_index["2"] == {"trace": "../a%20run/traces/2.npz"}
     embedded = _data((_write(run) / report_files.PAGE).read_text())["media"]
     assert embedded["0"]["film"]["source"].startswith("data:image/webp;base64,")
     assert len(embedded["2"]["curves"]["panels"]) == 14
@@ -157,27 +157,27 @@ def test_a_small_budget_goes_to_every_cell_and_to_failures_first(tmp_path: Path)
     """Of each cell in turn, a failure and a success in turn, are embedded."""
     run = records.read(synthetic(tmp_path / "foo", episodes=8, traces=32, rate=0.5))
     size = max(len(json.dumps(curves.read(path.read_bytes(), path.name))) for path in run.folder.glob("traces/*"))
-    shown = media.collect_media(run, 9 * size, "")
-    assert sum("trace" in entry for entry in shown.values()) > 10
-    chosen = [run.finals[int(index)] for index, entry in shown.items() if "curves" in entry]
+    media_by_index = media.collect_media(run, 9 * size, "")
+    assert sum("trace" in entry for entry in media_by_index.values()) > 10
+    chosen = [run.finals[int(index)] for index, entry in media_by_index.items() if "curves" in entry]
     cells = {(one.task, one.setting) for one in chosen}
     assert len(cells) == 4
     assert all({one.success for one in chosen if (one.task, one.setting) == cell} == {True, False} for cell in cells)
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "message"),
     [
         (lambda run: (run / "films/0.webp").write_bytes(b"other"), "is not what was recorded: its digest differs"),
         (lambda run: (run / "films/0.webp").unlink(), "cannot be read: No such file"),
     ],
 )
-def test_a_film_that_was_changed_or_is_gone_is_not_shown(tmp_path: Path, spoil: Any, said: str) -> None:
+def test_a_film_that_was_changed_or_is_gone_is_not_shown(tmp_path: Path, spoil: Any, message: str) -> None:
     run = synthetic(tmp_path / "foo", episodes=2, films=1)
     spoil(run)
-    shown = media.collect_media(records.read(run), MUCH, "")
-    assert list(shown["0"]) == ["problem"]
-    assert said in shown["0"]["problem"]
+    media_by_index = media.collect_media(records.read(run), MUCH, "")
+    assert list(media_by_index["0"]) == ["problem"]
+    assert message in media_by_index["0"]["problem"]
 
 
 def test_a_record_leads_to_no_file_outside_its_run(tmp_path: Path) -> None:
@@ -207,13 +207,13 @@ def test_curves_come_back_as_they_were(tmp_path: Path) -> None:
         "action.left_arm_joint_state": joints + 1,
         "state.left_ee_pose": poses,
     }
-    found = curves.read(_trace(tmp_path / "a.npz", **names).read_bytes(), "a.npz")
-    assert found["chunks"] == [0, 16]
-    titles = [panel["title"] for panel in found["panels"]]
+    read_curves = curves.read(_trace(tmp_path / "a.npz", **names).read_bytes(), "a.npz")
+    assert read_curves["chunks"] == [0, 16]
+    titles = [panel["title"] for panel in read_curves["panels"]]
     assert titles == [f"left arm joint {number}" for number in range(1, 8)] + [
         f"left flange {axis}" for axis in ("x", "y", "z", "qw", "qx", "qy", "qz")
     ]
-    panel = found["panels"][2]
+    panel = read_curves["panels"][2]
     tolerance = (panel["high"] - panel["low"]) / 65535
     np.testing.assert_allclose(_values(panel, "state"), joints[:, 2], atol=tolerance)
     np.testing.assert_allclose(_values(panel, "action"), joints[:, 2] + 1, atol=tolerance)
@@ -223,10 +223,10 @@ def test_long_curves_are_thinned_and_constant_ones_drawn(tmp_path: Path) -> None
     """A curve has few enough points to draw; what never moves, or is no number, does no harm."""
     still, bad = np.ones((5000, 1), np.float32), np.full((5000, 1), np.nan, np.float32)
     path = _trace(tmp_path / "a.npz", **{"action.ee_joint_state": still, "action.arm_joint_state": bad})
-    found = curves.read(path.read_bytes(), path.name)
-    assert len(found["at"]["action"]) <= curves.MOST_POINTS
-    assert found["at"]["action"][1] == 9
-    assert [(panel["title"], panel["low"], panel["high"]) for panel in found["panels"]] == [
+    read_curves = curves.read(path.read_bytes(), path.name)
+    assert len(read_curves["at"]["action"]) <= curves.MOST_POINTS
+    assert read_curves["at"]["action"][1] == 9
+    assert [(panel["title"], panel["low"], panel["high"]) for panel in read_curves["panels"]] == [
         ("arm joint", 0.0, 0.0),
         ("gripper", 1.0, 1.0),
     ]
@@ -241,11 +241,11 @@ def test_what_is_no_trace_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "said"), [(0.4, "0 s"), (59, "59 s"), (125, "2 min 5 s"), (7500, "2 h 5 min"), (90_000, "1 d 1 h")]
+    ("seconds", "expected"), [(0.4, "0 s"), (59, "59 s"), (125, "2 min 5 s"), (7500, "2 h 5 min"), (90_000, "1 d 1 h")]
 )
-def test_times_are_for_people(seconds: float, said: str) -> None:
+def test_times_are_for_people(seconds: float, expected: str) -> None:
     """Two units at most."""
-    assert number_format.duration(seconds) == said
+    assert number_format.duration(seconds) == expected
 
 
 def test_differences_have_a_sign_and_no_negative_zero() -> None:

@@ -37,13 +37,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
     for name, level in (("Good", 40), ("Poor", 4)):
         for dimension, tasks in protocol().dimensions.items():
-            for place, task in enumerate(tasks):
+            for index, task in enumerate(tasks):
                 for seed in (0, 1, 2):
                     if dimension == "Generalization":
                         _write(folder, task, name, seed, level // 2 + seed, 25)
                         _write(folder, f"{task}_random", name, seed, level // 4, 30)
                     elif (name, task) != ("Poor", "insert_key"):
-                        _write(folder, task, name, seed, min(50, level + seed + place % 2), 50)
+                        _write(folder, task, name, seed, min(50, level + seed + index % 2), 50)
     return folder
 
 
@@ -52,17 +52,17 @@ def _ranked(root: Path, by: str = "success", **options: Any) -> tables.Results:
     return tables.rank(policy_scores.score_policies(results, **options), by=by, notes=notes)
 
 
-def _told(root: Path, by: str = "success", **options: Any) -> dict[str, Any]:
+def _results(root: Path, by: str = "success", **options: Any) -> dict[str, Any]:
     return _ranked(root, by, **options).as_json()
 
 
 def test_figures_are_those_of_the_benchmarks_own_rule(whole: Path) -> None:
     """Tasks by seed, dimensions of tasks, the average of dimensions; spreads over the seeds."""
-    told = _told(whole)
-    good, poor = told["rows"]
+    results = _results(whole)
+    good, poor = results["rows"]
     assert (good["policy"], good["rank"], good["counted"], good["expected"]) == ("Good", 1, 126, 126)
     assert (poor["policy"], poor["rank"], poor["counted"]) == ("Poor", 2, 123)
-    assert told["dimensions"] == ["Generalization", "Precision", "Long-Horizon", "Memory", "Open"]
+    assert results["dimensions"] == ["Generalization", "Precision", "Long-Horizon", "Memory", "Open"]
     generalization = [((20 + seed) / 25 + 10 / 25) / 2 for seed in (0, 1, 2)]
     others = [(40 + seed + 0.5) / 50 for seed in (0, 1, 2)]
     assert good["dimensions"]["Generalization"]["success"] == pytest.approx(statistics.fmean(generalization))
@@ -73,7 +73,7 @@ def test_figures_are_those_of_the_benchmarks_own_rule(whole: Path) -> None:
     assert good["overall"]["score"] == pytest.approx((1 + statistics.fmean(overall)) / 2)
     assert good["halves"]["standard"]["success"] == pytest.approx(21 / 25)
     assert good["halves"]["random"]["success"] == pytest.approx(10 / 25)
-    assert any("Poor 123 of 126" in note for note in told["notes"])
+    assert any("Poor 123 of 126" in note for note in results["notes"])
 
 
 def test_the_papers_tables_come_of_the_files(whole: Path) -> None:
@@ -90,23 +90,23 @@ def test_episodes_that_are_missing_keep_a_task_out(tmp_path: Path) -> None:
     """Unless all of it is to be counted; a task that the benchmark does not know counts with what it has."""
     _write(tmp_path, "insert_key", "P", 0, 10, 49)
     _write(tmp_path, "stack_bowls", "P", 0, 10, 25)
-    assert _told(tmp_path)["rows"][0]["overall"] is None
-    partial = _told(tmp_path, partial=True)["rows"][0]
+    assert _results(tmp_path)["rows"][0]["overall"] is None
+    partial = _results(tmp_path, partial=True)["rows"][0]
     assert {name: round(figure["success"], 3) for name, figure in partial["dimensions"].items()} == {
         "Generalization": 0.4,
         "Precision": round(10 / 49, 3),
     }
     _write(tmp_path, "lift_cube", "P", 0, 3, 4)
-    assert _told(tmp_path)["rows"][0]["dimensions"]["Other"]["success"] == 0.75
+    assert _results(tmp_path)["rows"][0]["dimensions"]["Other"]["success"] == 0.75
 
 
 def test_the_latest_result_counts(tmp_path: Path) -> None:
     """Of a task, policy, robot and seed; another checkpoint among them is told."""
     _write(tmp_path, "insert_key", "P", 0, 50, 50, when="2026-08-02_00-00-00", ckpt="b")
     _write(tmp_path, "insert_key", "P", 0, 0, 50)
-    told = _told(tmp_path)
-    assert told["rows"][0]["overall"]["success"] == 1.0
-    assert any("Of several checkpoints" in note for note in told["notes"])
+    results = _results(tmp_path)
+    assert results["rows"][0]["overall"]["success"] == 1.0
+    assert any("Of several checkpoints" in note for note in results["notes"])
 
 
 @pytest.mark.parametrize(
@@ -117,13 +117,13 @@ def test_the_order_is_the_one_that_was_asked_for(tmp_path: Path, by: str, first:
     for policy, precision, memory, score in (("A", 40, 10, 0.0), ("B", 30, 10, 0.9), ("C", 5, 30, 0.0)):
         for task, won in (("insert_key", precision), ("swap_T", memory)):
             file = _write(tmp_path, task, policy, 0, won, 50)
-            told = json.loads(file.read_text())
-            for entry in told["details"].values():
+            result = json.loads(file.read_text())
+            for entry in result["details"].values():
                 entry["score"] = 1.0 if entry["success"] else score
-            file.write_text(json.dumps(told))
-    assert _told(tmp_path, by)["rows"][0]["policy"] == first
+            file.write_text(json.dumps(result))
+    assert _results(tmp_path, by)["rows"][0]["policy"] == first
     with pytest.raises(UserError, match="--by must be one of success, score, Precision, Memory"):
-        _told(tmp_path, "speed")
+        _results(tmp_path, "speed")
 
 
 def test_results_of_robotwin_are_plain_numbers(tmp_path: Path) -> None:
@@ -134,10 +134,10 @@ def test_results_of_robotwin_are_plain_numbers(tmp_path: Path) -> None:
             file.parent.mkdir(parents=True)
             file.write_text(f"Timestamp: 2026-08-01\n\nInstruction Type: unseen\n\n{rate}\n")
     results, _ = result_trees.read([tmp_path])
-    told = tables.rank(policy_scores.score_policies(results), results[0].benchmark)
-    (row,) = told.as_json()["rows"]
+    ranking = tables.rank(policy_scores.score_policies(results), results[0].benchmark)
+    (row,) = ranking.as_json()["rows"]
     assert row["overall"] == {"success": pytest.approx(0.5), "score": None, "success_spread": 0.0, "score_spread": None}
-    assert tables.ranking(told).header == (
+    assert tables.ranking(ranking).header == (
         "#",
         "policy",
         "success",
@@ -147,11 +147,11 @@ def test_results_of_robotwin_are_plain_numbers(tmp_path: Path) -> None:
         "counted",
     )
     with pytest.raises(UserError, match="another benchmark"):
-        tables.of_the_paper(told)
+        tables.of_the_paper(ranking)
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         ("{", "not JSON"),
         ("[]", "no map"),
@@ -164,15 +164,15 @@ def test_results_of_robotwin_are_plain_numbers(tmp_path: Path) -> None:
         ("\\ud800", "not JSON"),
     ],
 )
-def test_a_file_that_is_no_result_is_refused_and_can_be_left_out(tmp_path: Path, content: str, said: str) -> None:
+def test_a_file_that_is_no_result_is_refused_and_can_be_left_out(tmp_path: Path, content: str, message: str) -> None:
     _write(tmp_path, "insert_key", "P", 0, 1, 50)
     bad = _write(tmp_path, "swap_T", "P", 0, 1, 50)
     bad.write_text(content)
-    with pytest.raises(UserError, match=said):
+    with pytest.raises(UserError, match=message):
         result_trees.read([tmp_path])
     results, notes = result_trees.read([tmp_path], skip=True)
     assert [result.task for result in results] == ["insert_key"]
-    assert said in notes[0]
+    assert message in notes[0]
 
 
 def test_folders_without_results_and_mixtures_are_refused(tmp_path: Path) -> None:
@@ -195,8 +195,8 @@ def test_the_command_writes_tables(whole: Path) -> None:
 
 @pytest.mark.slow
 def test_the_command_prints_a_ranking_and_refuses_what_files_do_not_tell(whole: Path) -> None:
-    shown = xpl("leaderboard", ".", "--by", "memory", folder=whole)
-    assert shown.code == 0, shown.stderr
-    assert shown.stdout.startswith("2 policies, by Memory")
+    ended = xpl("leaderboard", ".", "--by", "memory", folder=whole)
+    assert ended.code == 0, ended.stderr
+    assert ended.stdout.startswith("2 policies, by Memory")
     refused = xpl("leaderboard", ".", "--common", folder=whole)
     assert refused.code == ExitCode.USAGE

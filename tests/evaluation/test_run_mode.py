@@ -71,9 +71,9 @@ def test_a_policy_that_is_not_here_is_recorded(room: Path, elsewhere: str) -> No
     run = records.read(room / "run")
     policy = run.plan.policy
     assert (policy.name, policy.checkpoint) == ("Foreign", None)
-    told = run_mode.run_mode_of(run.plan)
-    assert told.announced is not None
-    assert told.announced["policy"]["embodiment"] == "franka_single"
+    mode = run_mode.run_mode_of(run.plan)
+    assert mode.announced is not None
+    assert mode.announced["policy"]["embodiment"] == "franka_single"
     assert elsewhere not in (room / "run" / records.FILE).read_text()
     assert [line.success for line in run.finals.values()] == [True, True, False, True]
 
@@ -130,18 +130,19 @@ def test_a_policy_is_told_what_another_episode_is_about(room: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("instead", "told"), [(run_mode.BLANK, ["", ""]), (run_mode.SWAP, ["lift the blue one", "lift the red one"])]
+    ("instead", "instructions"),
+    [(run_mode.BLANK, ["", ""]), (run_mode.SWAP, ["lift the blue one", "lift the red one"])],
 )
-def test_other_words_depend_on_the_seed_alone(instead: str, told: list[str]) -> None:
+def test_other_words_depend_on_the_seed_alone(instead: str, instructions: list[str]) -> None:
     """Each episode is told what the next one is told that is about something else; all else stays as it is."""
     env = _Told(["lift the red one", "lift the red one", "lift the blue one", "lift the red one"])
     other = with_instruction(
         env, instead, [RolloutJob(0, 1, "pick", "clean", 1), RolloutJob(1, 1, "pick", "clean", 2)], 2
     )
     env.reset([1, 2])
-    assert [obs["instruction"] for obs in other.get_obs_batch()] == told
+    assert [obs["instruction"] for obs in other.get_obs_batch()] == instructions
     assert [obs["state"] for obs in other.get_obs_batch([1])] == [2]
-    assert other.get_obs_batch([1])[0]["instruction"] == told[1]
+    assert other.get_obs_batch([1])[0]["instruction"] == instructions[1]
     assert "instructions" not in other.get_obs_batch([1])[0]
 
 

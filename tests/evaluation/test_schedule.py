@@ -40,9 +40,9 @@ class Script:
     """A backend in memory: a function tells what becomes of each job, and in which order they end."""
 
     def __init__(
-        self, lanes: int, answer: Callable[[RolloutJob], list[RolloutResult]], turn: Callable[[int], int]
+        self, workers: int, answer: Callable[[RolloutJob], list[RolloutResult]], turn: Callable[[int], int]
     ) -> None:
-        self.lanes = lanes
+        self.lanes = workers
         self.answer = answer
         self.turn = turn
         self.playing: list[RolloutJob] = []
@@ -197,19 +197,19 @@ def test_a_cell_ends_when_it_is_enough(plan: RunPlan, tmp_path: Path) -> None:
         return len(outcomes) >= 5
 
     turns = itertools.cycle([2, 0, 1])
-    for lanes, turn in ((1, _first), (4, lambda count: next(turns) % count)):
-        folder = tmp_path / str(lanes)
-        run = _play(folder, long, Script(lanes, _good, turn), enough)
+    for workers, turn in ((1, _first), (4, lambda count: next(turns) % count)):
+        folder = tmp_path / str(workers)
+        run = _play(folder, long, Script(workers, _good, turn), enough)
         for start in (0, 20):
             assert {start + number for number in range(5)} <= set(run.finals)
-            assert len([index for index in run.finals if start <= index < start + 20]) < 5 + 2 * lanes
+            assert len([index for index in run.finals if start <= index < start + 20]) < 5 + 2 * workers
         assert _play(folder, long, Script(1, _good, _first), enough).attempts == run.attempts
 
 
 @settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
-@given(data=st.data(), lanes=st.integers(1, 4))
+@given(data=st.data(), workers=st.integers(1, 4))
 def test_whatever_happens_each_episode_is_final_once(
-    plan: RunPlan, tmp_path: Path, data: st.DataObject, lanes: int
+    plan: RunPlan, tmp_path: Path, data: st.DataObject, workers: int
 ) -> None:
     """Lanes die, outcomes come twice or late, the run is killed and resumed: nothing is counted twice or missing."""
     folder = tmp_path / "run"
@@ -227,7 +227,7 @@ def test_whatever_happens_each_episode_is_final_once(
 
     for _ in range(200):
         try:
-            backend = Script(lanes, answer, lambda count: data.draw(st.integers(0, count - 1)))
+            backend = Script(workers, answer, lambda count: data.draw(st.integers(0, count - 1)))
             run = _play(folder, plan, backend)
             break
         except (Killed, UserError):

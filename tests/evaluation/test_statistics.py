@@ -62,16 +62,16 @@ def test_the_difference_of_independent_shares_is_that_of_published_tables(
     first: tuple[int, int], second: tuple[int, int], low: float, high: float
 ) -> None:
     """Newcombe, Interval estimation for the difference ..., Stat. Med. 17 (1998) 873-890, table II, method 10."""
-    found = newcombe(_share(*first), _share(*second))
-    assert found.interval == pytest.approx((low, high), abs=5e-5)
+    estimate = newcombe(_share(*first), _share(*second))
+    assert estimate.interval == pytest.approx((low, high), abs=5e-5)
 
 
 def test_the_paired_difference_is_that_of_a_published_example() -> None:
     """Fagerland, Lydersen, Laake, Statistical Analysis of Contingency Tables (2017), chapter 8: Cavo et al., 2012."""
     pairs = PairedCounts(both=59, only_first=16, only_second=6, neither=80)
-    found = newcombe_paired(pairs)
-    assert found.value == pytest.approx(-0.0621, abs=5e-5)
-    assert found.interval == pytest.approx((-0.1186, -0.0046), abs=5e-5)
+    estimate = newcombe_paired(pairs)
+    assert estimate.value == pytest.approx(-0.0621, abs=5e-5)
+    assert estimate.interval == pytest.approx((-0.1186, -0.0046), abs=5e-5)
     assert mcnemar(pairs) == pytest.approx(0.052479, abs=5e-7)
 
 
@@ -112,17 +112,17 @@ def test_a_mean_of_cells_holds_the_true_mean_as_often_as_it_says() -> None:
         chances = [stats.binom(12, rate).pmf(np.arange(13)) for rate in rates]
         covered = 0.0
         for successes in itertools.product(range(13), repeat=3):
-            found = statistics.mean_estimate([shares[count] for count in successes])
-            if np.mean(rates) in found.interval:
+            estimate = statistics.mean_estimate([shares[count] for count in successes])
+            if np.mean(rates) in estimate.interval:
                 covered += math.prod(chance[count] for chance, count in zip(chances, successes, strict=True))
         assert 0.92 < covered < 0.995, rates
 
 
 def test_a_mean_of_one_is_that_one() -> None:
     """A suite of one cell says the same overall; a suite of none says nothing."""
-    found = statistics.mean_estimate([_share(3, 7)])
-    assert found.value == 3 / 7
-    assert found.interval == pytest.approx(wilson(3 / 7, 7))
+    estimate = statistics.mean_estimate([_share(3, 7)])
+    assert estimate.value == 3 / 7
+    assert estimate.interval == pytest.approx(wilson(3 / 7, 7))
     with pytest.raises(ValueError, match="at least one estimate"):
         statistics.mean_estimate([])
     with pytest.raises(ValueError, match="at least one pair"):

@@ -66,8 +66,8 @@ def _outcomes(run: records.Run) -> list[dict[str, Any]]:
 
 def _table(run: records.Run) -> str:
     """Return the final table, as bytes would show it."""
-    found = summary.summarise(run).as_json()
-    return json.dumps({key: value for key, value in found.items() if key != "execution"})
+    report = summary.summarise(run).as_json()
+    return json.dumps({key: value for key, value in report.items() if key != "execution"})
 
 
 def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
@@ -76,8 +76,8 @@ def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
     """Every line is as specified, files have their digests, and two lanes find what one finds, traces too."""
     room, done = played
     assert done.returncode == ExitCode.CLEAN, done.stderr
-    told = json.loads(done.stdout)
-    assert told["overall"]["successes"] == 6
+    answer = json.loads(done.stdout)
+    assert answer["overall"]["successes"] == 6
     assert "8 of 8 episodes" in done.stderr
     lines = [json.loads(line) for line in (room / "run" / records.FILE).read_text().splitlines()]
     assert [problem for line in lines for problem in validate(line, "record")] == []
@@ -103,21 +103,21 @@ def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
     with np.load(room / "run" / "traces" / "0.npz", allow_pickle=False) as trace:
         curves = dict(trace)
     assert (curves["frequency"], curves["chunk_starts"].tolist()) == (25, [0, 2, 4])
-    commanded, seen = curves["action.arm_joint_state"], curves["state.arm_joint_state"]
-    assert (commanded.shape, seen.shape) == ((drill.STEPS, 7), (len(curves["state_steps"]), 7))
+    commanded, observed = curves["action.arm_joint_state"], curves["state.arm_joint_state"]
+    assert (commanded.shape, observed.shape) == ((drill.STEPS, 7), (len(curves["state_steps"]), 7))
     assert {value.dtype for name, value in curves.items() if "." in name} == {np.dtype(np.float32)}
-    np.testing.assert_array_equal(seen[1:], commanded[curves["state_steps"][1:] - 1])  # it goes where it is told
+    np.testing.assert_array_equal(observed[1:], commanded[curves["state_steps"][1:] - 1])  # it goes where it is told
 
 
 @pytest.mark.slow
 def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_again(tmp_path: Path) -> None:
     """A policy that raises fails its episode; a crashed one is restarted; infrastructure errors count as failed."""
-    place = drill.environment(tmp_path, tasks=("hold",))
+    folder = drill.environment(tmp_path, tasks=("hold",))
     drill.adapter(tmp_path, raises=[1])
-    drill.mark(place, "env-dies-3", 1)
-    drill.mark(place, "env-dies-4", 9)
+    drill.mark(folder, "env-dies-3", 1)
+    drill.mark(folder, "env-dies-4", 9)
     drill.mark(tmp_path, "policy-dies-0", 1)
-    drill.mark(place, "blind", 99)  # no film, and no harm
+    drill.mark(folder, "blind", 99)  # no film, and no harm
     done = _eval(tmp_path, "--episodes", "6", "--horizon", "2", "--film", "6", "--json")
     assert done.returncode == ExitCode.NOT_RUN, done.stderr
     assert "1 of 6 episodes ended with an infrastructure error" in done.stderr
@@ -163,15 +163,15 @@ def test_a_run_that_is_there_is_only_continued_if_asked_and_by_the_same_plan(
     assert (room / "run" / records.FILE).read_bytes() == before
 
 
-def _request(place: Path, plan_request: plan.PlanRequest | None, **more: Any) -> evaluate.EvalRequest:
-    adapter = package.load(place / "policy" / "Drilled")
+def _request(folder: Path, plan_request: plan.PlanRequest | None, **more: Any) -> evaluate.EvalRequest:
+    adapter = package.load(folder / "policy" / "Drilled")
     return evaluate.EvalRequest(
-        adapter, str(place / "envs" / "drill"), place / "run", plan_request, resume=True, **more
+        adapter, str(folder / "envs" / "drill"), folder / "run", plan_request, resume=True, **more
     )
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("options", "message"),
     [
         ({"plan_request": plan.PlanRequest(tasks="hold,fold")}, "no task 'fold'"),
         ({"plan_request": plan.PlanRequest(tasks="hold,hold")}, "twice"),
@@ -180,10 +180,10 @@ def _request(place: Path, plan_request: plan.PlanRequest | None, **more: Any) ->
     ],
 )
 def test_what_cannot_be_played_is_refused_before_anything_is_recorded(
-    room: Path, given: dict[str, Any], said: str
+    room: Path, options: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(UserError, match=said):
-        evaluate.evaluate(_request(room, **given))
+    with pytest.raises(UserError, match=message):
+        evaluate.evaluate(_request(room, **options))
     assert not (room / "run").exists()
 
 
@@ -266,9 +266,9 @@ def _lanes(mark: str) -> list[int]:
 
 def _servers(mark: str) -> list[int]:
     """Return the servers: they are forked from a process of the same command line."""
-    found = [pid for pid, line in processes(mark).items() if "fork_server" in line]
-    parents = {pid: int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1]) for pid in found}
-    return [pid for pid in found if parents[pid] in found]
+    pids = [pid for pid, line in processes(mark).items() if "fork_server" in line]
+    parents = {pid: int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1]) for pid in pids}
+    return [pid for pid in pids if parents[pid] in pids]
 
 
 @pytest.mark.slow
@@ -287,8 +287,8 @@ def test_lanes_and_servers_that_are_killed_are_replaced(tmp_path: Path) -> None:
             while b" episodes, " not in process.stderr.readline():
                 assert process.poll() is None
             os.kill(victims(mark)[0], signal.SIGKILL)
-        _, told = process.communicate()
-    assert process.returncode == ExitCode.CLEAN, told.decode()
+        _, stderr = process.communicate()
+    assert process.returncode == ExitCode.CLEAN, stderr.decode()
     run = records.read(tmp_path / "run")
     assert [line.success for line in run.finals.values()] == [seed % 3 != 2 for seed in range(60)]
     errors = [line.error for line in run.attempts if line.failure == "infrastructure"]

@@ -24,10 +24,10 @@ Line = dict[str, Any]
 def summary_of(folder: Path, method: str = "wilson") -> dict[str, Any]:
     """Return the summary of a recorded run, which keeps to its schema and can be shown."""
     summary = summarise(records.read(folder), method)
-    found = summary.as_json()
-    assert [str(problem) for problem in validate(found, "summary")] == []
+    document = summary.as_json()
+    assert [str(problem) for problem in validate(document, "summary")] == []
     assert wording.text(summary)
-    return found
+    return document
 
 
 def results(summary: dict[str, Any]) -> dict[str, Any]:
@@ -37,19 +37,19 @@ def results(summary: dict[str, Any]) -> dict[str, Any]:
 
 def test_rows_count_what_was_played(tmp_path: Path) -> None:
     """Cells in the order of the plan, and sums over them."""
-    found = summary_of(synthetic(tmp_path / "run", episodes=25, faults=Faults(policy=0.1)))
-    assert [(row["task"], row["setting"]) for row in found["cells"]] == [
+    report = summary_of(synthetic(tmp_path / "run", episodes=25, faults=Faults(policy=0.1)))
+    assert [(row["task"], row["setting"]) for row in report["cells"]] == [
         ("lift_cube", "clean"), ("lift_cube", "randomized"), ("stack_cubes", "clean"), ("stack_cubes", "randomized"),
     ]  # fmt: skip
-    overall = found["overall"]
+    overall = report["overall"]
     assert (overall["planned"], overall["completed"], overall["judged"], overall["remaining"]) == (100, 100, 100, 0)
-    assert overall["successes"] == sum(row["successes"] for row in found["cells"])
+    assert overall["successes"] == sum(row["successes"] for row in report["cells"])
     assert overall["successes"] + sum(overall["failures"].values()) == 100
     assert overall["failures"]["policy"] > 0
-    assert [row["task"] for row in found["tasks"]] == ["lift_cube", "stack_cubes"]
-    assert [row["setting"] for row in found["settings"]] == ["clean", "randomized"]
-    assert [row["dimension"] for row in found["dimensions"]] == ["precision", "long-horizon"]
-    assert {row["setting"] for row in found["tasks"]} == {None}
+    assert [row["task"] for row in report["tasks"]] == ["lift_cube", "stack_cubes"]
+    assert [row["setting"] for row in report["settings"]] == ["clean", "randomized"]
+    assert [row["dimension"] for row in report["dimensions"]] == ["precision", "long-horizon"]
+    assert {row["setting"] for row in report["tasks"]} == {None}
 
 
 def test_the_exact_interval_is_at_hand(tmp_path: Path) -> None:
@@ -70,8 +70,8 @@ def test_results_do_not_depend_on_the_order_in_which_episodes_ended(tmp_path: Pa
         firsts = [line for line in lines if not line["final"]]
         finals = [line for line in lines if line["final"]]
         random.Random(1).shuffle(finals)  # noqa: S311 - an order, not a secret
-        kept = {line["index"] for line in firsts[::2]}
-        return [*firsts[::2], *({**line, "attempt": 1 + (line["index"] in kept)} for line in finals)]
+        first_indices = {line["index"] for line in firsts[::2]}
+        return [*firsts[::2], *({**line, "attempt": 1 + (line["index"] in first_indices)} for line in finals)]
 
     after = summary_of(rewritten(folder, shuffled))
     assert json.dumps(results(after)) == json.dumps(results(before))
@@ -80,8 +80,8 @@ def test_results_do_not_depend_on_the_order_in_which_episodes_ended(tmp_path: Pa
 
 def test_infrastructure_errors_count_as_failed_and_are_reported(tmp_path: Path) -> None:
     """The rate is of all episodes, and the bounds of what it might have been stand beside it."""
-    found = summary_of(synthetic(tmp_path / "run", faults=Faults(infrastructure=0.1)))
-    row = found["overall"]
+    report = summary_of(synthetic(tmp_path / "run", faults=Faults(infrastructure=0.1)))
+    row = report["overall"]
     errors = row["failures"]["infrastructure"]
     assert errors > 0
     assert row["judged"] + errors == row["completed"] == 80
@@ -89,7 +89,7 @@ def test_infrastructure_errors_count_as_failed_and_are_reported(tmp_path: Path) 
     assert worst == row["success_rate"] == pytest.approx(row["successes"] / 80)
     assert best == pytest.approx((row["successes"] + errors) / 80)
     (note,) = (
-        note for note in found["notes"] if note.startswith(f"{errors} episodes ended with an infrastructure error")
+        note for note in report["notes"] if note.startswith(f"{errors} episodes ended with an infrastructure error")
     )
     assert f"without them {row['successes']} of {row['judged']} succeeded" in note
     assert summary_of(synthetic(tmp_path / "other"))["overall"]["infrastructure_bounds"] is None
@@ -107,9 +107,9 @@ def test_a_task_with_nothing_but_infrastructure_errors_counts_as_failed(tmp_path
         errors = {"success": None, "score": None, "failure": "infrastructure", "end_reason": "infrastructure"}
         return [line | (errors if line["task"] == "stack_cubes" else {}) for line in lines]
 
-    found = summary_of(rewritten(folder, spoiling))
-    assert [row["success_rate"] for row in found["cells"]] == [1.0, 0.0]
-    assert found["overall"]["success_rate"] == found["overall"]["mean_score"] == 0.5
+    report = summary_of(rewritten(folder, spoiling))
+    assert [row["success_rate"] for row in report["cells"]] == [1.0, 0.0]
+    assert report["overall"]["success_rate"] == report["overall"]["mean_score"] == 0.5
 
 
 def test_a_success_after_the_policys_process_died_is_not_counted(tmp_path: Path) -> None:
@@ -121,10 +121,10 @@ def test_a_success_after_the_policys_process_died_is_not_counted(tmp_path: Path)
         died = {"success": False, "failure": "policy", "end_reason": "policy_died", "error": "exit code 0"}
         return [{**head, **died, "final": False}, {**head, "attempt": 2}, *rest]
 
-    found = summary_of(rewritten(folder, reviving))
-    assert (found["overall"]["successes"], found["overall"]["success_rate"]) == (20, 0.95)
-    assert found["overall"]["infrastructure_bounds"] == [0.95, 1.0]
-    assert any("only after the policy's process had crashed" in note for note in found["notes"])
+    report = summary_of(rewritten(folder, reviving))
+    assert (report["overall"]["successes"], report["overall"]["success_rate"]) == (20, 0.95)
+    assert report["overall"]["infrastructure_bounds"] == [0.95, 1.0]
+    assert any("only after the policy's process had crashed" in note for note in report["notes"])
 
 
 def test_a_policy_that_fails_has_not_succeeded_and_has_no_score(tmp_path: Path) -> None:
@@ -147,23 +147,23 @@ def test_an_environment_without_success_has_no_rate(tmp_path: Path) -> None:
     def driving(lines: list[Line]) -> list[Line]:
         return [{**line, "success": None, "score": None, "failure": None} for line in lines if line["final"]]
 
-    found = summary_of(rewritten(folder, driving))
-    row = found["overall"]
+    report = summary_of(rewritten(folder, driving))
+    row = report["overall"]
     assert (row["success_rate"], row["success_interval"], row["mean_score"], row["judged"]) == (None, None, None, 0)
     assert row["completed"] == 20
-    assert any(note.startswith("No episode defines success in lift_cube (clean)") for note in found["notes"])
+    assert any(note.startswith("No episode defines success in lift_cube (clean)") for note in report["notes"])
 
 
 def test_a_run_that_is_not_finished_says_so(tmp_path: Path) -> None:
     """A cell without any episode takes no part in the means."""
-    found = summary_of(synthetic(tmp_path / "run", episodes=10, played=12))
-    assert [row["completed"] for row in found["cells"]] == [10, 2, 0, 0]
-    assert found["overall"]["remaining"] == 28
-    assert found["cells"][2]["success_rate"] is None
-    mean = (found["cells"][0]["success_rate"] + found["cells"][1]["success_rate"]) / 2
-    assert found["overall"]["success_rate"] == pytest.approx(mean)
-    assert found["notes"][0].startswith("28 episodes of 40 still to be run")
-    assert any("means of the rates" in note for note in found["notes"])
+    report = summary_of(synthetic(tmp_path / "run", episodes=10, played=12))
+    assert [row["completed"] for row in report["cells"]] == [10, 2, 0, 0]
+    assert report["overall"]["remaining"] == 28
+    assert report["cells"][2]["success_rate"] is None
+    mean = (report["cells"][0]["success_rate"] + report["cells"][1]["success_rate"]) / 2
+    assert report["overall"]["success_rate"] == pytest.approx(mean)
+    assert report["notes"][0].startswith("28 episodes of 40 still to be run")
+    assert any("means of the rates" in note for note in report["notes"])
 
 
 def test_what_was_played_after_a_cell_had_ended_does_not_count(tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_what_was_played_after_a_cell_had_ended_does_not_count(tmp_path: Path) -
     outcomes = [line.success for line in records.read(tmp_path / "whole").finals.values()]
     assert row["judged"] == stopping_point(outcomes, 0.3)
     assert (row["remaining"], whole["execution"]["beyond"]) == (0, 60 - row["judged"])
-    assert "not counted" in whole["execution"]["notes"][0]
+    assert "do not count" in whole["execution"]["notes"][0]
     assert any("Tasks ended as soon as" in note for note in whole["notes"])
 
     def cut(lines: list[Line]) -> list[Line]:
@@ -191,21 +191,21 @@ def test_a_gap_keeps_a_cell_from_ending(tmp_path: Path) -> None:
     def gap(lines: list[Line]) -> list[Line]:
         return [line for line in lines if line["index"] != 3]
 
-    found = summary_of(rewritten(folder, gap, until_width=0.3))
-    assert (found["overall"]["completed"], found["overall"]["remaining"], found["execution"]["beyond"]) == (59, 1, 0)
+    report = summary_of(rewritten(folder, gap, until_width=0.3))
+    assert (report["overall"]["completed"], report["overall"]["remaining"], report["execution"]["beyond"]) == (59, 1, 0)
 
 
 def test_settings_are_held_against_the_first(tmp_path: Path) -> None:
     """By seed, since equal seeds have equal layouts; over all tasks, the mean."""
     rates = {(task, setting): 0.9 if setting == "clean" else 0.3
              for task in ("lift_cube", "stack_cubes") for setting in ("clean", "randomized")}  # fmt: skip
-    found = summary_of(synthetic(tmp_path / "run", episodes=40, rate=rates))
-    each, overall = found["contrasts"][:2], found["contrasts"][2]
-    assert [row["task"] for row in found["contrasts"]] == ["lift_cube", "stack_cubes", None]
+    report = summary_of(synthetic(tmp_path / "run", episodes=40, rate=rates))
+    each, overall = report["contrasts"][:2], report["contrasts"][2]
+    assert [row["task"] for row in report["contrasts"]] == ["lift_cube", "stack_cubes", None]
     assert all(row["settings"] == ["clean", "randomized"] and row["pairs"] == 40 for row in each)
     assert overall["difference"] == pytest.approx(sum(row["difference"] for row in each) / 2)
     assert overall["interval"][1] < -0.3
-    by_setting = [row["success_rate"] for row in found["settings"]]
+    by_setting = [row["success_rate"] for row in report["settings"]]
     assert overall["difference"] == pytest.approx(by_setting[1] - by_setting[0])
 
 
@@ -221,6 +221,6 @@ def test_the_course_of_a_run_is_told_apart(tmp_path: Path) -> None:
             line["inference"] = {"count": 10, "seconds": 0.1, "histogram": [0, 0, 9, 0, 0, 0, 0, 0, 1, 0]}
         return lines
 
-    told = summary_of(rewritten(folder, timed))["execution"]["inference"]
-    assert 0.002 < told["p50"] < 0.003
-    assert 0.016 < told["p95"] < told["p99"] < 0.023
+    inference = summary_of(rewritten(folder, timed))["execution"]["inference"]
+    assert 0.002 < inference["p50"] < 0.003
+    assert 0.016 < inference["p95"] < inference["p99"] < 0.023

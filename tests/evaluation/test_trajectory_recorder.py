@@ -72,9 +72,9 @@ class Chunks:
         return chunks if isinstance(obs, list) else chunks[0]
 
 
-def _orders(folder: Path, keep: str = ALL, **told: bool) -> RolloutConfig:
-    settings = EnvSettings("lift", "arx_x5", "joint", **told)
-    demos = RecordingConfig(str(folder), keep, privileged="privileged" in told)
+def _config(folder: Path, keep: str = ALL, **options: bool) -> RolloutConfig:
+    settings = EnvSettings("lift", "arx_x5", "joint", **options)
+    demos = RecordingConfig(str(folder), keep, privileged="privileged" in options)
     return RolloutConfig("policy/P", "1" * 64, "envs/E", "2" * 64, {}, settings, recording=demos)
 
 
@@ -89,7 +89,7 @@ def _job(index: int) -> RolloutJob:
 def test_every_step_has_what_was_seen_before_it_also_inside_a_chunk(tmp_path: Path) -> None:
     """A loop that does not look between the actions of a chunk changes nothing of what is kept."""
     env = Counting(4)
-    with recording(env, _orders(tmp_path), [_job(7)], 10.0) as recorder:
+    with recording(env, _config(tmp_path), [_job(7)], 10.0) as recorder:
         assert recorder is not None
         client = recorder.listen(Chunks())
         recorder.get_obs()
@@ -97,14 +97,14 @@ def test_every_step_has_what_was_seen_before_it_also_inside_a_chunk(tmp_path: Pa
             for action in client.call(func_name="get_action")[: 4 - env._steps[0]]:
                 recorder.take_action(action)
         recorder.keep([_line()])
-    found = trajectory.read(tmp_path / "episode_0000007.hdf5")
-    assert [obs["state"][STATE[0]].tolist() for obs, _ in found] == [[0.0], [1.0], [2.0], [3.0]]
-    assert [action[STATE[0]].tolist() for _, action in found] == [[0], [1], [2], [3]]
-    assert [found.facts(step)["asked"] for step in range(4)] == [True, False, False, True]
-    assert "privileged" not in found.observation(0)
-    told = {"task": "lift", "seed": 107, "robot": "arx_x5", "policy": "P", "environment": "E", "success": True}
-    assert told.items() <= found.episode.items()
-    assert found.frequency == 10.0
+    episode = trajectory.read(tmp_path / "episode_0000007.hdf5")
+    assert [obs["state"][STATE[0]].tolist() for obs, _ in episode] == [[0.0], [1.0], [2.0], [3.0]]
+    assert [action[STATE[0]].tolist() for _, action in episode] == [[0], [1], [2], [3]]
+    assert [episode.facts(step)["asked"] for step in range(4)] == [True, False, False, True]
+    assert "privileged" not in episode.observation(0)
+    metadata = {"task": "lift", "seed": 107, "robot": "arx_x5", "policy": "P", "environment": "E", "success": True}
+    assert metadata.items() <= episode.episode.items()
+    assert episode.frequency == 10.0
 
 
 @pytest.mark.parametrize("may_know", [True, False])
@@ -113,31 +113,31 @@ def test_what_a_simulator_tells_is_kept_where_asked_and_shown_to_none_that_may_n
 ) -> None:
     """The file is the same; a policy without `privileged` among its inputs sees what it always sees."""
     env = Counting(3)
-    with recording(env, _orders(tmp_path, privileged=may_know), [_job(0)], 10.0) as recorder:
+    with recording(env, _config(tmp_path, privileged=may_know), [_job(0)], 10.0) as recorder:
         assert recorder is not None
         assert ("privileged" in recorder.get_obs()) == may_know
         assert ("privileged" in recorder.get_obs_batch([0])[0]) == may_know
         rollout.run_episode(recorder, recorder.listen(Chunks()))
         recorder.keep([_line()])
-    found = trajectory.read(tmp_path / "episode_0000000.hdf5")
-    assert [obs["privileged"] for obs, _ in found] == [{"truth": 1.0}] * 3
-    assert found.episode["privileged"] == {"recorded": ["truth"], "left_out": {}}
+    episode = trajectory.read(tmp_path / "episode_0000000.hdf5")
+    assert [obs["privileged"] for obs, _ in episode] == [{"truth": 1.0}] * 3
+    assert episode.episode["privileged"] == {"recorded": ["truth"], "left_out": {}}
 
 
 def test_a_batch_becomes_one_file_for_each_episode(tmp_path: Path) -> None:
     """They end one by one; places that play what nobody asked for leave nothing."""
     env = Counting(2, 5, 3)
-    with recording(env, _orders(tmp_path), [_job(0), _job(1)], 25.0) as recorder:
+    with recording(env, _config(tmp_path), [_job(0), _job(1)], 25.0) as recorder:
         assert recorder is not None
         rollout.run_batch(recorder, recorder.listen(Chunks()), horizon=2)
         recorder.keep([_line(), _line()])
-    found = trajectory.open_folder(tmp_path)
-    assert [(one.key, len(one)) for one in found] == [("episode_0000000", 2), ("episode_0000001", 5)]
-    assert found[1].observation(4)["state"][STATE[1]].tolist() == [4.0]
+    episodes = trajectory.open_folder(tmp_path)
+    assert [(one.key, len(one)) for one in episodes] == [("episode_0000000", 2), ("episode_0000001", 5)]
+    assert episodes[1].observation(4)["state"][STATE[1]].tolist() == [4.0]
 
 
 @pytest.mark.parametrize(
-    ("keep", "line", "kept"),
+    ("keep", "line", "is_saved"),
     [
         (ALL, _line(success=False, failure="task"), True),
         (SUCCESS, _line(success=False, failure="task"), False),
@@ -147,22 +147,22 @@ def test_a_batch_becomes_one_file_for_each_episode(tmp_path: Path) -> None:
     ],
 )
 def test_only_episodes_that_are_wanted_leave_a_file(
-    tmp_path: Path, keep: str, line: EpisodeOutcome, kept: bool
+    tmp_path: Path, keep: str, line: EpisodeOutcome, is_saved: bool
 ) -> None:
     """Those that succeeded, or that were played to their end; never one that broke off."""
-    with recording(Counting(2), _orders(tmp_path, keep), [_job(0)], 25.0) as recorder:
+    with recording(Counting(2), _config(tmp_path, keep), [_job(0)], 25.0) as recorder:
         assert recorder is not None
         rollout.run_episode(recorder, recorder.listen(Chunks()))
         recorder.keep([line])
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == ({"episode_0000000.hdf5", "index.jsonl"} if kept else set())
+    assert names == ({"episode_0000000.hdf5", "index.jsonl"} if is_saved else set())
 
 
 def test_what_cannot_be_kept_ends_the_run_and_is_no_fault_of_the_policy(tmp_path: Path) -> None:
     """The loop goes on undisturbed; the sentence comes when the episode has ended."""
     env = Counting(2)
     env.get_obs_batch = lambda *_: [{"state": {STATE[0]: np.zeros(1 + env._steps[0])}}]  # type: ignore[method-assign]
-    with recording(env, _orders(tmp_path), [_job(0)], 25.0) as recorder:
+    with recording(env, _config(tmp_path), [_job(0)], 25.0) as recorder:
         assert recorder is not None
         rollout.run_episode(recorder, recorder.listen(Chunks()))
         with pytest.raises(UserError, match=r"cannot be recorded.*step 1: expected \(1,\)"):

@@ -46,10 +46,12 @@ def _evaluated(folder: Path, *options: str, **config: Any) -> tuple[Any, list[An
 
 
 def test_a_policy_hears_of_every_trial_and_nothing_by_which_it_could_look_it_up(tmp_path: Path) -> None:
-    done, told = _evaluated(tmp_path, "--episodes", "3", "--horizon", "2")
+    done, events = _evaluated(tmp_path, "--episodes", "3", "--horizon", "2")
     assert done.returncode == 0, done.stderr
-    assert [what for what, _ in told] == ["prepare_case", "reset", "on_trial_end"] * 3
-    cases, results = ([content for what, content in told if what == hook] for hook in ("prepare_case", "on_trial_end"))
+    assert [what for what, _ in events] == ["prepare_case", "reset", "on_trial_end"] * 3
+    cases, results = (
+        [content for what, content in events if what == hook] for hook in ("prepare_case", "on_trial_end")
+    )
     case = {"task_name": "hold", "setting": "clean", "env_cfg_type": "franka_single", "action_type": "joint"}
     assert all(one == {"action_case_id": "hold/clean", "num_envs": 1, **case} for one in cases)
     assert [one["success"] for one in results] == [True, True, False]
@@ -59,10 +61,10 @@ def test_a_policy_hears_of_every_trial_and_nothing_by_which_it_could_look_it_up(
 
 @pytest.mark.slow
 def test_a_case_that_the_policy_refuses_is_its_failure(tmp_path: Path) -> None:
-    done, told = _evaluated(tmp_path, fails="prepare_case")
+    done, events = _evaluated(tmp_path, fails="prepare_case")
     assert done.returncode == ExitCode.FINDINGS
     assert "prepare_case cannot be" in done.stderr
-    assert [what for what, _ in told if what != "reset"] == ["on_trial_end"]
+    assert [what for what, _ in events if what != "reset"] == ["on_trial_end"]
 
 
 @pytest.mark.slow

@@ -89,7 +89,7 @@ class TestConsistency:
         assert list(consistency.problems(run)) == []
 
     @pytest.mark.parametrize(
-        ("change", "said"),
+        ("change", "message"),
         [
             (lambda lines: lines[-1].update(success=None, failure=None), "have neither success nor failure"),
             (lambda lines: lines[-1].update(embodiment="piper"), "but its plan says 'arx_x5'"),
@@ -109,9 +109,9 @@ class TestConsistency:
             (lambda lines: lines.pop(), "1 of its episodes were not run"),
         ],
     )
-    def test_edited_lines_are_found(self, run: Run, change: Callable[[list[Line]], Any], said: str) -> None:
-        found = list(consistency.problems(_rewritten(run, change)))
-        assert any(said in problem for problem in found), found
+    def test_edited_lines_are_found(self, run: Run, change: Callable[[list[Line]], Any], message: str) -> None:
+        problems = list(consistency.problems(_rewritten(run, change)))
+        assert any(message in problem for problem in problems), problems
 
     def test_an_incomplete_line_is_reported(self, run: Run) -> None:
         with (run.folder / records.FILE).open("a", encoding="utf-8") as stream:
@@ -189,13 +189,13 @@ class TestJudgement:
         assert replay.judge(pairs, total, deterministic=deterministic).verdict is verdict
 
     def test_figures_say_how_many_others_may_come_out_otherwise(self) -> None:
-        found = replay.judge([SAME] * 5, 100, deterministic=True)
-        assert (found.counts, found.change) == ({ReplayMatch.SAME: 5}, pytest.approx((-0.43, 0.43), abs=0.01))
-        assert found.differing is not None
-        assert 0.4 < found.differing.high < 0.6
+        result = replay.judge([SAME] * 5, 100, deterministic=True)
+        assert (result.counts, result.change) == ({ReplayMatch.SAME: 5}, pytest.approx((-0.43, 0.43), abs=0.01))
+        assert result.differing is not None
+        assert 0.4 < result.differing.high < 0.6
         assert replay.judge([WON] * 3, 3, deterministic=True).differing == (0.0, 0.0)  # who plays all knows the share
-        found = replay.judge([_errored(WON), WON], 10, deterministic=True)
-        assert found.counts == {ReplayMatch.INFRASTRUCTURE_ERROR: 1, ReplayMatch.OUTCOME: 1}
+        result = replay.judge([_errored(WON), WON], 10, deterministic=True)
+        assert result.counts == {ReplayMatch.INFRASTRUCTURE_ERROR: 1, ReplayMatch.OUTCOME: 1}
 
     def test_the_sample_is_drawn_from_what_counts(self, tmp_path: Path) -> None:
         """Spoilt episodes are left out; the same seed draws the same ones."""

@@ -103,10 +103,10 @@ def _problems(path: Path) -> dict[str, tuple[str, ...]]:
     """Return what is wrong with a bundle by what was looked at, but for the audit that these tests leave out."""
     report = verify.verify(verify.VerifyRequest(path, sample=0))
     assert validate(report.as_json(), "verification") == []
-    found = {check.name: check.problems for check in report.checks if check.problems}
-    if found.get("audit") == (UNAUDITED,):
-        del found["audit"]
-    return found
+    problems_by_check = {check.name: check.problems for check in report.checks if check.problems}
+    if problems_by_check.get("audit") == (UNAUDITED,):
+        del problems_by_check["audit"]
+    return problems_by_check
 
 
 def test_a_bundle_repeats_itself(run: Run, report: TargetReport, packed: Path, tmp_path: Path) -> None:
@@ -115,9 +115,9 @@ def test_a_bundle_repeats_itself(run: Run, report: TargetReport, packed: Path, t
     prepare.pack(prepare.SubmitRequest(package.load(EXPERT), (run.folder,), again), [run], report)
     assert again.read_bytes() == packed.read_bytes()
     names = archive.unpack(again, tmp_path / "out", limit=10**8)
-    places = (str(EXPERT.parent.parent), str(run.folder), sys.prefix)
+    paths = (str(EXPERT.parent.parent), str(run.folder), sys.prefix)
     texts = [(tmp_path / "out" / name).read_text(encoding="utf-8") for name in names]
-    assert not [place for place in places for text in texts if place in text]
+    assert not [path for path in paths for text in texts if path in text]
 
 
 def test_a_sound_bundle_lacks_only_what_was_left_out(packed: Path) -> None:
@@ -129,12 +129,12 @@ def test_a_sound_bundle_lacks_only_what_was_left_out(packed: Path) -> None:
 
 def test_a_bundle_of_fewer_than_all_evaluation_seeds_is_named_a_subset(packed: Path) -> None:
     """A board counts all of them; the others may be those that went wrong."""
-    found = inspection.inspect(bundle.open_bundle(packed, packed.parent / "opened", limit=10**8), Progress())[1]
-    told = inspection.seed_coverage(found)
-    assert told is not None
-    assert [vars(part) for part in told] == [{"task": "lift_cube", "setting": "clean", "seeds": 2, "of": 100}]
-    whole = [replace(part, seeds=100) for part in told]
-    reports = [verify.VerificationReport("", "", (), (), parts=parts) for parts in (told, whole, None)]
+    inspected = inspection.inspect(bundle.open_bundle(packed, packed.parent / "opened", limit=10**8), Progress())[1]
+    coverage = inspection.seed_coverage(inspected)
+    assert coverage is not None
+    assert [vars(part) for part in coverage] == [{"task": "lift_cube", "setting": "clean", "seeds": 2, "of": 100}]
+    whole = [replace(part, seeds=100) for part in coverage]
+    reports = [verify.VerificationReport("", "", (), (), parts=parts) for parts in (coverage, whole, None)]
     assert ["subset" in " ".join(unproven.sentences(report)) for report in reports] == [True, False, False]
 
 
@@ -151,19 +151,19 @@ def test_curves_come_along_where_they_are_wanted(played: Run, report: TargetRepo
 
 
 @pytest.mark.parametrize(
-    ("change", "where", "said"),
+    ("change", "where", "message"),
     [
         (lambda folder: (folder / "policy/scripted_expert/model.py").write_text(""), "files", "has the SHA-256"),
         (lambda folder: (folder / "audit.json").write_text("{}"), "files", "audit.json"),
     ],
 )
 def test_changed_files_are_found(
-    packed: Path, tmp_path: Path, change: Callable[[Path], Any], where: str, said: str
+    packed: Path, tmp_path: Path, change: Callable[[Path], Any], where: str, message: str
 ) -> None:
     """Whoever changes a file of a bundle and leaves its manifest alone is found out; nothing else is looked at."""
-    found = _problems(_forged(packed, tmp_path / "forged.zip", change, consistently=False))
-    assert list(found) == [where]
-    assert any(said in problem for problem in found[where])
+    problems = _problems(_forged(packed, tmp_path / "forged.zip", change, consistently=False))
+    assert list(problems) == [where]
+    assert any(message in problem for problem in problems[where])
 
 
 @pytest.mark.parametrize(
@@ -192,8 +192,8 @@ def test_files_that_no_digest_of_the_adapter_covers_are_found(packed: Path, tmp_
 
 def test_a_run_that_is_named_a_thousand_times_is_read_not_once(packed: Path, tmp_path: Path) -> None:
     change = _documents(lambda manifest: manifest.update(runs=manifest["runs"] * 1000), bundle.MANIFEST)
-    found = _problems(_forged(packed, tmp_path / "forged.zip", change))
-    assert found == {"files": ("submission.json names a folder of a run twice",)}
+    problems = _problems(_forged(packed, tmp_path / "forged.zip", change))
+    assert problems == {"files": ("submission.json names a folder of a run twice",)}
 
 
 def _seeds(first: int, second: int, *, frozen: bool = True) -> Callable[[Path], None]:
@@ -212,9 +212,9 @@ def _documents(change: Callable[..., Any], *names: str) -> Callable[[Path], None
     """Return what changes some documents of a bundle together."""
 
     def edit(folder: Path) -> None:
-        told = [json.loads((folder / name).read_bytes()) for name in names]
-        change(*told)
-        for name, document in zip(names, told, strict=True):
+        documents = [json.loads((folder / name).read_bytes()) for name in names]
+        change(*documents)
+        for name, document in zip(names, documents, strict=True):
             (folder / name).write_bytes(bundle.document(document))
 
     return edit
@@ -243,7 +243,7 @@ _OTHER_WEIGHTS = {"loaded": "0" * 64, "name": None, "declared": []}
 
 @pytest.mark.sampled(6)
 @pytest.mark.parametrize(
-    ("change", "where", "said"),
+    ("change", "where", "message"),
     [
         (_records(lambda lines: lines[-1].update(success=False, failure="task")), "claims", "has other counts"),
         (_records(lambda lines: lines[-1].update(end_reason="max_steps")), "records", "but ended with max_steps"),
@@ -274,11 +274,11 @@ _OTHER_WEIGHTS = {"loaded": "0" * 64, "name": None, "declared": []}
     ],
 )
 def test_parts_that_contradict_each_other_are_found(
-    packed: Path, tmp_path: Path, change: Callable[[Path], Any], where: str, said: str
+    packed: Path, tmp_path: Path, change: Callable[[Path], Any], where: str, message: str
 ) -> None:
     """A manifest that was changed along with a file does not help: what is said follows from rules and records."""
-    found = _problems(_forged(packed, tmp_path / "forged.zip", change))
-    assert any(said in problem for problem in found[where]), found
+    problems = _problems(_forged(packed, tmp_path / "forged.zip", change))
+    assert any(message in problem for problem in problems[where]), problems
 
 
 def test_a_run_is_not_packed_twice(run: Run, tmp_path: Path) -> None:
@@ -405,18 +405,22 @@ def test_from_evaluation_to_verification(played: Run, tmp_path: Path) -> None:
     path = tmp_path / "expert.xpl.zip"
     code, made = _xpl("submit", "--check", str(EXPERT), str(played.folder), "--out", str(path))
     assert (code, made["problems"], made["path"]) == (0, [], str(path))
-    code, told = _xpl("verify", str(path), "--sample", "2")
-    assert validate(told, "verification") == []
+    code, answer = _xpl("verify", str(path), "--sample", "2")
+    assert validate(answer, "verification") == []
     assert (
-        told["audit"]["statement"]
+        answer["audit"]["statement"]
         == made["audit"]["statement"]
         == "GREEN contract; conversions unproven (no reference.py)"
     )
-    assert (code, told["replay"]["verdict"]) == (0, "agrees")
-    assert told["bundle"] == made["bundle"]
+    assert (code, answer["replay"]["verdict"]) == (0, "agrees")
+    assert answer["bundle"] == made["bundle"]
     forged = _forged(path, tmp_path / "forged.zip", _records(lambda lines: lines[-1].update(digest="0" * 64)))
-    code, told = _xpl("verify", str(forged), "--sample", "2")
-    assert (code, told["replay"]["verdict"], told["replay"]["counts"]) == (1, "disagrees", {"same": 1, "outcome": 1})
+    code, answer = _xpl("verify", str(forged), "--sample", "2")
+    assert (code, answer["replay"]["verdict"], answer["replay"]["counts"]) == (
+        1,
+        "disagrees",
+        {"same": 1, "outcome": 1},
+    )
 
 
 def _xpl(*arguments: str) -> tuple[int, Any]:

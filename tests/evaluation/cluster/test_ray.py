@@ -69,8 +69,8 @@ class Cluster:
 
     def left(self) -> dict[int, str]:
         """Return what runs of a suite on the nodes, as far as it does not call itself something of Ray's."""
-        place = str(build.ROOT)  # which may have our name in it
-        return {pid: told for pid, told in processes(self.mark).items() if "xpl" in told.replace(place, "")}
+        root = str(build.ROOT)  # which may have our name in it
+        return {pid: command for pid, command in processes(self.mark).items() if "xpl" in command.replace(root, "")}
 
     def servers(self) -> int:
         count = 0
@@ -218,7 +218,7 @@ def test_a_run_waits_for_room_and_refuses_other_files_there(tmp_path: Path) -> N
             assert any("it needs a worker" in line for line in leader.stderr)
             (policy / "README.md").write_text("Others.", encoding="utf-8")
             cluster.tell("add")
-            _, told = leader.communicate()
+            _, stderr = leader.communicate()
     assert leader.returncode == ExitCode.NOT_RUN
-    assert f"{policy} is not the adapter of this run" in told
+    assert f"{policy} is not the adapter of this run" in stderr
     assert not records.read(tmp_path / "run").attempts

@@ -41,18 +41,18 @@ cp {result} "$folder/_result.json"
 @pytest.fixture
 def workspace(tmp_path: Path) -> Path:
     """A folder that has of RoboDojo what the hand-over asks for; its launcher notes its words and copies a result."""
-    place = tmp_path / "RoboDojo"
+    folder = tmp_path / "RoboDojo"
     files = ["src/eval_client/main.py", "env_cfg/arx_x5.yml", "XPolicyLab/policy/demo_policy/deploy.py"]
     files += ["task/RoboDojo/config/stack_bowls.yml", "task/RoboDojo/config/stack_bowls_random.yml"]
     for name in files:
-        (place / name).parent.mkdir(parents=True, exist_ok=True)
-        (place / name).touch()
-    (place / "scripts").mkdir()
-    names = {"told": place / "told", "fails": place / "fails", "result": place / "result.json"}
-    (place / "scripts" / "eval_policy.sh").write_text(SCRIPT.format(**names))
-    told = {"success_rate": 0.5, "eval_time": 2, "score": 57.5, "details": DETAILS}
-    (place / "result.json").write_text(json.dumps(told))
-    return place
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    (folder / "scripts").mkdir()
+    names = {"told": folder / "told", "fails": folder / "fails", "result": folder / "result.json"}
+    (folder / "scripts" / "eval_policy.sh").write_text(SCRIPT.format(**names))
+    result = {"success_rate": 0.5, "eval_time": 2, "score": 57.5, "details": DETAILS}
+    (folder / "result.json").write_text(json.dumps(result))
+    return folder
 
 
 def _call(*words: str | Path) -> Any:
@@ -102,9 +102,9 @@ def test_what_it_found_is_recorded(workspace: Path, tmp_path: Path, task: str, s
     assert next(iter(run.machines.values()))["launcher"].endswith("scripts/eval_policy.sh")
     ranked = xpl("leaderboard", out, "--json")
     assert ranked.code == 0, ranked.stderr
-    told = json.loads(ranked.stdout)
-    assert told["rows"][0]["success_rate"] == 0.5
-    assert any("a benchmark's own launcher ran and judged it" in note for note in told["notes"])
+    ranking = json.loads(ranked.stdout)
+    assert ranking["rows"][0]["success_rate"] == 0.5
+    assert any("a benchmark's own launcher ran and judged it" in note for note in ranking["notes"])
     assert "holds a recorded run" in _call("--workspace", workspace, "--out", out).stderr
 
 
@@ -205,11 +205,11 @@ def test_a_launcher_is_data_and_held_to_its_names() -> None:
         ({"workspace": {"variable": "X"}}, False),
     ]
     for change, is_valid in changes:
-        told = {**facts.data, "hand_over": {**facts.data["hand_over"], **change}}
-        assert (not validate(told, "env")) == is_valid
+        data = {**facts.data, "hand_over": {**facts.data["hand_over"], **change}}
+        assert (not validate(data, "env")) == is_valid
         if is_valid or "workspace" in change:  # what is missing may be so in a manifest that is read
             with pytest.raises(LauncherError):
-                Launcher.read(EnvManifest.parse(told))
+                Launcher.read(EnvManifest.parse(data))
     assert fill_placeholders("{a} {b}", {"a": "{b}", "b": "$(x)"}) == "{b} $(x)"
     with pytest.raises(LauncherError, match="hands nothing over"):
         Launcher.read(environments.manifest(ROOT / "envs" / "mujoco"))
@@ -242,24 +242,24 @@ def test_a_name_does_not_lead_out_of_the_workspace(workspace: Path) -> None:
 
 def test_robotwins_rate_is_read_where_only_robotwin_knows_the_folder(tmp_path: Path) -> None:
     """The one that is new; a rate does not say which episodes succeeded, so that --out is refused."""
-    place = tmp_path / "RoboTwin"
+    folder = tmp_path / "RoboTwin"
     facts = environments.manifest(ROOT / "envs" / "robotwin")
     assert facts.hand_over is not None
     for name in facts.hand_over.workspace.files:
-        path = place / name.replace("{task_name}", "click_bell")
+        path = folder / name.replace("{task_name}", "click_bell")
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
-    results_of = place / "eval_result" / "click_bell" / "demo_policy" / "demo_clean" / "default"
+    results_of = folder / "eval_result" / "click_bell" / "demo_policy" / "demo_clean" / "default"
     (results_of / "before").mkdir(parents=True)
     (results_of / "before" / "_result.txt").write_text("1.0")
-    told = f'mkdir "{results_of}/now"; printf "Timestamp: x\\n\\n%s" 0.37 > "{results_of}/now/_result.txt"'
-    (place / "scripts" / "eval_policy.sh").write_text(f'echo "$@" > "{place}/told"; {told}\n')
-    words = ["--task", "click_bell", "--workspace", place, "--episodes", "100", "--set", "env_cfg_type=aloha-agilex"]
+    script = f'mkdir "{results_of}/now"; printf "Timestamp: x\\n\\n%s" 0.37 > "{results_of}/now/_result.txt"'
+    (folder / "scripts" / "eval_policy.sh").write_text(f'echo "$@" > "{folder}/told"; {script}\n')
+    words = ["--task", "click_bell", "--workspace", folder, "--episodes", "100", "--set", "env_cfg_type=aloha-agilex"]
     ended = xpl("env", "hand-over", "robotwin", POLICY, *words, *NOWHERE, "--json")
     assert ended.code == 0, ended.stderr
     answer = json.loads(ended.stdout)
     assert (answer["success_rate"], answer["episodes"], answer["embodiment"]) == (0.37, None, "aloha_agilex")
-    assert "--test_num 100" in (place / "told").read_text()
+    assert "--test_num 100" in (folder / "told").read_text()
     refused = xpl("env", "hand-over", "robotwin", POLICY, *words, *NOWHERE, "--out", tmp_path / "run")
     assert refused.code == 2
     assert "cannot be recorded" in refused.stderr

@@ -12,7 +12,7 @@ from xpl_cli.commands.options import JSON
 def doctor(as_json: bool = JSON) -> None:
     """Check what this machine can run, and how to fix the rest.
 
-    What is merely absent is needed by some policies only.
+    Only some policies need what is absent.
     """
     from dataclasses import asdict
 
@@ -28,8 +28,8 @@ def doctor(as_json: bool = JSON) -> None:
     else:
         width = max(len(check.name) for check in checks)
         for check in checks:
-            console.data(f"{check.status:<6}  {check.name:<{width}}  {check.found}")
+            console.data(f"{check.status:<6}  {check.name:<{width}}  {check.result}")
             if check.status is not Status.OK:
-                console.data(f"{'':<{8 + width}}  for {check.serves}" + (f"; fix: {check.mend}" if check.mend else ""))
+                console.data(f"{'':<{8 + width}}  for {check.serves}" + (f"; fix: {check.fix}" if check.fix else ""))
     if broken:
         raise typer.Exit(ExitCode.FINDINGS)

@@ -91,15 +91,20 @@ def rank(
     names = dimensions(scores)
     if by not in (SUCCESS, SCORE):
         by = one_of("--by", _match_case(by, names), [SUCCESS, SCORE, *names])
-    order = sorted(scores, key=lambda one: (*(-part for part in _strength(one, by)), one.policy))
-    strengths = [_strength(one, by) for one in order]
-    rows = [PolicyRow(1 + strengths.index(strength), one) for one, strength in zip(order, strengths, strict=True)]
+    order = sorted(
+        scores, key=lambda policy_scores: (*(-part for part in _strength(policy_scores, by)), policy_scores.policy)
+    )
+    strengths = [_strength(policy_scores, by) for policy_scores in order]
+    rows = [
+        PolicyRow(1 + strengths.index(strength), policy_scores)
+        for policy_scores, strength in zip(order, strengths, strict=True)
+    ]
     return Results(benchmark, by, names, rows, [*notes, *_notes(order)])
 
 
 def dimensions(scores: Sequence[PolicyScores]) -> list[str]:
     """Return the dimensions that any policy has something in, in the order of the benchmark."""
-    present = {name for one in scores for name in one.dimensions}
+    present = {name for policy_scores in scores for name in policy_scores.dimensions}
     return [name for name in (*protocol().dimensions, OTHER) if name in present]
 
 
@@ -155,18 +160,20 @@ def as_csv(results: Results) -> str:
     columns = ("rank", "policy", "kind", "name", SUCCESS, SCORE, "success_spread", "score_spread")
     lines = []
     for row in results.rows:
-        one = row.tally
-        overall = {} if one.overall is None else {"": one.overall}
+        policy_scores = row.tally
+        overall = {} if policy_scores.overall is None else {"": policy_scores.overall}
         groups = {
             "overall": overall,
-            "dimensions": one.dimensions,
-            "variants": one.variants,
-            "halves": one.halves,
-            "tasks": one.tasks,
+            "dimensions": policy_scores.dimensions,
+            "variants": policy_scores.variants,
+            "halves": policy_scores.halves,
+            "tasks": policy_scores.tasks,
         }
         for kind, figures in groups.items():
             for name, figure in figures.items():
-                lines.append([row.rank, one.policy, kind, name, *(getattr(figure, key) for key in columns[4:])])
+                lines.append(
+                    [row.rank, policy_scores.policy, kind, name, *(getattr(figure, key) for key in columns[4:])]
+                )
     return episodes.as_csv(columns, lines)
 
 
@@ -205,8 +212,8 @@ def _table_4(results: Results) -> BenchmarkTable:
     )
 
 
-def _strength(one: PolicyScores, by: str) -> tuple[float, float]:
-    figure = one.dimensions.get(by) if by not in (SUCCESS, SCORE) else one.overall
+def _strength(policy_scores: PolicyScores, by: str) -> tuple[float, float]:
+    figure = policy_scores.dimensions.get(by) if by not in (SUCCESS, SCORE) else policy_scores.overall
     if figure is None:
         return -1.0, -1.0
     score = -1.0 if figure.score is None else figure.score
@@ -219,9 +226,11 @@ def _match_case(given: str, names: Sequence[str]) -> str:
 
 
 def _notes(scores: Sequence[PolicyScores]) -> Iterator[str]:
-    lacking = [one for one in scores if one.counted < one.expected]
+    lacking = [policy_scores for policy_scores in scores if policy_scores.counted < policy_scores.expected]
     if lacking:
-        named = ", ".join(f"{one.policy} {one.counted} of {one.expected}" for one in lacking)
+        named = ", ".join(
+            f"{policy_scores.policy} {policy_scores.counted} of {policy_scores.expected}" for policy_scores in lacking
+        )
         yield (
             f"Not all tasks and seeds count yet, because results or episodes are missing: {named}. Figures are of "
             "those that count; --anyway counts tasks that lack episodes, too."

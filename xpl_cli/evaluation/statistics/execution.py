@@ -48,14 +48,14 @@ def bin_edge(position: float) -> float:
 def _inference(run: Run) -> Latency:
     """Return the round trips of all attempts together."""
     inferences = [line.inference for line in run.attempts if line.inference]
-    histograms = [one.histogram for one in inferences if one.histogram]
+    histograms = [inference.histogram for inference in inferences if inference.histogram]
     bins = [0] * max(map(len, histograms), default=0)
     for histogram in histograms:
         for index, count in enumerate(histogram):
             bins[index] += count
     return Latency(
-        count=sum(one.count for one in inferences),
-        seconds=math.fsum(one.seconds for one in inferences),
+        count=sum(inference.count for inference in inferences),
+        seconds=math.fsum(inference.seconds for inference in inferences),
         histogram=bins,
         p50=_quantile(bins, 0.5),
         p95=_quantile(bins, 0.95),

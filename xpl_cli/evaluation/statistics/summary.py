@@ -55,7 +55,7 @@ def summarise(run: Run, method: str = "wilson") -> Summary:
         until_width=plan.until_width,
         confidence=intervals.CONFIDENCE,
         methods=SummaryMethods(method, SCORE_METHOD),
-        cells=[_row([one]) for one in measured],
+        cells=[_row([estimates]) for estimates in measured],
         tasks=_rows(measured, lambda cell: cell.task),
         settings=_rows(measured, lambda cell: cell.setting),
         dimensions=_rows(measured, lambda cell: cell.dimension),
@@ -72,16 +72,19 @@ def summarise(run: Run, method: str = "wilson") -> Summary:
 def _rows(measured: Sequence[_CellEstimates], name: Callable[[Cell], str | None]) -> list[SummaryRow]:
     """Return a row for each group of cells of one name; cells without one are in none."""
     groups: dict[str, list[_CellEstimates]] = {}
-    for one in measured:
-        if (group_name := name(one.cell)) is not None:
-            groups.setdefault(group_name, []).append(one)
+    for estimates in measured:
+        if (group_name := name(estimates.cell)) is not None:
+            groups.setdefault(group_name, []).append(estimates)
     return [_row(group) for group in groups.values()]
 
 
 def _row(measured: Sequence[_CellEstimates]) -> SummaryRow:
     """Return the row of one cell or of several."""
-    members = [one.cell for one in measured]
-    success, score = _mean(one.success for one in measured), _mean(one.score for one in measured)
+    members = [estimates.cell for estimates in measured]
+    success, score = (
+        _mean(estimates.success for estimates in measured),
+        _mean(estimates.score for estimates in measured),
+    )
     # Steps and corrections of the episodes without an infrastructure error.
     lines = [line for cell in members for line in cell.counted if line.failure != INFRASTRUCTURE]
     steps = [line.steps for line in lines if line.steps is not None]
