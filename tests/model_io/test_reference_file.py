@@ -41,7 +41,7 @@ def test_conventions_and_what_is_assumed() -> None:
         "chunk": "",
     }
     assert found.assumed == ("gripper", "rotation", "chunk")
-    assert found.conventions["gripper"].place.line == 8
+    assert found.conventions["gripper"].location.line == 8
     assert (found.defines_answers, found.problems) == (True, ())
     assert "policy.yml" in [text for text, _ in found.texts]
     assert not any("Answers as" in text for text, _ in found.texts)
@@ -49,7 +49,7 @@ def test_conventions_and_what_is_assumed() -> None:
 
 def test_imports_wherever_they_stand() -> None:
     found = reference_file.parse(TEXT).imports
-    assert [(item.module, item.level, item.place.line) for item in found] == [
+    assert [(item.module, item.level, item.location.line) for item in found] == [
         ("importlib", 0, 2),
         ("numpy", 0, 3),
         ("authors", 1, 4),

@@ -60,9 +60,9 @@ def describe(one: Convention) -> ConventionDescription:
 def _values(one: Convention) -> Iterator[tuple[str, Sequence[VocabularyValue]]]:
     """Yield the keys that have a list of values, with it."""
     defs = spec.schema("model_io")["$defs"]
-    places = {"images": "image", "vectors": "action", "history": "own_history"}
+    definition_names = {"images": "image", "vectors": "action", "history": "own_history"}
     for group, keys in one.keys.items():
-        entry = defs.get(places.get(group, group), {})
+        entry = defs.get(definition_names.get(group, group), {})
         step_properties = [how for step in defs["step"]["properties"].values() for how in [step.get("properties", {})]]
         for key in entry.get("properties", {}) if "*" in keys else keys:
             schemas = [entry.get("properties", {}), *(step_properties if group == "steps" else ())]
@@ -107,7 +107,7 @@ def render_markdown(one: ConventionDescription) -> Iterator[str]:
         key_list = "all keys" if "*" in keys else ", ".join(f"`{key}`" for key in keys)
         groups_by_keys.setdefault(key_list, []).append(group)
     yield ""
-    yield f"In the block: {'; '.join(f'{keys} of {_SEP.join(places)}' for keys, places in groups_by_keys.items())}."
+    yield f"In the block: {'; '.join(f'{keys} of {_SEP.join(groups)}' for keys, groups in groups_by_keys.items())}."
     for key, listed in one.values.items():
         yield ""
         yield f"Values of `{key}`:"

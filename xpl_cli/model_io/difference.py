@@ -53,9 +53,9 @@ def spreads(golden: Answers) -> dict[str, float]:
     """
     result = {}
     for key, values in columns(golden).items():
-        for places in _groups(key, values.shape[1]):
-            largest = float(np.ptp(_one_sign(key, values)[:, places], axis=0).max(initial=0.0))
-            for index in range(values.shape[1])[places]:
+        for group in _groups(key, values.shape[1]):
+            largest = float(np.ptp(_one_sign(key, values)[:, group], axis=0).max(initial=0.0))
+            for index in range(values.shape[1])[group]:
                 result[f"{key}[{index}]"] = largest or 1.0
     return result
 

@@ -56,28 +56,28 @@ class AnswerRows:
     states: Mapping[str, np.ndarray]
 
     @classmethod
-    def of(cls, threads: Sequence[EpisodeAnswers]) -> AnswerRows | None:
+    def of(cls, episodes: Sequence[EpisodeAnswers]) -> AnswerRows | None:
         """Return the steps of episodes; None if chunks are of other lengths."""
-        golden = [chunk for thread in threads for chunk in thread.golden]
-        answers = [chunk for thread in threads for chunk in thread.adapter]
+        golden = [chunk for episode in episodes for chunk in episode.golden]
+        answers = [chunk for episode in episodes for chunk in episode.adapter]
         if any(len(one) != len(other) for one, other in zip(golden, answers, strict=True)):
             return None
-        states = [thread.observations[place][spec.Obs.STATE] for thread in threads for place in thread.asked_at]
+        states = [episode.observations[index][spec.Obs.STATE] for episode in episodes for index in episode.asked_at]
         return cls(columns(golden), columns(answers), _repeat_states(answers, states))
 
 
 def fit_linear(
-    threads: Sequence[EpisodeAnswers], before: Differences, spread: Mapping[str, float], tolerance: float
+    episodes: Sequence[EpisodeAnswers], before: Differences, spread: Mapping[str, float], tolerance: float
 ) -> TriedChange | None:
     """Return the change by which each number that differs is a straight line of the golden one, or None.
 
     Args:
-        threads: all episodes.
+        episodes: all episodes.
         before: how far the answers are, by number.
         spread: of `difference.spreads`.
         tolerance: largest share that is no difference.
     """
-    rows = AnswerRows.of(threads)
+    rows = AnswerRows.of(episodes)
     if rows is None:
         return None
     remaining, lines = dict(before), dict[str, _LinearFit]()

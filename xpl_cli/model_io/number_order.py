@@ -23,15 +23,15 @@ _STILL = 1e-9
 Column = np.ndarray
 
 
-def order_patterns(threads: Sequence[EpisodeAnswers], before: Differences, tolerance: float) -> Iterator[Pattern]:
+def order_patterns(episodes: Sequence[EpisodeAnswers], before: Differences, tolerance: float) -> Iterator[Pattern]:
     """Yield what numbers that differ tell about where the golden ones are told.
 
     Args:
-        threads: all episodes.
+        episodes: all episodes.
         before: how far the answers are, by number.
         tolerance: largest share that is no difference.
     """
-    rows = AnswerRows.of(threads)
+    rows = AnswerRows.of(episodes)
     differing = [part for part, share in before.items() if share > tolerance]
     if rows is None or not differing or len(next(iter(rows.golden.values()), ())) < _LEAST:
         return

@@ -273,7 +273,7 @@ def _parse_session(entry: Entry) -> PairSession:
     for number, call_entry in enumerate(entry["calls"]):
         call = Call(
             reset=sdk.Method.RESET in call_entry,
-            show=tuple((env, place) for env, place in call_entry.get("show", ())),
+            show=tuple((env, index) for env, index in call_entry.get("show", ())),
             ask=tuple(call_entry.get("ask", ())),
         )
         if call.reset + bool(call.show) + bool(call.ask) != 1:

@@ -59,27 +59,27 @@ class PolicyKind:
 
 
 def patterns(
-    threads: Sequence[EpisodeAnswers], spread: Differences, tolerance: float, kind: PolicyKind
+    episodes: Sequence[EpisodeAnswers], spread: Differences, tolerance: float, kind: PolicyKind
 ) -> Iterator[Pattern]:
     """Yield what is seen, the most telling first.
 
     Args:
-        threads: all episodes, in their order; something differs.
+        episodes: all episodes, in their order; something differs.
         spread: of `difference.spreads`.
         tolerance: largest share of it that is no difference.
         kind: of policy.
     """
-    if _is_constant(threads, spread):
+    if _is_constant(episodes, spread):
         yield Pattern("every step of a chunk is the same, and the model's are not", "chunk")
-    yield from _memory(threads, spread, tolerance, kind)
-    yield from _steps(threads, spread, tolerance)
-    if kind.draws and _is_drawn(threads, spread):
+    yield from _memory(episodes, spread, tolerance, kind)
+    yield from _steps(episodes, spread, tolerance)
+    if kind.draws and _is_drawn(episodes, spread):
         yield Pattern("differences are random about zero, as if other numbers were drawn: look at the seed", "sampling")
 
 
-def _is_constant(threads: Sequence[EpisodeAnswers], spread: Differences) -> bool:
-    adapter = [chunk for thread in threads for chunk in thread.adapter if len(chunk) > 1]
-    golden = [chunk for thread in threads for chunk in thread.golden if len(chunk) > 1]
+def _is_constant(episodes: Sequence[EpisodeAnswers], spread: Differences) -> bool:
+    adapter = [chunk for episode in episodes for chunk in episode.adapter if len(chunk) > 1]
+    golden = [chunk for episode in episodes for chunk in episode.golden if len(chunk) > 1]
     return bool(adapter) and _moves(adapter, spread) <= _SAME < _moves(golden, spread)
 
 
@@ -109,10 +109,10 @@ class _JudgedAnswer:
 
 
 def _memory(
-    threads: Sequence[EpisodeAnswers], spread: Differences, tolerance: float, kind: PolicyKind
+    episodes: Sequence[EpisodeAnswers], spread: Differences, tolerance: float, kind: PolicyKind
 ) -> Iterator[Pattern]:
     """Tell which answers of the episodes are right: those that need nothing from before, or those of first episodes."""
-    answers = list(_answers(threads, spread, tolerance, by_question=kind.keeps_state))
+    answers = list(_answers(episodes, spread, tolerance, by_question=kind.keeps_state))
     later = [one.is_right for one in answers if one.earlier]
     begins = [one.is_right for one in answers if not one.earlier]
     again = [one.is_right for one in answers if not one.earlier and one.episode]
@@ -135,19 +135,21 @@ def _memory(
 def _answers(
     threads: Sequence[EpisodeAnswers], spread: Differences, tolerance: float, *, by_question: bool
 ) -> Iterator[_JudgedAnswer]:
-    episodes: dict[Any, int] = {}
-    for thread in threads:
-        env = thread.observations[0].get(spec.Obs.ENV_IDX) if thread.observations else None
-        number = episodes[env] = episodes.get(env, -1) + 1
-        for index, (slot, golden, given) in enumerate(zip(thread.asked_at, thread.golden, thread.adapter, strict=True)):
+    episode_counts: dict[Any, int] = {}
+    for episode in threads:
+        env = episode.observations[0].get(spec.Obs.ENV_IDX) if episode.observations else None
+        number = episode_counts[env] = episode_counts.get(env, -1) + 1
+        for index, (slot, golden, given) in enumerate(
+            zip(episode.asked_at, episode.golden, episode.adapter, strict=True)
+        ):
             share = max(differences([golden], [given], spread).values())
             yield _JudgedAnswer(number, index if by_question else slot, share <= tolerance)
 
 
-def _steps(threads: Sequence[EpisodeAnswers], spread: Differences, tolerance: float) -> Iterator[Pattern]:
+def _steps(episodes: Sequence[EpisodeAnswers], spread: Differences, tolerance: float) -> Iterator[Pattern]:
     """Tell if the first step of each chunk is right, and later ones are not."""
-    golden = [chunk for thread in threads for chunk in thread.golden]
-    adapter = [chunk for thread in threads for chunk in thread.adapter]
+    golden = [chunk for episode in episodes for chunk in episode.golden]
+    adapter = [chunk for episode in episodes for chunk in episode.adapter]
     if any(len(one) != len(other) or len(one) < 2 for one, other in zip(golden, adapter, strict=True)):
         return
     begins = differences([chunk[:1] for chunk in golden], [chunk[:1] for chunk in adapter], spread)
@@ -158,9 +160,9 @@ def _steps(threads: Sequence[EpisodeAnswers], spread: Differences, tolerance: fl
         yield Pattern(words, "action_reference")
 
 
-def _is_drawn(threads: Sequence[EpisodeAnswers], spread: Differences) -> bool:
-    golden = columns([chunk for thread in threads for chunk in thread.golden])
-    adapter = columns([chunk for thread in threads for chunk in thread.adapter])
+def _is_drawn(episodes: Sequence[EpisodeAnswers], spread: Differences) -> bool:
+    golden = columns([chunk for episode in episodes for chunk in episode.golden])
+    adapter = columns([chunk for episode in episodes for chunk in episode.adapter])
     for key, values in golden.items():
         if key not in adapter or adapter[key].shape != values.shape:
             return False

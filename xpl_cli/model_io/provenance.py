@@ -78,7 +78,7 @@ def code_problems(package: Path, recorded: Mapping[str, Any], python: str | None
     # What is not installed here cannot be compared, and says nothing.
     folders = citations.folders(package, python)[1:]
     for name, digest in sorted(recorded.get("authors", {}).items()):
-        installed = [place / name for place in folders if (place / name).is_file()]
+        installed = [folder / name for folder in folders if (folder / name).is_file()]
         if installed and not any(digest in _digests(path) for path in installed):
             problems.append(f"{name} of the authors' code was changed")
     return problems

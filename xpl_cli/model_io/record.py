@@ -219,7 +219,7 @@ def _call_request(call: Call, session: PairSession) -> dict[str, Any]:
         return {sdk.Method.RESET: True}
     if call.ask:
         return {"ask": list(call.ask)}
-    return {"show": [[env, session.scene.observation(env, place)] for env, place in call.show]}
+    return {"show": [[env, session.scene.observation(env, index)] for env, index in call.show]}
 
 
 def _failure(answer: subprocess_task.TaskAnswer, number: int, asking: Sequence[Call]) -> str:

@@ -48,11 +48,11 @@ class ConventionSource:
 
     Attributes:
         text: what reference.py says: file and line of the authors' code, or `assumed`.
-        place: of that text.
+        location: of that text.
     """
 
     text: str
-    place: SourceRange
+    location: SourceRange
 
     @property
     def is_assumed(self) -> bool:
@@ -68,13 +68,13 @@ class Import:
         module: dotted name, relative ones without their dots; "" for `from . import x`.
         level: dots before it; 0 for an absolute one.
         names: what is taken from it; empty for `import x`.
-        place: of the statement.
+        location: of the statement.
     """
 
     module: str
     level: int
     names: tuple[str, ...]
-    place: SourceRange
+    location: SourceRange
 
     def is_of(self, package: str) -> bool:
         """Tell whether it takes an absolute package, or anything in it."""
@@ -108,7 +108,7 @@ class ReferenceFile:
         imports: all imports, by line.
         texts: text constants with their places, docstrings left out: names of files that it may read are among them.
         answers: whether it defines what makes the function that answers.
-        place: of `CONVENTIONS`; None if there is none.
+        location: of `CONVENTIONS`; None if there is none.
         problems: what is wrong with `CONVENTIONS`, with places.
         renamed: conventions that stand in `CONVENTIONS` under a former name.
     """
@@ -117,7 +117,7 @@ class ReferenceFile:
     imports: tuple[Import, ...] = ()
     texts: tuple[tuple[str, SourceRange], ...] = ()
     defines_answers: bool = False
-    place: SourceRange | None = None
+    location: SourceRange | None = None
     problems: tuple[tuple[str, SourceRange], ...] = ()
     renamed: tuple[str, ...] = ()
 
@@ -187,10 +187,10 @@ def parse_tree(tree: ast.Module) -> ReferenceFile:
     conventions, problems, renamed = _parse_conventions(expression)
     return ReferenceFile(
         conventions=conventions,
-        imports=tuple(sorted(_imports(tree), key=lambda item: (item.place.line, item.place.column))),
+        imports=tuple(sorted(_imports(tree), key=lambda item: (item.location.line, item.location.column))),
         texts=tuple(_texts(tree)),
         defines_answers=any(names.ANSWERS in _assigned_names(node) for node in tree.body),
-        place=None if expression is None else SourceRange.of(expression),
+        location=None if expression is None else SourceRange.of(expression),
         problems=problems,
         renamed=renamed,
     )

@@ -40,7 +40,7 @@ class _PoseFit:
 
 
 def fit_rigid(
-    threads: Sequence[EpisodeAnswers],
+    episodes: Sequence[EpisodeAnswers],
     before: Differences,
     spread: Mapping[str, float],
     tolerance: float,
@@ -49,14 +49,14 @@ def fit_rigid(
     """Yield the changes by which all poses that differ are the golden ones, a constant away.
 
     Args:
-        threads: all episodes.
+        episodes: all episodes.
         before: how far the answers are, by number.
         spread: of `difference.spreads`.
         tolerance: largest share that is no difference.
         tool: pose (7,) of the point between the fingertips in the flange; None if it is not known.
     """
-    golden = [chunk for thread in threads for chunk in thread.golden]
-    answers = [chunk for thread in threads for chunk in thread.adapter]
+    golden = [chunk for episode in episodes for chunk in episode.golden]
+    answers = [chunk for episode in episodes for chunk in episode.adapter]
     if any(len(one) != len(other) for one, other in zip(golden, answers, strict=True)):
         return
     golden_columns, adapter = columns(golden), columns(answers)
@@ -64,7 +64,7 @@ def fit_rigid(
     keys = [key for key in golden_columns if key in differing_keys and key.endswith(spec.State.EE_POSE)]
     if not keys or len(golden_columns[keys[0]]) < _LEAST or any(key not in adapter for key in keys):
         return
-    states = [thread.observations[place]["state"] for thread in threads for place in thread.asked_at]
+    states = [episode.observations[index]["state"] for episode in episodes for index in episode.asked_at]
     by_key = {key: _readings(golden_columns[key], adapter[key], _repeated(states, answers, key), tool) for key in keys}
     for readings in zip(*by_key.values(), strict=True):
         remaining = dict(before)
@@ -127,8 +127,8 @@ def _changes(
                 yield _PoseFit(words + _factors(maps), _convention(to != of, maps), whole)
 
 
-def _mixed(place: Poses, turn: Poses) -> Poses:
-    return np.concatenate((place[:, _PLACE], turn[:, _TURN]), axis=-1)
+def _mixed(positions: Poses, rotations: Poses) -> Poses:
+    return np.concatenate((positions[:, _PLACE], rotations[:, _TURN]), axis=-1)
 
 
 def _moves(rows: Poses, start: Poses, frame: str) -> Poses:

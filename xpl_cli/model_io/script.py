@@ -175,8 +175,8 @@ class _CallScript:
         self.calls.append(Call(ask=envs))
 
     def _place(self, env: int) -> int:
-        step = self._steps[env] = self._steps.get(env, -1) + 1
-        return EPISODE * self._episode + step
+        next_step = self._steps[env] = self._steps.get(env, -1) + 1
+        return EPISODE * self._episode + next_step
 
 
 @dataclass(frozen=True)
@@ -191,25 +191,25 @@ class ScriptedScene:
     embodiment: Embodiment
     cameras: Mapping[str, tuple[int, int]]
 
-    def observation(self, env: int, place: int) -> ObservationDict:
+    def observation(self, env: int, index: int) -> ObservationDict:
         """Return the standard observation of a recipe."""
-        moment = 1009 * env + place
+        moment = 1009 * env + index
         vision = {
             name: self._camera(number, moment, *size)
             for number, (name, size) in enumerate(sorted(self.cameras.items()))
         }
         return {
             sdk.Obs.DATA_FORMAT_VERSION: sdk.DATA_FORMAT_VERSION,
-            sdk.Obs.INSTRUCTION: _INSTRUCTIONS[(env + place // EPISODE) % len(_INSTRUCTIONS)],
+            sdk.Obs.INSTRUCTION: _INSTRUCTIONS[(env + index // EPISODE) % len(_INSTRUCTIONS)],
             sdk.Obs.ENV_IDX: env,
             sdk.Obs.ADDITIONAL_INFO: {sdk.Obs.FREQUENCY: _FREQUENCY},
             sdk.Obs.VISION: vision,
-            sdk.Obs.STATE: self.state(env, place),
+            sdk.Obs.STATE: self.state(env, index),
         }
 
-    def state(self, env: int, place: int) -> dict[str, np.ndarray]:
+    def state(self, env: int, index: int) -> dict[str, np.ndarray]:
         """Return the state in the observation of a recipe; it takes no pictures to make it."""
-        moment = 1009 * env + place
+        moment = 1009 * env + index
         state: dict[str, np.ndarray] = {}
         for side, arm in enumerate(self.embodiment.arms):
             state.update(self._arm(arm, side, moment))
@@ -217,7 +217,7 @@ class ScriptedScene:
 
     def observations(self, recipes: Sequence[tuple[int, int]]) -> list[ObservationDict]:
         """Return the observations of a batch."""
-        return [self.observation(env, place) for env, place in recipes]
+        return [self.observation(env, index) for env, index in recipes]
 
     @cached_property
     def _chain(self) -> Chain | None:

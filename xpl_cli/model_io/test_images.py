@@ -54,8 +54,8 @@ def _pattern(camera: int, height: int, width: int) -> NDArray[np.uint8]:
     channels = channels[camera % 3 :] + channels[: camera % 3]  # no camera is like another one
     image = np.stack(
         [
-            np.minimum(one + _noise(rows, columns, 3 * camera + place), _LEVELS - 1)
-            for place, one in enumerate(channels)
+            np.minimum(one + _noise(rows, columns, 3 * camera + channel), _LEVELS - 1)
+            for channel, one in enumerate(channels)
         ],
         axis=-1,
     ).astype(np.uint8)

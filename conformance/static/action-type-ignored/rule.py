@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, Adapter
-from xpl_cli.audit.static.episode import is_reported, only_reports
+from xpl_cli.audit.static.episode_state import is_reported, only_reports
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import dotted, last, targets, texts
 
@@ -40,7 +40,7 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Raising where a warning was printed is safe for runs whose type was served.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     if adapter.is_sdk and "decode" not in adapter.methods:
         return  # the base class decodes either type
     functions = adapter.reach(*adapter.methods)
@@ -122,7 +122,7 @@ def _idle(functions: list[Function]) -> set[int]:
     return found
 
 
-def _written(adapter: Adapter) -> tuple[Function, ast.AST, str] | None:
+def _written(adapter: ModelClass) -> tuple[Function, ast.AST, str] | None:
     """Return where the acting methods write action keys of one type only."""
     found: dict[str, tuple[Function, ast.AST]] = {}
     for function in adapter.reach(*ACTING):

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import always_raises, constant, enclosing, names, targets, texts
 
@@ -39,7 +39,7 @@ def arm_keys(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     functions = adapter.reach(*ACTING)
     found = [(function, written) for function in functions if (written := _written(function)) is not None]
     if not found or any(map(_writes_plain, functions)) or _refuses(adapter):
@@ -106,7 +106,7 @@ def _serves_one(function: Function) -> bool:
     return False
 
 
-def _refuses(adapter: Adapter) -> bool:
+def _refuses(adapter: ModelClass) -> bool:
     """Tell whether the adapter raises for robots with another number of arms."""
     for function in adapter.reach(*adapter.methods):
         for node in function.of(ast.If):

@@ -6,8 +6,8 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESET, RESETTING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, RESET, RESETTING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, dotted, enclosing, last, self_attribute, targets, texts
 
@@ -34,7 +34,7 @@ def attribute_set_by_reset(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Safe if `reset` needs nothing that is set later.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     if not adapter.is_closed:
         return  # a base class that is not here may set it, or call reset
     resetting = [RESET] if adapter.is_sdk else RESETTING
@@ -109,7 +109,7 @@ def _lacking(test: ast.expr) -> set[str]:
     return set()
 
 
-def _of_class(adapter: Adapter) -> set[str]:
+def _of_class(adapter: ModelClass) -> set[str]:
     return {
         target.id
         for node in adapter.node.body
@@ -119,7 +119,7 @@ def _of_class(adapter: Adapter) -> set[str]:
     }
 
 
-def _asked(adapter: Adapter) -> set[str]:
+def _asked(adapter: ModelClass) -> set[str]:
     """Return the attributes whose existence is asked for, or that are set by their name."""
     return {
         text

@@ -6,8 +6,8 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACT_BATCH, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACT_BATCH, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, names, parameters, targets
 
@@ -36,7 +36,7 @@ def batch_by_position(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    function = Adapter.of(source).method(ACT_BATCH)
+    function = ModelClass.of(source).method(ACT_BATCH)
     if function is None or not _acts(function):
         return
     given = parameters(function.node)

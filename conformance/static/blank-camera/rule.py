@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
-from xpl_cli.audit.static.blanks import Blank, blanks
+from xpl_cli.audit.static.fallbacks import ZeroFallback, zero_fallbacks
+from xpl_cli.audit.static.model_class import ACTING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import assigned, called, texts
 
@@ -42,8 +42,8 @@ def blank_camera(source: Source) -> Iterator[Finding]:
     inputs = source.manifest.inputs
     if inputs is not None and any(entry.startswith(f"{sdk.Obs.VISION}.") for entry in inputs.optional):
         raise NotApplicable("the manifest declares an optional camera, which the black image may replace on purpose")
-    for function in Adapter.of(source).reach(*OBSERVING, *ACTING):
-        for blank in blanks(function):
+    for function in ModelClass.of(source).reach(*OBSERVING, *ACTING):
+        for blank in zero_fallbacks(function):
             if blank.is_image and not blank.is_masked and not _is_of_model(blank):
                 doubt = _doubt(blank)
                 yield Finding(
@@ -58,7 +58,7 @@ def blank_camera(source: Source) -> Iterator[Finding]:
                 break  # one stand-in of a function is like the next
 
 
-def _doubt(blank: Blank) -> str:
+def _doubt(blank: ZeroFallback) -> str:
     """Return why a stand-in may be a placeholder that the model knows as such; empty if it is none."""
     words = {node.id for node in blank.function.of(ast.Name)} | {node.attr for node in blank.function.of(ast.Attribute)}
     words |= {text for node in blank.function.of(ast.Dict) for key in node.keys if key for text in texts(key)}
@@ -69,13 +69,13 @@ def _doubt(blank: Blank) -> str:
     return ""
 
 
-def _is_made_here(blank: Blank) -> bool:
+def _is_made_here(blank: ZeroFallback) -> bool:
     """Tell whether the function itself makes the map that lacks the view."""
     made = assigned(blank.function.of(ast.Assign)).get(blank.read)
     return isinstance(made, ast.Dict) or (isinstance(made, ast.Call) and called(made) == "dict" and not made.args)
 
 
-def _is_of_model(blank: Blank) -> bool:
+def _is_of_model(blank: ZeroFallback) -> bool:
     """Tell whether what lacks is an input of the model under its own name, which no observation has."""
     named = blank.missing[:1] in {"'", '"'}
     return named and _CAMERA not in blank.missing and _is_made_here(blank)

@@ -6,8 +6,8 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
-from xpl_cli.audit.static.colour import swaps
+from xpl_cli.audit.static.channels import channel_swaps
+from xpl_cli.audit.static.model_class import ACTING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
 
 
@@ -33,8 +33,8 @@ def channel_swap(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: weights that were trained on BGR images need BGR.
     """
-    for function in Adapter.of(source).reach(*OBSERVING, *ACTING):
-        for swap in swaps(function):
+    for function in ModelClass.of(source).reach(*OBSERVING, *ACTING):
+        for swap in channel_swaps(function):
             if swap.claims_bgr or swap.decoded:
                 way = "frames that arrive encoded have" if swap.decoded else "every frame has"
                 yield Finding(

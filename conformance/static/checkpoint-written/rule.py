@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import LOADING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import LOADING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import assigned, called, constant, last, names
 
@@ -53,7 +53,7 @@ def checkpoint_written(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for function in Adapter.of(source).reach(*LOADING):
+    for function in ModelClass.of(source).reach(*LOADING):
         for node, path in _written(function):
             root = _root(function, path)
             if root is not None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Edit, Finding, Fix, rule
 from xpl_cli.audit.static.function import Function
-from xpl_cli.audit.static.loops import ENDS, EXECUTES, does, hands_on, loops
+from xpl_cli.audit.static.loops import ENDS, EXECUTES, environment_calls, loops, passes_on
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, dotted, enclosing, leaves, names, targets
 
@@ -35,11 +35,11 @@ def chunk_end(source: Source) -> Iterator[Finding]:
     statement of its own in a `for` over the chunk; the author has to fix other loops.
     """
     for function in loops(source):
-        for call in does(function.node, function, EXECUTES):
+        for call in environment_calls(function.node, function, EXECUTES):
             loop = next(
                 (entry for entry in enclosing(call, function.up) if isinstance(entry, (ast.For, ast.While))), None
             )
-            if loop is not None and not _ends(loop, function) and not hands_on(loop, function, source, 0, ENDS):
+            if loop is not None and not _ends(loop, function) and not passes_on(loop, function, source, 0, ENDS):
                 yield Finding(
                     f"{function.name} continues the chunk after the episode has ended: success may be undone",
                     **source.at(function.file, call),
@@ -70,15 +70,17 @@ def _fix(source: Source, function: Function, call: ast.Call, loop: ast.For | ast
 
 def _ends(loop: ast.For | ast.While, function: Function) -> bool:
     """Tell whether a loop asks for the end of the episode and leaves."""
-    if isinstance(loop, ast.While) and any(does(loop.test, function, ENDS)):
+    if isinstance(loop, ast.While) and any(environment_calls(loop.test, function, ENDS)):
         return True
     told: set[str] = set()  # names that hold what was asked
     for node in ast.walk(loop):
-        if isinstance(node, ast.Assign) and (any(does(node.value, function, ENDS)) or names(node.value) & told):
+        if isinstance(node, ast.Assign) and (
+            any(environment_calls(node.value, function, ENDS)) or names(node.value) & told
+        ):
             told |= {target.id for target in targets(node) if isinstance(target, ast.Name)}
     for node in ast.walk(loop):
         if isinstance(node, ast.If):
-            asks = any(does(node.test, function, ENDS)) or bool(names(node.test) & told)
+            asks = any(environment_calls(node.test, function, ENDS)) or bool(names(node.test) & told)
             if asks and (leaves(node.body) or leaves(node.orelse)):
                 return True
             if asks and any(called(child) in {f"{name}" for name in EXECUTES} for child in ast.walk(node)):

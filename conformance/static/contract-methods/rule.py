@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotRun, rule
-from xpl_cli.audit.static.adapter import Adapter
+from xpl_cli.audit.static.model_class import ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, last
 
@@ -40,7 +40,7 @@ def contract_methods(source: Source) -> Iterator[Finding]:
     wanted = source.manifest.model_class
     tree = source.tree(name)
     try:
-        adapter = Adapter.of(source)
+        adapter = ModelClass.of(source)
     except NotRun:
         yield Finding(
             f"{name} has no class {wanted}: the server has nothing to construct",

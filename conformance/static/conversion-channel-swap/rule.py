@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.static import vendored
-from xpl_cli.audit.static.colour import swaps
+from xpl_cli.audit.static.channels import channel_swaps
 from xpl_cli.audit.static.source import Source
 
 _IMPORTED = re.compile(r"^\s*from (?:XPolicyLab|xpl)\b", re.MULTILINE)
@@ -41,7 +41,9 @@ def conversion_channel_swap(source: Source) -> Iterator[Finding]:
         raise NotApplicable("the adapter converts no data")
     for name in (*source.conversion_files, *readers):
         for function in source.functions(name):
-            found = [swap for swap in swaps(function) if swap.decoded or (swap.claims_bgr and name not in readers)]
+            found = [
+                swap for swap in channel_swaps(function) if swap.decoded or (swap.claims_bgr and name not in readers)
+            ]
             if found:
                 yield Finding(
                     f"{function.name} trains the policy on red and blue swapped: in evaluation it gets RGB",

@@ -8,7 +8,7 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.blanks import blanks
+from xpl_cli.audit.static.fallbacks import zero_fallbacks
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import constant, names, texts
@@ -67,7 +67,7 @@ def _fills_actions(node: ast.Assign) -> bool:
 
 
 def _zeros(source: Source, function: Function) -> Iterator[Finding]:
-    for blank in blanks(function):
+    for blank in zero_fallbacks(function):
         if blank.is_image and not blank.is_masked:
             yield Finding(
                 f"{function.name} trains the policy on black frames if {blank.missing} is missing",

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.static.manifests import key_line, renamed, schema_findings
+from xpl_cli.audit.static.manifests import key_line, rename_fix, schema_findings
 from xpl_cli.audit.static.source import Source
 
 
@@ -42,5 +42,5 @@ def deploy_config(source: Source) -> Iterator[Finding]:
             column=1,
             expected=source.path.name,
             got=given,
-            fix=renamed(source, name, sdk.Deploy.POLICY_NAME),
+            fix=rename_fix(source, name, sdk.Deploy.POLICY_NAME),
         )

@@ -6,8 +6,8 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Edit, Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACT_BATCH, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACT_BATCH, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import always_raises, parameters, targets
 
@@ -34,7 +34,7 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
     Safe: replacing `x or default` by `default if x is None else x`, and `if not x: x = ...` by `if x is None: x = ...`,
     changes the answer to `[]` only. The author has to fix code that raises an error for an empty list.
     """
-    function = Adapter.of(source).method(ACT_BATCH)
+    function = ModelClass.of(source).method(ACT_BATCH)
     given = parameters(function.node) if function is not None else []
     if function is None or not given:
         return

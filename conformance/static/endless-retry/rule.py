@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.function import Function
-from xpl_cli.audit.static.loops import EXECUTES, asked, does, loops
+from xpl_cli.audit.static.loops import EXECUTES, environment_calls, loops, policy_calls
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import names, targets
 
@@ -50,7 +50,7 @@ def _endless(function: Function) -> Iterator[ast.If]:
     answers = {
         target.id
         for node in function.of(ast.Assign)
-        if any(id(call) == id(node.value) for call, _ in asked(function))
+        if any(id(call) == id(node.value) for call, _ in policy_calls(function))
         for target in targets(node)
         if isinstance(target, ast.Name)
     }
@@ -58,5 +58,5 @@ def _endless(function: Function) -> Iterator[ast.If]:
         for place, node in enumerate(loop.body):
             if isinstance(node, ast.If) and isinstance(node.body[-1], ast.Continue) and names(node.test) & answers:
                 before = [*loop.body[:place], *node.body]
-                if not any(next(does(entry, function, EXECUTES), None) for entry in before):
+                if not any(next(environment_calls(entry, function, EXECUTES), None) for entry in before):
                     yield node

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.loops import loops, wanted
+from xpl_cli.audit.static.loops import function_names, loops
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import parameters
 from xpl_cli.standard import spec
@@ -46,7 +46,7 @@ def evaluation_loop(source: Source) -> Iterator[Finding]:
         for entry in node.targets
         if isinstance(entry, ast.Name)
     }
-    for function_name in wanted():
+    for function_name in function_names():
         function = found.get(function_name)
         if function is None:
             if function_name not in elsewhere | assigned and "*" not in elsewhere:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Edit, Finding, Fix, rule
-from xpl_cli.audit.static.edits import replaced, written
+from xpl_cli.audit.static.edits import replace_node, source_segment
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, last, targets
@@ -94,8 +94,8 @@ def _is_ordered(function: Function, names: set[str]) -> bool:
 
 
 def _finding(source: Source, file: str, call: ast.Call, what: str) -> Finding:
-    text = f"sorted({written(source, file, call)})"
-    edit: Edit = replaced(source, file, call, text)
+    text = f"sorted({source_segment(source, file, call)})"
+    edit: Edit = replace_node(source, file, call, text)
     return Finding(
         f"{last(called(call))} returns files in the order of the file system: {what}",
         **source.at(file, call),

@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, enclosing, last
 
@@ -39,7 +39,7 @@ def fixed_device(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for function in Adapter.of(source).reach(*LOADING, *OBSERVING, *ACTING):
+    for function in ModelClass.of(source).reach(*LOADING, *OBSERVING, *ACTING):
         if "cuda" not in source.text(function.file).lower():
             continue
         for node in function.of(ast.Call, ast.Assign):

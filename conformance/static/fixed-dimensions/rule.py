@@ -11,8 +11,8 @@ from itertools import accumulate
 from xpl import _spec as sdk
 from xpl.robots import shipped
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import constant, dotted, enclosing, last, texts
 
@@ -67,7 +67,7 @@ def fixed_dimensions(source: Source) -> Iterator[Finding]:
     No automatic fix.
     """
     seen: set[tuple[str, int]] = set()
-    for function in Adapter.of(source).reach(*Adapter.of(source).methods):
+    for function in ModelClass.of(source).reach(*ModelClass.of(source).methods):
         for node, message in (*_cut_values(function), *_layout(function)):
             place = (function.file, id(function.node))
             if place not in seen and not _is_guarded(node, function):

@@ -9,7 +9,7 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import symbols
+from xpl_cli.audit.static.model_class import symbols
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import FunctionNode, called, constant, dotted, last, self_attribute, targets
 

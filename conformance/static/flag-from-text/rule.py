@@ -6,7 +6,7 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import Adapter, Setting
+from xpl_cli.audit.static.model_class import ConfigRead, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called
 
@@ -32,8 +32,8 @@ def flag_from_text(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: the rule does not know which other values may arrive.
     """
-    found: dict[str, list[tuple[Setting, ast.Call]]] = {}
-    for setting in Adapter.of(source).settings:
+    found: dict[str, list[tuple[ConfigRead, ast.Call]]] = {}
+    for setting in ModelClass.of(source).settings:
         call = setting.function.up.get(setting.read.node)
         if isinstance(call, ast.Call) and called(call) == "bool" and call.args == [setting.read.node]:
             found.setdefault(setting.function.file, []).append((setting, call))

@@ -48,10 +48,10 @@ def generated_files(source: Source) -> Iterator[Finding]:
             fix=Fix("advice", error.hint or "bring the file back"),
         )
         return
-    edited = generated.edited(source, kept)
-    rendered = generated.rendered(source) if edited else {}
+    edited = generated.edited_files(source, kept)
+    rendered = generated.rendered_files(source) if edited else {}
     for name in edited:
-        edit = generated.undone(source, name, rendered.get(name), kept.generated[name])
+        edit = generated.restore_edit(source, name, rendered.get(name), kept.generated[name])
         yield Finding(
             f"{name} was edited: it may behave differently from other adapters, and updates have to merge it",
             path=name,

@@ -6,8 +6,8 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, last, names, parameters, targets
 
@@ -37,7 +37,7 @@ def half_turn(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for function in Adapter.of(source).reach(*OBSERVING, *ACTING):
+    for function in ModelClass.of(source).reach(*OBSERVING, *ACTING):
         if not any(last(called(node)) in _ARCS for node in function.of(ast.Call)):
             continue
         if not _is_of_matrix(function):

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, RESETTING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, is_broad, last, self_attribute, targets
 
@@ -46,7 +46,7 @@ def inference_error_ignored(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     excluded = {id(function.node) for function in adapter.reach(*LOADING, *RESETTING)}
     for function in adapter.reach(*OBSERVING, *ACTING):
         for node in function.of(ast.Try) if id(function.node) not in excluded else ():

@@ -6,8 +6,8 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, RESETTING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, enclosing, last, names, parameters, self_attribute, targets
 
@@ -38,7 +38,7 @@ def inference_mutates_observation(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     observing = adapter.reach(*OBSERVING)
     elsewhere = {id(function.node) for function in [*observing, *adapter.reach(*RESETTING, *LOADING)]}
     acting = [function for function in adapter.reach(*ACTING) if id(function.node) not in elsewhere]
@@ -64,7 +64,7 @@ def inference_mutates_observation(source: Source) -> Iterator[Finding]:
         )
 
 
-def _given(adapter: Adapter, stored: set[str]) -> Iterator[tuple[Function, frozenset[str]]]:
+def _given(adapter: ModelClass, stored: set[str]) -> Iterator[tuple[Function, frozenset[str]]]:
     """Yield what acting calls with a stored observation, and the parameters that hold one."""
     waiting: list[tuple[Function, frozenset[str]]] = [
         (method, frozenset()) for method in map(adapter.method, ACTING) if method is not None

@@ -8,7 +8,7 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotRun, rule
-from xpl_cli.audit.static.adapter import symbols
+from xpl_cli.audit.static.model_class import symbols
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, dotted, is_broad, last
 from xpl_cli.standard import spec

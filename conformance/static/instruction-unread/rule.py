@@ -9,10 +9,10 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
-from xpl_cli.audit.static.episode import is_reported
+from xpl_cli.audit.static.episode_state import is_reported
 from xpl_cli.audit.static.function import Function
-from xpl_cli.audit.static.handed import escapes
+from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, ModelClass
+from xpl_cli.audit.static.observation_flow import escapes
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, key_read, last, targets, texts
 
@@ -45,7 +45,7 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Safe: reading the other spelling too does not affect observations that were read before.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     if adapter.is_sdk and not {"encode", *sdk.CONTRACT_METHODS[:2]} & set(adapter.methods):
         raise NotApplicable("the base class reads the instruction")
     yield from _sentences(source, adapter)
@@ -105,7 +105,7 @@ def _constants(function: Function) -> set[str]:
     }
 
 
-def _spoken(adapter: Adapter) -> Iterator[tuple[Function, ast.expr, str]]:
+def _spoken(adapter: ModelClass) -> Iterator[tuple[Function, ast.expr, str]]:
     """Yield what the model is given that is called language."""
     for function in adapter.reach(*ACTING):
         for call in function.of(ast.Call):
@@ -114,7 +114,7 @@ def _spoken(adapter: Adapter) -> Iterator[tuple[Function, ast.expr, str]]:
                     yield function, keyword.value, keyword.arg
 
 
-def _sentences(source: Source, adapter: Adapter) -> Iterator[Finding]:
+def _sentences(source: Source, adapter: ModelClass) -> Iterator[Finding]:
     """Yield a sentence in the code that a policy acts by where nobody gave an instruction."""
     for function in adapter.reach(*LOADING, *OBSERVING, *ACTING):
         nodes: list[ast.Assign | ast.AnnAssign | ast.Call] = [*function.of(ast.Assign), *function.of(ast.AnnAssign)]

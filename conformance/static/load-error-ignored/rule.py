@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import LOADING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import LOADING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, dotted, is_broad, last
 
@@ -43,7 +43,7 @@ def load_error_ignored(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for function in Adapter.of(source).reach(*LOADING):
+    for function in ModelClass.of(source).reach(*LOADING):
         for node in function.of(ast.Try):
             part = _part(node.body)
             for handler in node.handlers if part else ():

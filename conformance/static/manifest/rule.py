@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl import robots as known
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.manifests import key_line, renamed, schema_findings
+from xpl_cli.audit.static.manifests import key_line, rename_fix, schema_findings
 from xpl_cli.audit.static.source import Source
 
 
@@ -46,7 +46,7 @@ def manifest(source: Source) -> Iterator[Finding]:
             column=1,
             expected=source.path.name,
             got=values["name"],
-            fix=renamed(source, name, "name"),
+            fix=rename_fix(source, name, "name"),
         )
     declared = values.get("embodiments")
     for robot in declared if isinstance(declared, list) else []:

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import UPDATE_BATCH, Adapter
-from xpl_cli.audit.static.episode import is_reported
+from xpl_cli.audit.static.episode_state import is_reported
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import UPDATE_BATCH, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import LOOPS, KeyRead, called, constant, enclosing, key_read, names, parameters, texts
 
@@ -41,7 +41,7 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     function = adapter.method(UPDATE_BATCH)
     if function is None or _asks_first(function):
         return
@@ -68,7 +68,7 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
         yield from _in_helpers(source, adapter, function)
 
 
-def _in_helpers(source: Source, adapter: Adapter, function: Function) -> Iterator[Finding]:
+def _in_helpers(source: Source, adapter: ModelClass, function: Function) -> Iterator[Finding]:
     """Yield what a helper that is given one observation of the batch after another does without the key."""
     seen: set[int] = set()
     for caller, helper, parameter in _handed(adapter, function, 2):
@@ -118,7 +118,7 @@ def _chosen(function: Function) -> list[ast.IfExp]:
     ]
 
 
-def _handed(adapter: Adapter, function: Function, depth: int) -> Iterator[tuple[Function, Function, str]]:
+def _handed(adapter: ModelClass, function: Function, depth: int) -> Iterator[tuple[Function, Function, str]]:
     """Yield the functions that a loop over the batch gives an observation, with the parameter that takes it."""
     batch = set(parameters(function.node)[:1])
     entries: set[str] = set()
@@ -130,7 +130,7 @@ def _handed(adapter: Adapter, function: Function, depth: int) -> Iterator[tuple[
 
 
 def _given(
-    adapter: Adapter, function: Function, entries: set[str], depth: int
+    adapter: ModelClass, function: Function, entries: set[str], depth: int
 ) -> Iterator[tuple[Function, Function, str]]:
     for call in function.of(ast.Call) if depth and entries else ():
         helper = adapter.callee(function, call)

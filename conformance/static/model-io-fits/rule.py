@@ -16,8 +16,8 @@ from xpl.convert import ConversionError, Interface, compile_interface
 from xpl.convert.gaps import fill_gaps
 from xpl.manifest import CameraNeeds
 from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
-from xpl_cli.audit.static.manifests import place_in
-from xpl_cli.audit.static.reading import inside
+from xpl_cli.audit.static.files import resolve_inside
+from xpl_cli.audit.static.manifests import location_in
 from xpl_cli.audit.static.source import Source
 
 _FILE, _BLOCK = sdk.File.POLICY_YML, "model_io"
@@ -106,7 +106,7 @@ def _lacking(source: Source, model_io: Entry, folders: Sequence[Path]) -> list[s
     """Return the files of statistics that are not there, or that a link leads to out of the package."""
     here = source.path.resolve()
     named = dict.fromkeys(filter(None, map(_file, _vectors(model_io))))
-    return [file for file in named if not any(inside(here, str(folder.resolve() / file)) for folder in folders)]
+    return [file for file in named if not any(resolve_inside(here, str(folder.resolve() / file)) for folder in folders)]
 
 
 def _vectors(model_io: Entry) -> list[Entry]:
@@ -135,7 +135,7 @@ def _undeclared(source: Source, model_io: Entry) -> Iterator[Finding]:
         if name not in listed:
             yield Finding(
                 f"the model_io block reads {name}, and the manifest does not list it: environments may not send it",
-                **place_in(source, _FILE, (_BLOCK, *path)),
+                **location_in(source, _FILE, (_BLOCK, *path)),
                 expected=f"{name} under inputs.required or inputs.optional",
                 got=", ".join(sorted(listed)) or "no input",
                 fix=Fix("advice", f"list {name} under inputs.required, or remove it from the model_io block"),
@@ -179,7 +179,7 @@ def _map(value: object) -> Entry:
 def _finding(source: Source, message: str, expected: str) -> Finding:
     return Finding(
         message,
-        **place_in(source, _FILE, (_BLOCK,)),
+        **location_in(source, _FILE, (_BLOCK,)),
         expected=expected,
         got="the model_io block",
         fix=Fix("command", "xpl spec show model_io"),

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl.convert.gaps import gaps
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.manifests import place_in
+from xpl_cli.audit.static.manifests import location_in
 from xpl_cli.audit.static.source import Source
 
 _FILE, _BLOCK = sdk.File.POLICY_YML, "model_io"
@@ -45,7 +45,7 @@ def model_io_unknown(source: Source) -> Iterator[Finding]:
         first, *rest = (f"{gap.where} ({gap.reason})" for gap in found)
         yield Finding(
             f"{what} of the model_io block unknown: {'; '.join((first, *rest))}",
-            **place_in(source, _FILE, (_BLOCK, *found[0].path)),
+            **location_in(source, _FILE, (_BLOCK, *found[0].path)),
             expected="a value in each place",
             got=f"{len(found)} times unknown",
             evidence={gap.where: gap.reason for gap in found},

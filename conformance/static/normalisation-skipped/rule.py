@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, dotted, last, parameters, targets
 
@@ -38,7 +38,7 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: a policy that was trained without normalisation declares it in its configuration.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     settled: set[str] | None = None
     reported: set[str] = set()
     for function in adapter.reach(*OBSERVING, *ACTING):
@@ -58,7 +58,7 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
             )
 
 
-def _settled(adapter: Adapter) -> set[str]:
+def _settled(adapter: ModelClass) -> set[str]:
     """Return the statistics for which construction raises, or that it sets without a condition to what a call gives."""
     found: set[str] = set()
     for function in adapter.reach(*LOADING):
@@ -79,7 +79,7 @@ def _settled(adapter: Adapter) -> set[str]:
     }
 
 
-def _may_be_none(adapter: Adapter, call: ast.Call) -> bool:
+def _may_be_none(adapter: ModelClass, call: ast.Call) -> bool:
     """Tell whether a call may give None: a look-up, or a function of the adapter that returns it."""
     if last(called(call)) == "get":
         return True

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import Adapter, Setting
+from xpl_cli.audit.static.model_class import ConfigRead, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, targets
 from xpl_cli.standard import spec
@@ -40,7 +40,7 @@ def null_defeats_default(source: Source) -> Iterator[Finding]:
     package = spec.data("package")
     given = {name.strip("[]") for names in package["scripts"].values() for name in names}
     nulls = {key for key, value in source.deploy.items() if value is None} - given
-    for setting in Adapter.of(source).settings:
+    for setting in ModelClass.of(source).settings:
         read = setting.read
         if read.key not in nulls or read.default is None or constant(read.default) is None:
             continue
@@ -55,7 +55,7 @@ def null_defeats_default(source: Source) -> Iterator[Finding]:
             )
 
 
-def _handles_none(setting: Setting) -> bool:
+def _handles_none(setting: ConfigRead) -> bool:
     """Tell whether what is done with the value next knows None: `or`, a test, a function that takes it."""
     function = setting.function
     node: ast.AST = setting.read.node

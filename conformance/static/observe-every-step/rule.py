@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.function import Function
-from xpl_cli.audit.static.loops import EXECUTES, asked, does, hands_on, loops, updates
+from xpl_cli.audit.static.loops import EXECUTES, environment_calls, loops, passes_on, policy_calls, sends_observation
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import enclosing, names, targets
 
@@ -36,12 +36,12 @@ def observe_every_step(source: Source) -> Iterator[Finding]:
     No automatic fix: it changes the observations that policies with a history get.
     """
     for function in loops(source):
-        for call in does(function.node, function, EXECUTES):
+        for call in environment_calls(function.node, function, EXECUTES):
             loop = next(
                 (entry for entry in enclosing(call, function.up) if isinstance(entry, (ast.For, ast.While))), None
             )
-            is_shown = loop is not None and (updates(loop, function) or _hands_fresh(loop, function))
-            if loop is not None and not is_shown and not hands_on(loop, function, source, 1):
+            is_shown = loop is not None and (sends_observation(loop, function) or _hands_fresh(loop, function))
+            if loop is not None and not is_shown and not passes_on(loop, function, source, 1):
                 yield Finding(
                     f"{function.name} sends the policy one observation per chunk: a history lacks all in between",
                     **source.at(function.file, call),
@@ -59,13 +59,13 @@ def _hands_fresh(loop: ast.For | ast.While, function: Function) -> bool:
         target.id
         for node in ast.walk(loop)
         if isinstance(node, (ast.Assign, ast.AnnAssign, ast.NamedExpr)) and node.value is not None
-        if any(does(node.value, function, _OBSERVES))
+        if any(environment_calls(node.value, function, _OBSERVES))
         for target in targets(node)
         if isinstance(target, ast.Name)
     }
     return any(
-        names(value) & taken or any(does(value, function, _OBSERVES))
-        for call, _ in asked(function)
+        names(value) & taken or any(environment_calls(value, function, _OBSERVES))
+        for call, _ in policy_calls(function)
         if id(call) in inside
         for value in (*call.args, *(keyword.value for keyword in call.keywords))
     )

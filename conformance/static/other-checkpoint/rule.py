@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import LOADING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import LOADING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import (
     assigned,
@@ -57,7 +57,7 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     for function in adapter.reach(*LOADING):
         listed = [node for node in function.of(ast.Call) if last(called(node)) in _LISTS]
         for node, wanted in (*_prefixes(function, listed), *_patterns(listed)):
@@ -133,7 +133,7 @@ def _given(function: Function) -> set[str]:
     return found
 
 
-def _unrefused(adapter: Adapter, function: Function, given: set[str]) -> Iterator[ast.stmt]:
+def _unrefused(adapter: ModelClass, function: Function, given: set[str]) -> Iterator[ast.stmt]:
     """Yield the first choice of an entry by its place, or of any, that a step which is missing leads to as well."""
     if not any(names(node) & given for node in function.of(ast.Compare, ast.Lambda)):
         return
@@ -155,7 +155,7 @@ def _unrefused(adapter: Adapter, function: Function, given: set[str]) -> Iterato
             return
 
 
-def _entries(adapter: Adapter, function: Function) -> set[str]:
+def _entries(adapter: ModelClass, function: Function) -> set[str]:
     """Return the names that hold entries of a folder, listed here or by a helper, sifted or not."""
     found: set[str] = set()
     added = [

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import LOADING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import LOADING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, last, names, targets
 
@@ -37,7 +37,7 @@ def partial_weights(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: an incomplete checkpoint then raises an error, as it should.
     """
-    reached = {id(function.node) for function in Adapter.of(source).reach(*LOADING)}
+    reached = {id(function.node) for function in ModelClass.of(source).reach(*LOADING)}
     for name in source.reached(sdk.File.MODEL_PY):
         for function in source.functions(name) if any(word in source.text(name) for word in _LOADS) else ():
             if "/" not in name or id(function.node) in reached:  # a library's own loaders are not the adapter's

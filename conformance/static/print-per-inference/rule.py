@@ -6,8 +6,8 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, RESETTING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, is_conditional
 
@@ -33,7 +33,7 @@ def print_per_inference(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for function in _always(Adapter.of(source)):
+    for function in _always(ModelClass.of(source)):
         for node in function.nodes:
             if called(node) in {"print", "pprint"} and not is_conditional(node, function.node, function.up):
                 yield Finding(
@@ -45,7 +45,7 @@ def print_per_inference(source: Source) -> Iterator[Finding]:
                 )
 
 
-def _always(adapter: Adapter) -> list[Function]:
+def _always(adapter: ModelClass) -> list[Function]:
     """Return the functions that every observation or action runs through."""
     found = [function for name in (*OBSERVING, *ACTING) if (function := adapter.method(name)) is not None]
     excluded = {id(method.node) for name in (*LOADING, *RESETTING) if (method := adapter.method(name)) is not None}

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, dotted, enclosing, is_conditional, last
 
@@ -54,7 +54,7 @@ def read_per_inference(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     at_start = {id(function.node) for name in LOADING if (function := adapter.method(name))}
     for function in _always(adapter, at_start):
         for call in function.of(ast.Call):
@@ -69,7 +69,7 @@ def read_per_inference(source: Source) -> Iterator[Finding]:
                 break
 
 
-def _always(adapter: Adapter, at_start: set[int]) -> list[Function]:
+def _always(adapter: ModelClass, at_start: set[int]) -> list[Function]:
     """Return the functions that every observation or every action runs through."""
     found = [function for name in (*OBSERVING, *ACTING) if (function := adapter.method(name))]
     seen = {id(function.node) for function in found}

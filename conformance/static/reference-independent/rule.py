@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.borrowed import borrowed
+from xpl_cli.audit.static.independence import adapter_uses
 from xpl_cli.audit.static.source import Source
 from xpl_cli.model_io import names
 
@@ -35,10 +35,10 @@ def reference_independent(source: Source) -> Iterator[Finding]:
     if not source.has(names.CODE):
         raise NotApplicable(f"there is no {names.CODE}: there is no reference for the model")
     source.tree(names.CODE)
-    for found in borrowed(source):
+    for found in adapter_uses(source):
         yield Finding(
-            f"{names.CODE} is not independent: {found.place['path']} {found.by} the adapter's own {found.what}",
-            **found.place,
+            f"{names.CODE} is not independent: {found.location['path']} {found.by} the adapter's own {found.what}",
+            **found.location,
             expected="the authors' code, and the configuration that answers(config) gets",
             got=found.what,
             fix=Fix("advice", "use the authors' classes and transforms instead"),

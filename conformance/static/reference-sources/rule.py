@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
-from xpl_cli.audit.static.borrowed import standing
+from xpl_cli.audit.static.independence import location_of
 from xpl_cli.audit.static.source import Source
 from xpl_cli.model_io import names
 from xpl_cli.model_io.citations import Citation, contradiction, folders, lookup
@@ -43,7 +43,7 @@ def reference_sources(source: Source) -> Iterator[Finding | Proof]:
     if not source.has(names.CODE):
         raise NotApplicable(f"there is no {names.CODE}: there is no reference for the model")
     reading = parse_tree(source.tree(names.CODE))
-    if reading.place is None:
+    if reading.location is None:
         message = f"{names.CODE} has no {names.CONVENTIONS}: a reviewer cannot look up its sources"
         yield _finding(source, message, None, "no such map")
         return
@@ -59,7 +59,7 @@ def _findings(source: Source, reading: ReferenceFile, applies: Sequence[str]) ->
     lacking = [name for name in applies if name not in (*reading.conventions, *reading.renamed)]
     if lacking:
         message = f"{names.CODE} cites no source for {', '.join(lacking)}"
-        yield _finding(source, message, reading.place, "nothing for these")
+        yield _finding(source, message, reading.location, "nothing for these")
     model_io = source.manifest.model_io
     values = {} if model_io is None else declared_values(model_io)
     for name, told in reading.conventions.items():
@@ -69,30 +69,32 @@ def _findings(source: Source, reading: ReferenceFile, applies: Sequence[str]) ->
         if counted:
             are = "a convention is" if len(counted) == 1 else f"{len(counted)} conventions are"
             first = reading.conventions[counted[0]]
-            yield _finding(source, f"{are} {what}: {', '.join(counted)}", first.place, f"{len(counted)} times {what}")
+            yield _finding(
+                source, f"{are} {what}: {', '.join(counted)}", first.location, f"{len(counted)} times {what}"
+            )
 
 
 def _unfounded(source: Source, name: str, told: Told, values: Sequence[DeclaredValue]) -> Iterator[Finding]:
     """Yield a finding for a source that is no line of a file, or whose line is not there or says otherwise."""
     cited = Citation.parse(told.text)
     if cited is None:
-        yield _finding(source, f"the source of {name} names no line of a file", told.place, told.text)
+        yield _finding(source, f"the source of {name} names no line of a file", told.location, told.text)
         return
     here = source.path.resolve()
     quoted = lookup(cited, folders(here))
     if quoted is None:
         if not cited.is_foreign and (here / cited.path.partition("/")[0]).exists():
             message = f"the source of {name} cannot be looked up: {cited.path} does not exist"
-            yield _finding(source, message, told.place, told.text)
+            yield _finding(source, message, told.location, told.text)
     elif quoted.problem is not None:
-        yield _finding(source, f"the source of {name} cannot be looked up: {quoted.problem}", told.place, told.text)
+        yield _finding(source, f"the source of {name} cannot be looked up: {quoted.problem}", told.location, told.text)
     elif (contrary := contradiction(quoted, values)) is not None:
         message = f"the source of {name} contradicts it: {contrary}"
-        yield _finding(source, message, told.place, f"{cited.path}:{cited.first}: {' '.join(quoted.text)}")
+        yield _finding(source, message, told.location, f"{cited.path}:{cited.first}: {' '.join(quoted.text)}")
 
 
 def _finding(source: Source, message: str, place: SourceRange | None, got: str) -> Finding:
-    where = {"path": names.CODE, "line": 1, "column": 1} if place is None else standing(source, names.CODE, place)
+    where = {"path": names.CODE, "line": 1, "column": 1} if place is None else location_of(source, names.CODE, place)
     return Finding(
         message,
         **where,

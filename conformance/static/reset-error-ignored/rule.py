@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import RESET, RESETTING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import RESET, RESETTING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, dotted, enclosing, is_broad, last
 
@@ -37,7 +37,7 @@ def reset_error_ignored(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for function in Adapter.of(source).reach(*RESETTING):
+    for function in ModelClass.of(source).reach(*RESETTING):
         for node in function.nodes:
             if isinstance(node, ast.Try):
                 for handler in node.handlers:

@@ -6,9 +6,9 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESET, RESETTING, Adapter
-from xpl_cli.audit.static.episode import is_memo, mentioned, read
+from xpl_cli.audit.static.episode_state import is_memo, mentioned_attributes, read_attributes
 from xpl_cli.audit.static.function import Function, Write, writes
+from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, RESET, RESETTING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, is_conditional, self_attribute, targets
 
@@ -38,7 +38,7 @@ def reset_incomplete(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     place = adapter.method(RESET) or adapter.method(RESETTING[-1])
     resetting = adapter.reach(*RESETTING)
     if not adapter.is_closed and place is None:
@@ -46,7 +46,7 @@ def reset_incomplete(source: Source) -> Iterator[Finding]:
     if any(_resets_all(function, adapter) for function in resetting):
         return
     acting = adapter.reach(*OBSERVING, *ACTING)
-    left = _left(acting, mentioned(resetting))
+    left = _left(acting, mentioned_attributes(resetting))
     for attribute, component in adapter.components.items():
         left |= {f"{attribute}.{name}": write for name, write in _left_in(adapter, attribute, component).items()}
     if not left:
@@ -66,7 +66,7 @@ def reset_incomplete(source: Source) -> Iterator[Finding]:
 
 def _left(acting: list[Function], forgotten: set[str]) -> dict[str, Write]:
     """Return the attributes that these functions remember and that are not among the forgotten."""
-    used = read(acting)
+    used = read_attributes(acting)
     loading = set(LOADING) | set(RESETTING)
     found: dict[str, Write] = {}
     for write in writes([function for function in acting if function.name not in loading]):
@@ -126,11 +126,11 @@ def _is_empty(node: ast.AST) -> bool:
     return (isinstance(value, ast.Constant) and value.value is None) or (made and not getattr(value, "args", None))
 
 
-def _left_in(adapter: Adapter, attribute: str, component: Adapter) -> dict[str, Write]:
+def _left_in(adapter: ModelClass, attribute: str, component: ModelClass) -> dict[str, Write]:
     """Return what an object of the adapter's own classes remembers of an episode and nobody clears."""
     acting = _calls_on(adapter.reach(*OBSERVING, *ACTING), attribute)
     resetting = adapter.reach(*RESETTING)
-    forgotten = mentioned(component.reach(*_calls_on(resetting, attribute)))
+    forgotten = mentioned_attributes(component.reach(*_calls_on(resetting, attribute)))
     for function in resetting:
         for node in function.nodes:
             for target in targets(node):
@@ -192,7 +192,7 @@ def _is_temporary(attribute: str, functions: list[Function]) -> bool:
     return True
 
 
-def _resets_all(function: Function, adapter: Adapter) -> bool:
+def _resets_all(function: Function, adapter: ModelClass) -> bool:
     """Tell whether a reset clears everything at once, or hands over to a class that is not here."""
     for node in function.nodes:
         name = called(node)

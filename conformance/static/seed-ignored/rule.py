@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter, Setting
+from xpl_cli.audit.static.model_class import ACTING, OBSERVING, ConfigRead, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, dotted, last, targets
 
@@ -41,7 +41,7 @@ def seed_ignored(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     found = [setting for setting in adapter.settings if setting.read.key == _SEED]
     for setting in found:
         yield from _replaced(source, setting)
@@ -51,7 +51,7 @@ def seed_ignored(source: Source) -> Iterator[Finding]:
         yield from _unseeded(source, adapter)
 
 
-def _replaced(source: Source, setting: Setting) -> Iterator[Finding]:
+def _replaced(source: Source, setting: ConfigRead) -> Iterator[Finding]:
     """Yield the truth test that a read of the seed stands in, as it is or by its name in the same function."""
     function = setting.function
     node: ast.AST = setting.read.node
@@ -79,7 +79,7 @@ def _replaced(source: Source, setting: Setting) -> Iterator[Finding]:
             return
 
 
-def _unused(source: Source, adapter: Adapter, found: list[Setting]) -> Iterator[Finding]:
+def _unused(source: Source, adapter: ModelClass, found: list[ConfigRead]) -> Iterator[Finding]:
     """Yield a seed that is only stored: in an attribute or a name that nothing reads."""
     functions = adapter.reach(*adapter.methods)
     for setting in found:
@@ -106,7 +106,7 @@ def _unused(source: Source, adapter: Adapter, found: list[Setting]) -> Iterator[
     )
 
 
-def _unseeded(source: Source, adapter: Adapter) -> Iterator[Finding]:
+def _unseeded(source: Source, adapter: ModelClass) -> Iterator[Finding]:
     """Yield a random number that is drawn from a global generator in an adapter that never mentions a seed."""
     functions = adapter.reach(*OBSERVING, *ACTING)
     if any(_mentions_seed(source, file) for file in {adapter.file, *(function.file for function in functions)}):

@@ -6,9 +6,9 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACT_BATCH, UPDATE_BATCH, Adapter
-from xpl_cli.audit.static.episode import is_memo, read
+from xpl_cli.audit.static.episode_state import is_memo, read_attributes
 from xpl_cli.audit.static.function import Function, Write, writes
+from xpl_cli.audit.static.model_class import ACT_BATCH, UPDATE_BATCH, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import LOOPS, parameters
 
@@ -35,7 +35,7 @@ def shared_rollout(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     for name in (UPDATE_BATCH, ACT_BATCH):
         function = adapter.method(name)
         loop = _loop(adapter, function) if function is not None else None
@@ -57,7 +57,7 @@ def shared_rollout(source: Source) -> Iterator[Finding]:
             return
 
 
-def _loop(adapter: Adapter, function: Function) -> ast.AST | None:
+def _loop(adapter: ModelClass, function: Function) -> ast.AST | None:
     """Return the loop over environments or observations that a batch operation runs."""
     given = parameters(function.node)
     for node in function.nodes:
@@ -75,7 +75,7 @@ def _loop(adapter: Adapter, function: Function) -> ast.AST | None:
     return None
 
 
-def _shared(adapter: Adapter, function: Function, loop: ast.AST) -> list[Write]:
+def _shared(adapter: ModelClass, function: Function, loop: ast.AST) -> list[Write]:
     inside = set(map(id, ast.walk(loop)))
     called = [
         adapter.methods[node.attr]
@@ -86,7 +86,7 @@ def _shared(adapter: Adapter, function: Function, loop: ast.AST) -> list[Write]:
         other for other in adapter.reach_from(*called) if other.name not in {function.name, UPDATE_BATCH, ACT_BATCH}
     ]
     everything = [*reached, function]
-    used = read(everything)
+    used = read_attributes(everything)
     return [
         write
         for write in writes(everything)
@@ -98,7 +98,7 @@ def _shared(adapter: Adapter, function: Function, loop: ast.AST) -> list[Write]:
     ]
 
 
-def _is_log(write: Write, adapter: Adapter, function: Function) -> bool:
+def _is_log(write: Write, adapter: ModelClass, function: Function) -> bool:
     """Tell whether a write in the loop only collects the batch itself: the attribute was emptied before the loop."""
     return write.function is function and any(
         other.attribute == write.attribute and other.kind == "assigned" for other in writes([function])

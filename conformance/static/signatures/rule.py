@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACT, ACT_BATCH, RESET, UPDATE, UPDATE_BATCH, Adapter
+from xpl_cli.audit.static.model_class import ACT, ACT_BATCH, RESET, UPDATE, UPDATE_BATCH, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import FunctionNode
 
@@ -36,7 +36,7 @@ def signatures(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     for name, (fewest, most) in _GIVEN.items():
         function = adapter.method(name)
         if function is None:

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.edits import replaced, same_quotes
-from xpl_cli.audit.static.keys import Entry, entries, is_number, near
+from xpl_cli.audit.static.edits import replace_node, same_quotes
+from xpl_cli.audit.static.keys import LeafRead, closest_name, is_number, leaf_reads
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import constant, texts
 from xpl_cli.standard import spec
@@ -43,18 +43,18 @@ def trajectory_names(source: Source) -> Iterator[Finding]:
     seen: set[int] = set()
     for file in source.conversion_files:
         for function in source.functions(file):
-            for entry in entries(function):
-                right = near(entry.name, camera if entry.group == sdk.Obs.VISION else series)
+            for entry in leaf_reads(function):
+                right = closest_name(entry.name, camera if entry.group == sdk.Obs.VISION else series)
                 if right is not None and id(entry.node) not in seen and right not in texts(function.node):
                     seen.add(id(entry.node))  # a nested function is part of the one around it
                     yield _finding(source, file, entry, right)
 
 
-def _finding(source: Source, file: str, entry: Entry, right: str) -> Finding:
+def _finding(source: Source, file: str, entry: LeafRead, right: str) -> Finding:
     text = constant(entry.key)
     edits: tuple[Edit, ...] = ()
     if isinstance(text, str) and is_number(entry.name, right):
-        edits = (replaced(source, file, entry.key, same_quotes(source, file, entry.key, _renamed(text, right))),)
+        edits = (replace_node(source, file, entry.key, same_quotes(source, file, entry.key, _renamed(text, right))),)
     what = (
         "the conversion ends with a KeyError"
         if entry.required

@@ -6,9 +6,9 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
-from xpl_cli.audit.static.episode import is_memo
+from xpl_cli.audit.static.episode_state import is_memo
 from xpl_cli.audit.static.function import Function, Write
+from xpl_cli.audit.static.model_class import ACTING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, enclosing, last, self_attribute, targets
 
@@ -39,7 +39,7 @@ def unbounded_history(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Safe if only the newest entries are read.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     for holder, one in (("self", adapter), *((f"self.{name}", other) for name, other in adapter.components.items())):
         functions = one.reach(*OBSERVING, *ACTING) if one is adapter else one.reach(*_used(adapter, holder))
         grown = [write for function in functions for write in function.writes if _adds(write.node)]
@@ -62,7 +62,7 @@ def unbounded_history(source: Source) -> Iterator[Finding]:
             )
 
 
-def _used(adapter: Adapter, holder: str) -> list[str]:
+def _used(adapter: ModelClass, holder: str) -> list[str]:
     """Return the methods of an object that the observing and acting methods call."""
     return [
         node.func.attr
@@ -120,7 +120,7 @@ def _adds(node: ast.AST) -> bool:
     return isinstance(node, ast.Call) and last(called(node)) in _ADDS
 
 
-def _bounded(functions: list[Function], adapter: Adapter) -> set[str]:
+def _bounded(functions: list[Function], adapter: ModelClass) -> set[str]:
     """Return the attributes that something shortens, renews or bounds."""
     found: set[str | None] = set()
     for function in functions:

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
-from xpl_cli.audit.static.colour import swaps
+from xpl_cli.audit.static.channels import channel_swaps
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import constant
 
@@ -47,8 +47,8 @@ def undeclared_channel_swap(source: Source) -> Iterator[Finding]:
     told = (source.text(name) for name in (sdk.File.POLICY_YML, sdk.File.DEPLOY_YML) if source.has(name))
     if any(_WORD in text.lower() for text in told):
         return
-    for function in Adapter.of(source).reach(*OBSERVING, *ACTING):
-        for swap in swaps(function):
+    for function in ModelClass.of(source).reach(*OBSERVING, *ACTING):
+        for swap in channel_swaps(function):
             is_found_already = swap.claims_bgr or swap.decoded
             if swap.observed and not is_found_already and not _says_why(source, function):
                 yield Finding(
@@ -68,7 +68,7 @@ def undeclared_channel_swap(source: Source) -> Iterator[Finding]:
 
 def _defaults(source: Source) -> Iterator[Finding]:
     """Yield an order of channels that the code takes where deploy.yml, which says another one, lacks the key."""
-    for setting in Adapter.of(source).settings:
+    for setting in ModelClass.of(source).settings:
         read = setting.read
         default, told = constant(read.default), source.deploy.get(read.key)
         if not isinstance(default, str) or not isinstance(told, str) or not _ORDER.search(read.key):

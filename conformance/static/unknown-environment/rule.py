@@ -6,8 +6,8 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACT_BATCH, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACT_BATCH, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import constant, dotted, last, self_attribute, targets
 
@@ -32,7 +32,7 @@ def unknown_environment(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for function in Adapter.of(source).reach(ACT_BATCH):
+    for function in ModelClass.of(source).reach(ACT_BATCH):
         for node, instead in _fallbacks(function):
             yield Finding(
                 f"an environment without an observation gets the action for {ast.unparse(instead)}: "

@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import assigned, called, constant, dotted, enclosing, key_read, last, names, targets
 
@@ -39,7 +39,7 @@ def unknown_name(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Safe: `[name]` in place of `.get(name, default)` raises an error if the name is unknown, as it should.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     for function in adapter.reach(*LOADING):
         for node, name, robot in _robots(function):
             yield Finding(

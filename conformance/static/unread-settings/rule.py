@@ -8,10 +8,10 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.adapter import Adapter
-from xpl_cli.audit.static.episode import is_reported
-from xpl_cli.audit.static.keys import near
-from xpl_cli.audit.static.manifests import deleted
+from xpl_cli.audit.static.episode_state import is_reported
+from xpl_cli.audit.static.keys import closest_name
+from xpl_cli.audit.static.manifests import delete_edits
+from xpl_cli.audit.static.model_class import ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, targets
 from xpl_cli.standard import spec
@@ -45,7 +45,7 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Deleting a key that no code reads changes nothing, but a misspelt one should be renamed.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     if adapter.config_escapes:
         raise NotApplicable("the whole configuration is passed on to another package, which may read any key")
     standard = set(spec.schema("deploy")["properties"])
@@ -77,7 +77,7 @@ def _named(keys: list[str]) -> str:
 
 def _deleted(source: Source, keys: list[str]) -> Fix:
     """Return the fix that deletes keys; it is unsafe, because a misspelt one should be renamed."""
-    edits = tuple(deleted(source, sdk.File.DEPLOY_YML, [str(key) for key in keys]))
+    edits = tuple(delete_edits(source, sdk.File.DEPLOY_YML, [str(key) for key in keys]))
     text = f"delete {_named(keys)}, or rename them to the keys that the code reads"
     return Fix("unsafe_edit" if edits else "advice", text, edits)
 
@@ -97,7 +97,7 @@ def _texts(source: Source, name: str) -> set[str]:
     return found
 
 
-def _stored(source: Source, adapter: Adapter, standard: set[str]) -> Iterator[Finding]:
+def _stored(source: Source, adapter: ModelClass, standard: set[str]) -> Iterator[Finding]:
     """Yield values of deploy.yml that end in an attribute which nothing uses but messages."""
     mentions: dict[str, int] = {}
     for file in source.python_files:
@@ -123,7 +123,7 @@ def _stored(source: Source, adapter: Adapter, standard: set[str]) -> Iterator[Fi
                 )
 
 
-def _misnamed(source: Source, adapter: Adapter, standard: set[str], scripts: str) -> Iterator[Finding]:
+def _misnamed(source: Source, adapter: ModelClass, standard: set[str], scripts: str) -> Iterator[Finding]:
     """Yield keys that nobody sets, whose name is short for one of the standard that the adapter does not read."""
     read = {setting.read.key for setting in adapter.settings}
     written = {text for name in source.python_files if source.parses(name) for text in _texts(source, name)}
@@ -149,12 +149,12 @@ def _misnamed(source: Source, adapter: Adapter, standard: set[str], scripts: str
 
 def _is_short_for(key: str, name: str) -> bool:
     """Tell whether a key is a misspelling of a name, or the name without its first or last word."""
-    return near(key, (name,)) == name or (
+    return closest_name(key, (name,)) == name or (
         len(key) >= _SHORTEST and (name.startswith(f"{key}_") or name.endswith(f"_{key}"))
     )
 
 
-def _reported(adapter: Adapter, name: str) -> int:
+def _reported(adapter: ModelClass, name: str) -> int:
     """Return how often an attribute is mentioned only to be printed or logged."""
     return sum(
         is_reported(node, function)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import RESET
-from xpl_cli.audit.static.loops import asked, hands_on, loops
+from xpl_cli.audit.static.loops import loops, passes_on, policy_calls
+from xpl_cli.audit.static.model_class import RESET
 from xpl_cli.audit.static.source import Source
 
 _CARRIED = frozenset((sdk.Payload.FUNC_NAME, sdk.Payload.OBS))
@@ -41,7 +41,7 @@ def wire_operations(source: Source) -> Iterator[Finding]:
     known = {*sdk.CONTRACT_METHODS, *sdk.HOOKS, *source.manifest.methods}
     for function in loops(source):
         first: ast.Call | None = None
-        for node, name in sorted(asked(function), key=lambda entry: (entry[0].lineno, entry[0].col_offset)):
+        for node, name in sorted(policy_calls(function), key=lambda entry: (entry[0].lineno, entry[0].col_offset)):
             is_call = isinstance(node.func, ast.Attribute) and node.func.attr == sdk.Message.CALL
             if name is not None and (name not in known if is_call else name not in _CLIENT):
                 yield Finding(
@@ -63,7 +63,7 @@ def wire_operations(source: Source) -> Iterator[Finding]:
                     )
             if first is None and is_call:
                 first = node
-                if name is not None and name != RESET and not hands_on(function.node, function, source, 1):
+                if name is not None and name != RESET and not passes_on(function.node, function, source, 1):
                     yield Finding(
                         f"{function.name} does not reset first: the episode starts with the state of the previous one",
                         **source.at(function.file, node),

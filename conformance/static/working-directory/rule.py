@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import LOADING, Adapter
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import LOADING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, last, names, parameters, targets
 
@@ -41,7 +41,7 @@ def working_directory(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     given = _given(adapter)
     is_there = any(
         _goes_home(node) for file in source.python_files if source.parses(file) for node in source.nodes(file)
@@ -75,7 +75,7 @@ def _goes_home(node: ast.AST) -> bool:
     )
 
 
-def _given(adapter: Adapter) -> dict[int, set[str]]:
+def _given(adapter: ModelClass) -> dict[int, set[str]]:
     """Return, by function, the parameters that some caller fills with a value of the configuration."""
     reads = {id(setting.read.node) for setting in adapter.settings}
     found: dict[int, set[str]] = {}
@@ -89,7 +89,7 @@ def _given(adapter: Adapter) -> dict[int, set[str]]:
     return found
 
 
-def _resolved(function: Function, given: set[str], adapter: Adapter) -> Iterator[tuple[ast.AST, str]]:
+def _resolved(function: Function, given: set[str], adapter: ModelClass) -> Iterator[tuple[ast.AST, str]]:
     """Yield values of the configuration that are made absolute by the working directory."""
     reads = {id(setting.read.node): setting.read.key for setting in adapter.settings}
     if any(
@@ -120,7 +120,7 @@ def _resolved(function: Function, given: set[str], adapter: Adapter) -> Iterator
                 yield node, child.id
 
 
-def _scratch(source: Source, adapter: Adapter) -> Iterator[Finding]:
+def _scratch(source: Source, adapter: ModelClass) -> Iterator[Finding]:
     """Yield folders that the adapter makes for itself below the working directory, each once."""
     reported: set[str] = set()
     for function in adapter.reach(*adapter.methods):

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
-from xpl_cli.audit.static.blanks import blanks
+from xpl_cli.audit.static.fallbacks import zero_fallbacks
+from xpl_cli.audit.static.model_class import ACTING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
 
 
@@ -31,12 +31,12 @@ def zero_action(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     observing = {id(function.node) for function in adapter.reach(*OBSERVING)}
     for function in adapter.reach(*ACTING):
         if id(function.node) in observing:
             continue
-        for blank in blanks(function):
+        for blank in zero_fallbacks(function):
             if not blank.is_image and not blank.is_masked and _is_output(blank.read):
                 yield Finding(
                     f"if the model's output lacks {blank.missing}, the robot is sent to zero",

@@ -9,9 +9,9 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter
-from xpl_cli.audit.static.edits import replaced, written
+from xpl_cli.audit.static.edits import replace_node, source_segment
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, RESETTING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, last, names, self_attribute
 
@@ -41,7 +41,7 @@ def zero_as_missing(source: Source) -> Iterator[Finding]:
     ## Fix safety
     `x if x is not None else default` differs from `x or default` for 0, false and the empty string, as intended.
     """
-    adapter = Adapter.of(source)
+    adapter = ModelClass.of(source)
     yield from _replaced(source, adapter)
     parts = [part.reach(*part.methods.keys() - LOADING) for part in adapter.components.values()]
     reached = [*adapter.reach(*OBSERVING, *ACTING, *RESETTING), *(function for part in parts for function in part)]
@@ -49,7 +49,7 @@ def zero_as_missing(source: Source) -> Iterator[Finding]:
         yield from _selected(source, function)
 
 
-def _replaced(source: Source, adapter: Adapter) -> Iterator[Finding]:
+def _replaced(source: Source, adapter: ModelClass) -> Iterator[Finding]:
     """Yield settings that are 0 and run with another number."""
     for setting in adapter.settings:
         read, function = setting.read, setting.function
@@ -60,10 +60,10 @@ def _replaced(source: Source, adapter: Adapter) -> Iterator[Finding]:
             continue
         value, default = source.deploy.get(read.key), constant(test.values[-1])
         if type(value) in {int, float} and value == 0 and type(default) in {int, float} and default != 0:
-            first = written(source, function.file, test.values[0])
+            first = source_segment(source, function.file, test.values[0])
             instead = f"{default} if {first} is None else {first}"
             is_converted = isinstance(test.values[0], ast.Call) and called(test.values[0]) in _NUMBERS
-            edits = () if is_converted else (replaced(source, function.file, test, f"({instead})"),)
+            edits = () if is_converted else (replace_node(source, function.file, test, f"({instead})"),)
             yield Finding(
                 f"{read.key}: 0 is treated as missing: the policy runs with {default}",
                 **source.at(function.file, test),

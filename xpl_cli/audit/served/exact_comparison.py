@@ -66,9 +66,9 @@ def _arrays(path: tuple[str | int, ...], first: object, second: object) -> Misma
         return None
     rows = [np.frombuffer(value.tobytes(), np.uint8).reshape(value.size, -1) for value in (a, b)]
     equal = (rows[0] == rows[1]).all(axis=1).reshape(a.shape)
-    place = tuple(int(index) for index in np.unravel_index(int(np.argmin(equal)), a.shape))
-    x, y = a[place], b[place]
-    return Mismatch((*path, *place), _report_value(x), _report_value(y), _distance(x, y))
+    position = tuple(int(index) for index in np.unravel_index(int(np.argmin(equal)), a.shape))
+    x, y = a[position], b[position]
+    return Mismatch((*path, *position), _report_value(x), _report_value(y), _distance(x, y))
 
 
 def _scalars(path: tuple[str | int, ...], first: object, second: object) -> Mismatch | None:

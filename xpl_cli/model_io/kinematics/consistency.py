@@ -134,9 +134,9 @@ class _ArmKinematics:
         """Return the flange's poses (N, 7) in the arm's base, for one way to read the joints."""
         return self._flanges[option]
 
-    def expected(self, option: int, place: tuple[str, str, str]) -> np.ndarray:
+    def expected(self, option: int, target: tuple[str, str, str]) -> np.ndarray:
         """Return the poses (N, 7) of a point in a frame."""
-        outer, inner = readings.offsets(self.embodiment, *place)
+        outer, inner = readings.offsets(self.embodiment, *target)
         return poses.compose(poses.compose(outer, self.flange(option)), inner)
 
     @cached_property
@@ -263,8 +263,8 @@ class _ReadingErrors:
     def of_best(self, option: int) -> float:
         """Return the error of the reading that fits best with the joints as declared."""
         errors = self._of(0)
-        word, place = map(int, np.unravel_index(errors.argmin(), errors.shape))
-        return float(self._errors(option, slice(word, word + 1), [self._read.places[place]])[0, 0])
+        word, target = map(int, np.unravel_index(errors.argmin(), errors.shape))
+        return float(self._errors(option, slice(word, word + 1), [self._read.targets[target]])[0, 0])
 
     def verdict(self, option: int) -> KinematicsVerdict:
         """Return what is said of these columns, with the joints read in one way."""
@@ -273,8 +273,8 @@ class _ReadingErrors:
         holds = declared <= max(floor, _BEATEN * least)
         alike = errors <= max(floor, 2 * least)
         alike[0, 0] |= holds
-        places = [(int(word), int(place)) for word, place in np.argwhere(alike)]
-        chosen = (0, 0) if holds else min(places, key=self._distance)
+        alike_readings = [(int(word), int(target)) for word, target in np.argwhere(alike)]
+        chosen = (0, 0) if holds else min(alike_readings, key=self._distance)
         words, best = self._read.words_of(0, 0), self._read.words_of(*chosen)
         unknown = self._columns.unknown
         changed = {key: value for key, value in best.items() if words.get(key) != value or key in unknown}
@@ -299,20 +299,20 @@ class _ReadingErrors:
             float(errors[chosen]),
             float(others.min()) if others.size else None,
             _UNIT[self.kind],
-            self._open(places) if outcome in {AGREES, DIFFERS, ANSWERS} else {},
+            self._open(alike_readings) if outcome in {AGREES, DIFFERS, ANSWERS} else {},
             because,
             sorted(unknown),
         )
 
-    def _distance(self, place: tuple[int, int]) -> tuple[int, int]:
+    def _distance(self, reading: tuple[int, int]) -> tuple[int, int]:
         """Return how much a reading changes of what is declared: what no word says, and words."""
         words = self._read.words_of(0, 0)
-        changed = [value for key, value in self._read.words_of(*place).items() if words.get(key) != value]
+        changed = [value for key, value in self._read.words_of(*reading).items() if words.get(key) != value]
         return sum(readings.NO_WORD in value for value in changed), len(changed)
 
     def _open(self, alike: Sequence[tuple[int, int]]) -> dict[str, list[str]]:
         """Return the words on which readings that fit alike are not one, with their values."""
-        readings_alike = [self._read.words_of(*place) for place in alike]
+        readings_alike = [self._read.words_of(*reading) for reading in alike]
         values = {
             key: list(dict.fromkeys(words.get(key, "none") for words in readings_alike)) for key in readings_alike[0]
         }
@@ -321,21 +321,21 @@ class _ReadingErrors:
     def _of(self, option: int) -> np.ndarray:
         """Return the error of each reading (W, P), mm or degrees."""
         if option not in self._known:
-            self._known[option] = self._errors(option, slice(None), self._read.places)
+            self._known[option] = self._errors(option, slice(None), self._read.targets)
         return self._known[option]
 
-    def _errors(self, option: int, words: slice, places: Sequence[tuple[str, str, str]]) -> np.ndarray:
+    def _errors(self, option: int, words: slice, targets: Sequence[tuple[str, str, str]]) -> np.ndarray:
         values = self._read.values[words, None]
-        there = np.stack([self._arm.expected(option, place) for place in places])[None]
+        expected = np.stack([self._arm.expected(option, target) for target in targets])[None]
         if self.kind == POSITION:
-            apart = 1000 * np.linalg.norm(values - there[..., :3], axis=-1)
+            apart = 1000 * np.linalg.norm(values - expected[..., :3], axis=-1)
         else:
-            apart = residual.angles(values, there[..., 3:])
+            apart = residual.angles(values, expected[..., 3:])
         result: np.ndarray = np.sqrt((apart * apart).mean(-1))
         return result
 
     def _leftover(self, option: int) -> str:
         """Return what a fixed turn or shift would explain."""
         if self.kind == POSITION:
-            return residual.of_positions(self._read.values[0], self._arm.expected(option, self._read.places[0]))
-        return residual.of_rotations(self._read, [self._arm.expected(option, place) for place in self._read.places])
+            return residual.of_positions(self._read.values[0], self._arm.expected(option, self._read.targets[0]))
+        return residual.of_rotations(self._read, [self._arm.expected(option, target) for target in self._read.targets])

@@ -40,16 +40,16 @@ class PoseReadings:
     Attributes:
         words: what a way says of the numbers, by the block's keys.
         values: (W, N, 3) positions, m, or (W, N, 4) rotations: as each of them reads the rows.
-        places: arm, point and frame in which they are to be compared.
+        targets: arm, point and frame in which they are to be compared.
     """
 
     words: Sequence[Mapping[str, str]]
     values: np.ndarray
-    places: Sequence[tuple[str, str, str]]
+    targets: Sequence[tuple[str, str, str]]
 
-    def words_of(self, word: int, place: int) -> dict[str, str]:
+    def words_of(self, word: int, target: int) -> dict[str, str]:
         """Return all words of one reading."""
-        return {**dict(zip(("arm", "point", "frame"), self.places[place], strict=True)), **self.words[word]}
+        return {**dict(zip(("arm", "point", "frame"), self.targets[target], strict=True)), **self.words[word]}
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def positions(columns: SampleColumns, embodiment: Embodiment) -> PoseReadings:
     units = _first(columns.entry.get("unit", "m"), list(frames.UNITS))
     made = [make_part({"position": {**entry, "unit": unit}}, embodiment) for unit in units]
     values = np.stack([item.write(columns.rows) for item in made])
-    return PoseReadings([{"unit": unit} for unit in units], values, _places(columns, embodiment))
+    return PoseReadings([{"unit": unit} for unit in units], values, _targets(columns, embodiment))
 
 
 def turns(columns: SampleColumns, embodiment: Embodiment) -> PoseReadings:
@@ -112,7 +112,7 @@ def turns(columns: SampleColumns, embodiment: Embodiment) -> PoseReadings:
         ConversionError: if the rows are no rotations in the form that is declared.
     """
     words, values = zip(*_forms(columns), strict=True)
-    return PoseReadings(words, np.stack(values), _places(columns, embodiment))
+    return PoseReadings(words, np.stack(values), _targets(columns, embodiment))
 
 
 def _forms(columns: SampleColumns) -> Iterator[tuple[dict[str, str], np.ndarray]]:
@@ -140,10 +140,10 @@ def _forms(columns: SampleColumns) -> Iterator[tuple[dict[str, str], np.ndarray]
                 yield {**words, "direction": f"inverse ({NO_WORD})"}, rotation.conjugate(values)
 
 
-def _places(columns: SampleColumns, embodiment: Embodiment) -> list[tuple[str, str, str]]:
+def _targets(columns: SampleColumns, embodiment: Embodiment) -> list[tuple[str, str, str]]:
     """Return arm, point and frame as declared, then the others that the standard knows of this robot."""
     entry = columns.entry
-    places = []
+    targets = []
     for frame in _first(entry.get("frame", "world"), frames.FRAMES):
         for point in _first(entry.get("point", "flange"), POINTS):
             for arm in _first(entry["arm"], list(embodiment.data["arms"]) if frame == "world" else [entry["arm"]]):
@@ -151,8 +151,8 @@ def _places(columns: SampleColumns, embodiment: Embodiment) -> list[tuple[str, s
                     offsets(embodiment, arm, point, frame)
                 except ConversionError:  # the standard does not know what lies between
                     continue
-                places.append((arm, point, frame))
-    return places
+                targets.append((arm, point, frame))
+    return targets
 
 
 @cache

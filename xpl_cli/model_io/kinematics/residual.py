@@ -65,7 +65,7 @@ def of_rotations(readings: PoseReadings, expected: Sequence[np.ndarray]) -> str:
     if not forms:
         return "no form explains how far they are apart among themselves, in no frame and with no tool"
     fits: list[tuple[float, str]] = []
-    for form, (location, poses) in itertools.product(forms, zip(readings.places, expected, strict=True)):
+    for form, (location, poses) in itertools.product(forms, zip(readings.targets, expected, strict=True)):
         _, point, frame = location
         outer = rotation.multiply(by_form[form], rotation.conjugate(poses[:, 3:]))
         inner = rotation.multiply(rotation.conjugate(poses[:, 3:]), by_form[form])

@@ -58,8 +58,8 @@ class _Pen:
         """Draw R, G and B on fields of their colours."""
         side = 0.26 * min(self.width, self.height)
         top = 0.07 * self.height
-        for place, (letter, colour) in enumerate(_LETTERS):
-            left = 0.05 * self.width + place * 1.12 * side
+        for column, (letter, colour) in enumerate(_LETTERS):
+            left = 0.05 * self.width + column * 1.12 * side
             self.draw.rectangle((left, top, left + side, top + side), fill=colour)
             middle = ((left + side / 2) / self.width, (top + side / 2) / self.height)
             self.words(letter, middle, 0.8 * side, fill=(255, 255, 255))
@@ -85,5 +85,5 @@ class _Pen:
         """Write words of a size, pixels, at a place."""
         from PIL import ImageFont
 
-        place = at[0] * self.width, at[1] * self.height
-        self.draw.text(place, words, fill, font=ImageFont.load_default(max(6, size)), anchor=anchor)
+        position = at[0] * self.width, at[1] * self.height
+        self.draw.text(position, words, fill, font=ImageFont.load_default(max(6, size)), anchor=anchor)

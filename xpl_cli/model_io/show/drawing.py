@@ -120,8 +120,8 @@ def _dot(shape: DotShape) -> str:
 
 def _word(shape: TextShape) -> str:
     x, y = shape.at
-    place = f'x="{x:.1f}" y="{y:.1f}" font-size="{shape.size:g}" text-anchor="{shape.anchor}"'
-    return f'<text class="{shape.kind}" {place}>{escape(shape.text)}</text>'
+    attributes = f'x="{x:.1f}" y="{y:.1f}" font-size="{shape.size:g}" text-anchor="{shape.anchor}"'
+    return f'<text class="{shape.kind}" {attributes}>{escape(shape.text)}</text>'
 
 
 _SVG: Final[dict[type, Callable[[Any], str]]] = {LineShape: _line, DotShape: _dot, TextShape: _word}
@@ -140,8 +140,8 @@ def _pieces(points: Sequence[Point], dash: float) -> Iterable[tuple[Point, Point
     for one, two in itertools.pairwise(points):
         length = ((two[0] - one[0]) ** 2 + (two[1] - one[1]) ** 2) ** 0.5
         count = int(length / dash) if dash else 1
-        for place in range(0, max(1, count), 2):
-            ends = (place / max(1, count), min(1.0, (place + 1) / max(1, count)))
+        for dash_number in range(0, max(1, count), 2):
+            ends = (dash_number / max(1, count), min(1.0, (dash_number + 1) / max(1, count)))
             yield tuple(  # type: ignore[misc]
                 (one[0] + share * (two[0] - one[0]), one[1] + share * (two[1] - one[1])) for share in ends
             )

@@ -144,9 +144,9 @@ def _columns(
         names = _names(kind, how, item, robot)
         unit = _unit(kind, how)
         says = _says(kind, how)
-        for place in range(item.width):
-            partners = list(_partners(kind, how, item, place, robot))
-            yield names[place], unit, item, says if place == 0 else "", partners
+        for index in range(item.width):
+            partners = list(_partners(kind, how, item, index, robot))
+            yield names[index], unit, item, says if index == 0 else "", partners
 
 
 def _names(kind: str, how: Entry, item: Part, robot: Embodiment) -> Sequence[str]:
@@ -159,10 +159,10 @@ def _names(kind: str, how: Entry, item: Part, robot: Embodiment) -> Sequence[str
     if kind in ("joints", "hand"):
         joint_names = how.get("names") or (arm_of(robot, how["arm"]).joint_names if kind == "joints" else None)
         return joint_names or [
-            f"{'joint' if kind == 'joints' else 'finger joint'} {place + 1}" for place in range(item.width)
+            f"{'joint' if kind == 'joints' else 'finger joint'} {index + 1}" for index in range(item.width)
         ]
     if kind == "gripper":
-        return ["opening"] if item.width == 1 else [f"finger {place + 1}" for place in range(item.width)]
+        return ["opening"] if item.width == 1 else [f"finger {index + 1}" for index in range(item.width)]
     return ["nothing"] * item.width
 
 
@@ -195,23 +195,23 @@ def _says(kind: str, how: Entry) -> str:
     return " ".join(word for word in words if word)
 
 
-def _partners(kind: str, how: Entry, item: Part, place: int, robot: Embodiment) -> Iterator[tuple[str, str, int, str]]:
+def _partners(kind: str, how: Entry, item: Part, number: int, robot: Embodiment) -> Iterator[tuple[str, str, int, str]]:
     """Yield name, key, index and unit of the standard's numbers that belong to one of the model's."""
     if kind == "fill":
         return
     if kind == "position":
-        index, axis = _STANDARD[kind][place]
+        index, axis = _STANDARD[kind][number]
         yield f"{item.key}[{index}] {axis}", item.key, index, "m"
     elif kind == "rotation":
-        if place == 0:
+        if number == 0:
             yield from ((f"{item.key}[{index}] q{axis}", item.key, index, "") for index, axis in _STANDARD[kind])
     elif kind == "gripper":
-        if place == 0:
+        if number == 0:
             yield f"{item.key}[0] opening", item.key, 0, ""
     else:
         joint_names = arm_of(robot, how["arm"]).joint_names if kind == "joints" else None
         names = how.get("names")
-        index = joint_names.index(names[place]) if joint_names and names else place
+        index = joint_names.index(names[number]) if joint_names and names else number
         yield f"{item.key}[{index}]", item.key, index, "rad"
 
 

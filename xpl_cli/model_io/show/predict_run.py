@@ -149,7 +149,7 @@ def _guess_view(
 
 def _values(inputs: Any) -> Iterator[tuple[str, Any]]:
     """Yield every value among inputs with its place."""
-    yield from ((format_path(place), value) for place, value in leaves(unbatched(inputs)) if value is not None)
+    yield from ((format_path(path), value) for path, value in leaves(unbatched(inputs)) if value is not None)
 
 
 def _planes(value: np.ndarray) -> Iterator[np.ndarray]:

@@ -163,23 +163,25 @@ def _path(chain: Chain | None, base: np.ndarray, steps: Sequence[Action], prefix
     return []
 
 
-def _marks(robot: Embodiment, read: ReadVector, state: State) -> Iterator[Mark]:
+def _marks(robot: Embodiment, read_vector: ReadVector, state: State) -> Iterator[Mark]:
     """Yield the poses that a vector's numbers say, where its block says that they are."""
-    vector = read.vector
-    pieces = {item.label: values for item, values in vector.split(read.numbers)}
-    for told, item in zip(read.entry["parts"], vector.parts, strict=True):
-        ((kind, how),) = told.items()
+    vector = read_vector.vector
+    pieces = {item.label: values for item, values in vector.split(read_vector.numbers)}
+    for entry_part, item in zip(read_vector.entry["parts"], vector.parts, strict=True):
+        ((kind, how),) = entry_part.items()
         if kind != "position":
             continue
         turn = next((one for one in vector.parts if one.kind == "rotation" and one.key == item.key), None)
         outer = _mount(robot, how["arm"]) if how.get("frame") == "base" else _STILL
-        place = poses.transform(outer, item.write(pieces[item.label]))
+        position = poses.transform(outer, item.write(pieces[item.label]))
         if turn is not None:
             turned = rotation.multiply(outer[sdk.POSITION_DIM :], turn.write(pieces[turn.label]))
         else:
             turned = np.asarray(state[item.key], np.float64)[sdk.POSITION_DIM :]
-        what = f"{read.input}: {how['arm']} {how.get('point', 'flange')} in the {how.get('frame', 'world')}"
-        yield Mark(poses.pose(place, turned), what, outer[: sdk.POSITION_DIM])
+        description = (
+            f"{read_vector.input}: {how['arm']} {how.get('point', 'flange')} in the {how.get('frame', 'world')}"
+        )
+        yield Mark(poses.pose(position, turned), description, outer[: sdk.POSITION_DIM])
 
 
 def _figure(drawn: WorldDrawing, title: str, right: Sequence[float], up: Sequence[float]) -> VectorFigure:
@@ -201,11 +203,11 @@ def _figure(drawn: WorldDrawing, title: str, right: Sequence[float], up: Sequenc
     shapes += [DotShape("link", point, 3.4) for line in drawn.links for point in flat(line[:-1])]
     shapes += [LineShape("wanted", flat(line), 1.6, dashed=True) for line in drawn.wanted]
     shapes += [LineShape("wanted", flat(line), 2.2, tip=_long(flat(line))) for line in drawn.paths if len(line) > 1]
-    for place, mark in enumerate(drawn.marks):
+    for number, mark in enumerate(drawn.marks):
         if mark.start is not None:
             shapes.append(LineShape("arrow", flat(np.stack([mark.start, mark.pose[:3]])), 1.2, tip=True, dashed=True))
         shapes += _axes(mark.pose, 0.13 * span, flat)
-        shapes.append(TextShape("arrow", (8.0, _HEIGHT - 8 - 14 * place), mark.told))
+        shapes.append(TextShape("arrow", (8.0, _HEIGHT - 8 - 14 * number), mark.told))
     shapes += [
         TextShape("word", (x, y + 15), name, anchor="middle")
         for name, base in drawn.bases.items()
@@ -242,9 +244,9 @@ def _grid(drawn: WorldDrawing) -> Iterator[np.ndarray]:
     low, high = np.floor(robot[:, :2].min(0) / _GRID_M), np.ceil(robot[:, :2].max(0) / _GRID_M)
     ends = np.array([low, high]) * _GRID_M
     for axis in (0, 1):
-        for place in np.arange(low[axis], high[axis] + 1) * _GRID_M:
+        for coordinate in np.arange(low[axis], high[axis] + 1) * _GRID_M:
             line = np.array([[0.0, 0.0, height], [0.0, 0.0, height]])
-            line[:, axis], line[:, 1 - axis] = place, ends[:, 1 - axis]
+            line[:, axis], line[:, 1 - axis] = coordinate, ends[:, 1 - axis]
             yield line
 
 

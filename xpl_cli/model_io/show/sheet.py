@@ -169,8 +169,8 @@ def _row(paper: _Paper, cells: Sequence[str], colour: tuple[int, int, int]) -> N
     lines = [textwrap.wrap(cell, max(4, width // 7))[:_MOST_LINES] for cell, width in zip(cells, _COLUMNS, strict=True)]
     left = _EDGE
     for cell, width in zip(lines, _COLUMNS, strict=True):
-        for place, line in enumerate(cell):
-            paper.words(line, left, paper.top + place * 16, 13, colour)
+        for line_number, line in enumerate(cell):
+            paper.words(line, left, paper.top + line_number * 16, 13, colour)
         left += width
     paper.top += _LINE + 16 * (max(map(len, lines)) - 1)
     paper.pen.line((_EDGE, paper.top - 2, _WIDTH - _EDGE, paper.top - 2), fill=_RULE)

@@ -29,7 +29,7 @@ class ImageView:
 
     Attributes:
         input: the model's name for it.
-        place: which of the input's cameras it is, from 0.
+        camera_index: which of the input's cameras it is, from 0.
         camera: the standard's camera that the block says.
         when: observations ago; 0 is now.
         taken: (H, W, 3) uint8 RGB, the camera's picture.
@@ -42,7 +42,7 @@ class ImageView:
     """
 
     input: str
-    place: int
+    camera_index: int
     camera: str
     when: int
     taken: np.ndarray

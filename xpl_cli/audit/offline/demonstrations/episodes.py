@@ -219,9 +219,9 @@ def _column(steps: Sequence[Action], key: str) -> np.ndarray | None:
 
 
 def _states(trajectory: Trajectory, key: str) -> np.ndarray:
-    from xpl.trajectory.names import stored
+    from xpl.trajectory.names import stored_path
 
-    rows = np.asarray(trajectory.rows("/".join(stored((sdk.Obs.STATE, key)))), np.float64)
+    rows = np.asarray(trajectory.rows("/".join(stored_path((sdk.Obs.STATE, key)))), np.float64)
     return rows[:, None] if rows.ndim == 1 else rows
 
 

@@ -30,8 +30,8 @@ def plot_errors(metric: ErrorMetric, declared: Chunks, changed: Chunks, words: s
     questions = [number for number, (one, _) in enumerate(metric.session.question_steps) if one == episode]
     key, index = _most_improved(metric, declared, changed, questions)
     rows = metric.session.recordings[episode].commanded[key][:, index]
-    every = max(1, len(rows) // _MOST_POINTS)
-    lines = [[(float(at), float(rows[at])) for at in range(0, len(rows), every)]]
+    stride = max(1, len(rows) // _MOST_POINTS)
+    lines = [[(float(at), float(rows[at])) for at in range(0, len(rows), stride)]]
     chunks = [[_trace(metric, given, number, key, index) for number in questions] for given in (declared, changed)]
     values = [value for _, value in lines[0]] + [
         value for traces in chunks for trace in traces for _, value in trace if np.isfinite(value)

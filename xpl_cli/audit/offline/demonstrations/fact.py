@@ -29,7 +29,7 @@ from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.phrases import count_noun, join_limited
 
 if TYPE_CHECKING:
-    from xpl.trajectory import Folder, Trajectory
+    from xpl.trajectory import Trajectory, TrajectoryFolder
     from xpl_cli.audit.offline.demonstrations.action_errors import Chunks
     from xpl_cli.audit.offline.demonstrations.episodes import RecordedSession
     from xpl_cli.audit.served.probe import Probe
@@ -223,7 +223,7 @@ class DemonstrationComparison:
         return [Trajectory(str(root / name)) for name in sorted(digests)]
 
 
-def _open_folder(path: Path) -> Folder:
+def _open_folder(path: Path) -> TrajectoryFolder:
     try:
         return open_folder(path)
     except TrajectoryError as error:

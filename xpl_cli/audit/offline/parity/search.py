@@ -121,8 +121,8 @@ class ParitySearch:
         judgement = self._judgement
         patterns_found = (
             *self._patterns_seen,
-            *order_patterns(self._threads, judgement.shares, judgement.tolerance),
-            *(patterns(self._threads, judgement.spread, judgement.tolerance, self._kind) if is_large else ()),
+            *order_patterns(self._episodes, judgement.shares, judgement.tolerance),
+            *(patterns(self._episodes, judgement.spread, judgement.tolerance, self._kind) if is_large else ()),
         )
         explanation = replace(best.explanation, patterns=patterns_found)
         return ParitySearchResult(explanation, best.in_block) if explanation.text else None
@@ -156,7 +156,7 @@ class ParitySearch:
         ]
         others = MistakeFamily(
             [family.mistakes[number] for number in same_convention],
-            lambda chosen, wanted: family.answers([same_convention[place] for place in chosen], wanted),
+            lambda chosen, questions: family.answers([same_convention[slot] for slot in chosen], questions),
         )
         results = [*ranking.final_round, *rank(others, self._scorer).final_round]
         return self._scorer.explain_tried([self._scorer.score(result) for _, result in results])
@@ -170,9 +170,9 @@ class ParitySearch:
         if explanation.cause is not None:
             return explanation
         judgement = self._judgement
-        line = fit_linear(self._threads, judgement.shares, judgement.spread, judgement.tolerance)
+        line = fit_linear(self._episodes, judgement.shares, judgement.spread, judgement.tolerance)
         fits = [] if line is None else [line]
-        fits += fit_rigid(self._threads, judgement.shares, judgement.spread, judgement.tolerance, self._tool)
+        fits += fit_rigid(self._episodes, judgement.shares, judgement.spread, judgement.tolerance, self._tool)
         fit = self._scorer.explain_tried(fits)
         return fit if fit.cause is not None or (fit.partial and not explanation.partial) else explanation
 
@@ -287,7 +287,7 @@ class ParitySearch:
             return None
         if not _is_known(result.answers) or len(result.answers) != len(self._replay.all_questions):
             return None
-        threads = self._threads_of([result.answers[number] for number in self._replay.all_questions])
+        threads = self._episodes_with([result.answers[number] for number in self._replay.all_questions])
         return fit_linear(threads, scored.remaining, judgement.spread, judgement.tolerance)
 
     @property
@@ -315,10 +315,10 @@ class ParitySearch:
             return ()
 
     @cached_property
-    def _threads(self) -> list[EpisodeAnswers]:
-        return self._threads_of(self._judgement.answers)
+    def _episodes(self) -> list[EpisodeAnswers]:
+        return self._episodes_with(self._judgement.answers)
 
-    def _threads_of(self, answers: Sequence[Any]) -> list[EpisodeAnswers]:
+    def _episodes_with(self, answers: Sequence[Any]) -> list[EpisodeAnswers]:
         """Return the episodes of each environment, with some answers."""
         questions, judgement = self._judgement.session.questions, self._judgement
         return [

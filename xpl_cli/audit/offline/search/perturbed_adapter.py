@@ -112,8 +112,8 @@ class PerturbedAdapter:
                 zip(last.recipes, mistake.change_observations(self._replay.observations_of(last)), strict=True)
             )
 
-        def observation(env: int, place: int) -> Observation:
-            return changed.get((env, place)) or self._replay.observation(env, place)
+        def observation(env: int, index: int) -> Observation:
+            return changed.get((env, index)) or self._replay.observation(env, index)
 
         questions = [session.questions[number] for number in numbers]
         return replay_by_question(client, session, self._replay.calls_for(numbers), questions, observation)

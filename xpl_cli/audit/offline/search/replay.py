@@ -75,7 +75,7 @@ def replay_calls(
             client.reset()
         elif call.show:
             last_observed = tuple(env for env, _ in call.show)
-            observations = [observation(env, place) for env, place in call.show]
+            observations = [observation(env, index) for env, index in call.show]
             answer = (
                 client.update_obs(observations[0]) if len(last_observed) == 1 else client.update_obs_batch(observations)
             )

@@ -17,8 +17,8 @@ EpisodeKey = tuple[int, int]
 """Number of an episode, and an environment."""
 
 
-def _observation_name(env: int, place: int) -> str:
-    return f"{env} {place}"
+def _observation_name(env: int, index: int) -> str:
+    return f"{env} {index}"
 
 
 class SessionReplay:
@@ -37,16 +37,16 @@ class SessionReplay:
         """The numbers of all questions."""
         return [question.number for question in self.session.questions]
 
-    def observation(self, env: int, place: int) -> ObservationDict:
+    def observation(self, env: int, index: int) -> ObservationDict:
         """Return the observation of a recipe."""
-        key = (env, place)
+        key = (env, index)
         if key not in self._made:
-            self._made[key] = self.session.scene.observation(env, place)
+            self._made[key] = self.session.scene.observation(env, index)
         return self._made[key]
 
     def observations_of(self, question: PairQuestion) -> list[ObservationDict]:
         """Return what was shown in a question's episode up to it."""
-        return [self.observation(env, place) for env, place in question.recipes]
+        return [self.observation(env, index) for env, index in question.recipes]
 
     def group_by_episode(self, numbers: Iterable[int]) -> list[list[int]]:
         """Return questions by their episodes, each in its order."""
@@ -100,7 +100,7 @@ class SessionReplay:
                 if call.reset
                 else {"ask": list(call.ask)}
                 if call.ask
-                else {"show": [[env, _observation_name(env, place)] for env, place in call.show]}
+                else {"show": [[env, _observation_name(env, index)] for env, index in call.show]}
                 for call in calls
             ],
         }
