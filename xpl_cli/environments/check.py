@@ -33,7 +33,7 @@ __all__ = ["SEEDS", "CheckSelection", "check", "seeds", "text", "unsupported"]
 SEEDS = "seeds"
 """Folder of an environment package with the frozen evaluation seeds of its tasks."""
 
-_BATCH = 10  # episodes that one process plays at a time
+_BATCH = 10  # episodes of one process at a time
 
 
 @dataclass(frozen=True)
@@ -109,10 +109,10 @@ def check(name: str, choice: CheckSelection, say: Progress, workers: int | None 
     for task, robot, setting in product(tasks, robots, settings):
         reason = rollout.unsupported(facts.tasks[task], robot)
         rows.append({"task": task, "embodiment": robot, "setting": setting, "unsupported": reason})
-    played = [row for row in rows if row["unsupported"] is None]
+    supported = [row for row in rows if row["unsupported"] is None]
     jobs = [
         (Scenario(name, row["task"], row["embodiment"], row["setting"], control), batch)
-        for row in played
+        for row in supported
         for batch in _batches(seeds(folder, row["task"], row["setting"])[: choice.episodes])
     ]
     results: dict[Scenario, list[_Played]] = {}
@@ -123,7 +123,7 @@ def check(name: str, choice: CheckSelection, say: Progress, workers: int | None 
         if scenario not in results and all(other.task != scenario.task for other in results):
             say.step(f"{scenario.task} ({index - 1} of {len(jobs)} parts are done)")
         results.setdefault(scenario, []).append(answer)
-    for row, batches in zip(played, results.values(), strict=True):
+    for row, batches in zip(supported, results.values(), strict=True):
         row.update(_rates(batches))
     return {
         "environment": facts.name,
@@ -141,9 +141,11 @@ def text(report: Mapping[str, Any]) -> str:
         "  ".join([*(cell.ljust(width) for cell, width in zip(line, widths, strict=False)), line[-1]]).rstrip()
         for line in lines
     ]
-    played = [row for row in report["pairs"] if row["unsupported"] is None]
-    sound = sum(map(_is_sound, played))
-    return "\n".join([*table, "", f"{sound} of {len(played)} pass: the expert solves every seed, random actions none"])
+    supported = [row for row in report["pairs"] if row["unsupported"] is None]
+    sound = sum(map(_is_sound, supported))
+    return "\n".join(
+        [*table, "", f"{sound} of {len(supported)} pass: the expert solves every seed, random actions none"]
+    )
 
 
 def _batches(frozen: Sequence[int]) -> list[Sequence[int]]:

@@ -1,1 +1,1 @@
-"""Episodes played, recorded, summed up, compared and reported."""
+"""Rollouts of policies in environments: run, recorded, summarised, compared and reported."""

@@ -19,13 +19,13 @@ def sentences(report: VerificationReport) -> Iterator[str]:
     for claim in () if report.verdict is None else report.verdict.unproven:
         yield f"the {claim.claim.subject}: {claim.reason}"
     judged = sum(run.total("judged") for run in report.runs)
-    played = len(report.pairs)
-    if not played:
+    replayed = len(report.pairs)
+    if not replayed:
         yield (
             "that any episode comes out as recorded: none was replayed, and consistently edited records look like these"
         )
-    elif played < judged:
-        yield f"that the other {judged - played} of {judged} episodes end as recorded: --sample {judged} replays all"
+    elif replayed < judged:
+        yield f"that the other {judged - replayed} of {judged} episodes end as recorded: --sample {judged} replays all"
     missing = [part for part in report.parts or () if not part.is_whole]
     if missing:
         parts = [*map(str, missing[:_LISTED]), *([f"{len(missing) - _LISTED} more"] if missing[_LISTED:] else [])]

@@ -95,10 +95,10 @@ class VerificationReport:
 
     def as_json(self) -> dict[str, Any]:
         """Return the report as the map that `xpl verify --json` prints."""
-        played = None
+        replay_json = None
         if self.finding is not None:
             episodes = [pair.as_json(run) for run, pair in self.pairs]
-            played = {"drawn_with": self.seed, **self.finding.as_json(), "episodes": episodes}
+            replay_json = {"drawn_with": self.seed, **self.finding.as_json(), "episodes": episodes}
         return {
             "schema": spec.schema("verification")["title"],
             "bundle": self.digest,
@@ -106,7 +106,7 @@ class VerificationReport:
             "runs": [asdict(run) for run in self.runs],
             "audit": None if self.verdict is None else self.verdict.as_json(),
             "checks": [{"name": check.name, "problems": list(check.problems)} for check in self.checks],
-            "replay": played,
+            "replay": replay_json,
             "coverage": None if self.parts is None else [asdict(part) for part in self.parts],
             "replay_skipped": self.replay_skipped,
             "exit_code": int(self.code),

@@ -32,13 +32,13 @@ def fetch(
     name: str | None = _NAME,
     every: bool = _ALL,
     settings: list[str] = SETTINGS,
-    force: bool = typer.Option(False, "--force", help="Have the hub's client bring it again although it is there."),
+    force: bool = typer.Option(False, "--force", help="Download again."),
     unverified: bool = typer.Option(
         False, "--unverified", help="Accept any content if policy.yml has no sha256; prints its sha256."
     ),
     as_json: bool = JSON,
 ) -> None:
-    """Bring a checkpoint, check it, and make it what its name means in this adapter; prints where it is."""
+    """Download and verify a checkpoint, link it in the adapter, and print its path."""
     from xpl_cli.basics import console
     from xpl_cli.basics.progress import progress
     from xpl_cli.lifecycle.checkpoints import specification

@@ -1,4 +1,4 @@
-"""`xpl env`: what environments offer, whether their tasks hold, a picture, a film, a hand-over."""
+"""`xpl env`: list, check and render environments; hand over to a benchmark."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def render(
     renderer: str | None = _RENDERER,
     as_json: bool = JSON,
 ) -> None:
-    """Write what a camera sees when an episode begins."""
+    """Save the first image of a camera in an episode."""
     from xpl_cli.basics import console
     from xpl_cli.environments import film
     from xpl_cli.environments.rollout import make_scenario
@@ -124,7 +124,7 @@ def sheet(
     renderer: str | None = _RENDERER,
     as_json: bool = JSON,
 ) -> None:
-    """Write one picture of how an episode of every task begins."""
+    """Save one picture with the first image of every task."""
     from xpl_cli.basics import console
     from xpl_cli.environments import sheet as drawing
     from xpl_cli.environments.rollout import make_scenario

@@ -1,4 +1,4 @@
-"""`xpl record`: demonstrations of an environment's expert, of a policy, or of a person."""
+"""`xpl record`: record demonstrations of a scripted expert, of a policy or by teleoperation."""
 
 from __future__ import annotations
 

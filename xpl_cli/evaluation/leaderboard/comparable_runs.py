@@ -73,9 +73,11 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
     runs = [run for run, reason in zip(runs, reasons, strict=True) if reason is None]
     if not runs:
         raise UserError(f"no run can be ranked. {' '.join(unranked)}", code=ExitCode.NOT_RUN)
-    played = tuple(_restrict_to_common(runs)) if common else tuple(runs)
+    comparable = tuple(_restrict_to_common(runs)) if common else tuple(runs)
     run_differences = tuple(
-        (index, difference) for index, run in enumerate(played) for difference in _differences_from(played[0], run)
+        (index, difference)
+        for index, run in enumerate(comparable)
+        for difference in _differences_from(comparable[0], run)
     )
     barriers = [(index, difference) for index, difference in run_differences if is_barrier(difference.what)]
     if barriers and not anyway:
@@ -87,7 +89,7 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
             code=ExitCode.NOT_RUN,
         )
     launched = (f"{run.folder}: {remark}" for run in runs if (remark := containment.remark(run)) is not None)
-    return ComparableRuns(played, common, run_differences, (*unranked, *launched))
+    return ComparableRuns(comparable, common, run_differences, (*unranked, *launched))
 
 
 def _refuse_contradictions(run: Run) -> None:

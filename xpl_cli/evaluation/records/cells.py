@@ -176,12 +176,12 @@ def cells(run: Run) -> list[Cell]:
 def _cell(
     planned: PlannedCell, finals: Sequence[EpisodeRecord | None], width: float | None, survived: frozenset[int]
 ) -> Cell:
-    played = [line for line in finals if line is not None]
+    finished = [line for line in finals if line is not None]
     point = None
     if width is not None:
         leading = takewhile(lambda line: line is not None, finals)
         point = stopping_point((counts_as_success(line, survived) for line in leading if line is not None), width)
-    counted = tuple(played if point is None else played[:point])
+    counted = tuple(finished if point is None else finished[:point])
     return Cell(
         task=planned.task,
         setting=planned.setting,
@@ -189,7 +189,7 @@ def _cell(
         frozen=planned.frozen,
         planned=len(finals),
         counted=counted,
-        beyond=len(played) - len(counted),
+        beyond=len(finished) - len(counted),
         ended=point is not None,
         survived=survived,
     )

@@ -41,7 +41,7 @@ def view(run: Run, summary: Summary) -> list[ProvenanceItem]:
         ("", policy.digest, True),
         ("Checkpoint", checkpoint.path if checkpoint else "none declared or found", False),
         *([("", checkpoint.digest, True)] if checkpoint else []),
-        *([("Played", unusual, False)] if (unusual := run_mode.run_mode_of(plan).description) else []),
+        *([("Mode", unusual, False)] if (unusual := run_mode.run_mode_of(plan).description) else []),
         ("Environment", f"{environment.name}, spec {environment.spec}", False),
         ("", environment.digest, True),
         ("Embodiment", f"{plan.embodiment}, {plan.action_type} control", False),

@@ -1,1 +1,1 @@
-"""A run: what it plays, in which order, until when, and how far it has come."""
+"""Runs: plan, schedule, stopping rule, execution and progress."""

@@ -47,13 +47,13 @@ class Evaluation:
     """The result.
 
     Attributes:
-        played: what was run.
+        setup: what was run.
         episodes: the final attempt at each, in the order of the plan.
         attempts: number of attempts by index of the episode.
         seconds: duration of all.
     """
 
-    played: EvalSetup
+    setup: EvalSetup
     episodes: Sequence[EpisodeRecord]
     attempts: Mapping[int, int] = field(default_factory=dict)
     seconds: float = 0.0
@@ -86,7 +86,7 @@ class Evaluation:
             corrections.update(episode.corrections or {})
         return {
             "schema": SCHEMA,
-            **asdict(self.played),
+            **asdict(self.setup),
             "episodes": [self._episode_json(episode) for episode in self.episodes],
             "successes": self.successes,
             "success_rate": self.success_rate,
@@ -98,10 +98,10 @@ class Evaluation:
 
     def text(self) -> str:
         """Return the report as one line for people, with one more for each task where there are several."""
-        played, count = self.played, len(self.episodes)
-        what = f"{played.environment}/{played.task}, {played.embodiment}, {played.action_type} control"
-        where = f"{played.policy} on {what}"
-        unreal = mock_settings.remark(played.environment, [played.setting])
+        setup, count = self.setup, len(self.episodes)
+        what = f"{setup.environment}/{setup.task}, {setup.embodiment}, {setup.action_type} control"
+        where = f"{setup.policy} on {what}"
+        unreal = mock_settings.remark(setup.environment, [setup.setting])
         remarks = [] if unreal is None else [unreal]
         if self.success_rate is None:
             return "\n".join([f"{where}: {count} episodes ran to their end in {self.seconds:.1f} s", *remarks])
@@ -138,7 +138,7 @@ class Evaluation:
     def _episode_json(self, episode: EpisodeRecord) -> dict[str, Any]:
         fields = {name: getattr(episode, name) for name in _REPORTED}
         return {
-            sdk.Obs.ENV_IDX: episode.index % self.played.num_envs,
+            sdk.Obs.ENV_IDX: episode.index % self.setup.num_envs,
             **{name: value for name, value in fields.items() if value is not None or name in _NULL},
             "attempts": self.attempts.get(episode.index, 1),
         }

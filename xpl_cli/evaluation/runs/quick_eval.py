@@ -125,7 +125,7 @@ def evaluate(request: QuickEvalRequest, progress: Progress) -> Evaluation:
     with contextlib.closing(_backend(request, folder, sink.run.plan, progress)) as backend:
         backend.prepare(tasks[0], setting)
         runner.run_schedule(sink, backend, schedule, _View(sink.run, request.episodes * len(tasks), progress))
-    played = EvalSetup(
+    setup = EvalSetup(
         policy=request.package.name,
         environment=request.environment,
         task=settings.task if len(tasks) == 1 else request.task,
@@ -138,7 +138,7 @@ def evaluate(request: QuickEvalRequest, progress: Progress) -> Evaluation:
     )
     finals = [sink.run.finals[index] for index in sorted(sink.run.finals)]
     attempts = Counter(episode.index for episode in sink.run.attempts)
-    return Evaluation(played, finals, attempts, time.perf_counter() - started)
+    return Evaluation(setup, finals, attempts, time.perf_counter() - started)
 
 
 class _View:

@@ -93,14 +93,14 @@ def run_schedule(writer: Sink, backend: Backend, schedule: Schedule, view: Progr
 def rerun_episodes(plan: RunPlan, jobs: Sequence[RolloutJob], backend: Backend) -> Iterator[EpisodeRecord]:
     """Run episodes and yield their lines, as they would be recorded but for machine and files; nothing is written."""
     waiting = list(reversed(jobs))
-    playing: set[RolloutJob] = set()
-    while waiting or playing:
+    running: set[RolloutJob] = set()
+    while waiting or running:
         while waiting and backend.free() > 0:
-            playing.add(waiting[-1])
+            running.add(waiting[-1])
             backend.submit(waiting.pop())
         for outcome in backend.wait():
-            if outcome.job in playing:
-                playing.remove(outcome.job)
+            if outcome.job in running:
+                running.remove(outcome.job)
                 yield _episode(plan, outcome, final=True)
 
 

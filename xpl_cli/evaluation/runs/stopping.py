@@ -32,13 +32,13 @@ def stopping_point(outcomes: Iterable[bool | None], width: float) -> int | None:
         width: limit of the interval's width, above 0, at most 1.
     """
     successes = judged = 0
-    for played, outcome in enumerate(outcomes, start=1):
+    for count, outcome in enumerate(outcomes, start=1):
         if outcome is None:
             continue
         judged += 1
         successes += outcome
         if judged >= FEWEST and wilson(successes / judged, judged).width <= width:
-            return played
+            return count
     return None
 
 
