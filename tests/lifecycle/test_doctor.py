@@ -42,9 +42,9 @@ def test_everything_is_tried_and_what_is_missing_can_be_mended(tmp_path: Path) -
     assert answer["broken"] == [check["name"] for check in answer["checks"] if check["status"] == "broken"]
     assert done.returncode == bool(answer["broken"])
     for check in answer["checks"]:
-        assert check["found"].strip()
+        assert check["result"].strip()
         assert check["serves"].strip()
-        assert check["mend"] or check["status"] == "ok"
+        assert check["fix"] or check["status"] == "ok"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -80,14 +80,14 @@ def test_a_program_is_asked(programs_folder: Path, script: str | None, status: S
     if script is not None:
         put(programs_folder, "uv", script)
     check = programs.uv()
-    assert (check.status, found in check.found) == (status, True), check
+    assert (check.status, found in check.result) == (status, True), check
 
 
 def test_what_does_as_well_is_found(programs_folder: Path) -> None:
     put(programs_folder, "micromamba", "echo 2.0.5")
     put(programs_folder, "podman", "echo podman version 5.1.0")
-    assert programs.conda().found == "micromamba 2.0.5"
-    assert programs.docker().found == "podman 5.1.0"
+    assert programs.conda().result == "micromamba 2.0.5"
+    assert programs.docker().result == "podman 5.1.0"
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_the_driver_is_asked_for_cards(programs_folder: Path, script: str, statu
     check = programs.gpu()
     has_device = any(Path("/dev").glob("nvidia[0-9]*"))
     assert check.status is (status or (Status.BROKEN if has_device else Status.ABSENT))
-    assert found in check.found
+    assert found in check.result
 
 
 def test_an_interpreter_that_does_not_run_is_none(programs_folder: Path) -> None:
@@ -114,17 +114,17 @@ def test_an_interpreter_that_does_not_run_is_none(programs_folder: Path) -> None
     (programs_folder / "python3.11").symlink_to(shutil.which("python3", path=os.defpath) or sys.executable)
     (programs_folder / "python3.13").symlink_to(os.path.realpath(sys.executable))
     version = ".".join(map(str, sys.version_info[:3]))
-    assert version in programs.interpreters().found
+    assert version in programs.interpreters().result
 
 
 @pytest.mark.parametrize("way", ["egl", "osmesa"])
 def test_rendering_is_tried_in_a_process_of_its_own(way: str) -> None:
     """It says what renders, or which library is missing."""
     check = programs.rendering(way)
-    assert check.found
+    assert check.result
     if check.status is Status.ABSENT:
-        assert "cannot open shared object" in check.found
-        assert (check.mend or "").startswith("apt-get install")
+        assert "cannot open shared object" in check.result
+        assert (check.fix or "").startswith("apt-get install")
 
 
 def test_places_that_cannot_be_written_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,7 +132,7 @@ def test_places_that_cannot_be_written_are_told(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nothing/there")
     check = machine.disk()
     assert check.status is Status.BROKEN
-    assert "cache cannot be written (/proc)" in check.found
+    assert "cache cannot be written (/proc)" in check.result
 
 
 @pytest.mark.parametrize("probe", [machine.ports, machine.shared_memory, machine.memory, machine.cores, machine.tool])
@@ -143,10 +143,10 @@ def test_this_machine_can_run_its_own_tests(probe: object) -> None:
     assert check.status is Status.OK, check
 
 
-def test_isolation_is_proven_or_the_reason_told() -> None:
+def test_isolation_is_tested_or_the_reason_is_given() -> None:
     """As `--isolate` would."""
     check = machine.isolation()
-    assert "proven" in check.found if check.status is Status.OK else "bubblewrap" in check.found
+    assert "tested" in check.result if check.status is Status.OK else "bubblewrap" in check.result
 
 
 def test_a_probe_that_fails_itself_spoils_no_other() -> None:
@@ -154,4 +154,4 @@ def test_a_probe_that_fails_itself_spoils_no_other() -> None:
         raise ValueError("odd machine")
 
     check = run._guarded("x", fail)
-    assert (check.status, "odd machine" in check.found) == (Status.BROKEN, True)
+    assert (check.status, "odd machine" in check.result) == (Status.BROKEN, True)

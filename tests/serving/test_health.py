@@ -153,7 +153,7 @@ def test_the_state_is_told_while_the_model_loads_and_when_it_is_ready(
     server = start({"loading": str(fifo)})
     with fifo.open("w"):
         status, state = wait_until(lambda: told(server.url), "the model has printed")
-        assert (status, state["state"], state["places"], state["taken"]) == (503, "loading", 1, 0)
+        assert (status, state["state"], state["slots"], state["slots_in_use"]) == (503, "loading", 1, 0)
         assert state["progress"]["seconds"] > 0
         assert state["progress"]["memory_bytes"] > 2**20
         [worker] = state["workers"]
@@ -179,7 +179,7 @@ def test_the_state_is_told_while_the_model_loads_and_when_it_is_ready(
     assert patient.receive().message_id == held.message_id
     assert modern.ask("hello").payload["details"] == {"reason": "busy"}  # the place went to the one that waited
     status, state = state_of(server.url)
-    assert (status, state["state"], state["taken"], state["connections"]) == (200, "ready", 1, 2)
+    assert (status, state["state"], state["slots_in_use"], state["connections"]) == (200, "ready", 1, 2)
     assert "progress" not in state
     assert patient.ask("heartbeat").payload == {"ok": True, "state": "ready"}
     patient.close()
@@ -296,7 +296,7 @@ def test_metrics_count_what_happened(watched: RunningServer, fifo: Path) -> None
         with pytest.raises(PolicyServerError):
             client.call("no_such_method")
         during = metrics(watched.url)
-        assert (during[("xpl_ready",)], during[("xpl_places",)], during[("xpl_taken",)]) == (1, 1, 1)
+        assert (during[("xpl_ready",)], during[("xpl_slots",)], during[("xpl_slots_in_use",)]) == (1, 1, 1)
         assert during[("xpl_connections",)] >= 1
         assert during[("xpl_memory_bytes",)] > 2**20
         thread = threading.Thread(target=client.infer, args=({"fifo": str(fifo)},))

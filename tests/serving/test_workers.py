@@ -104,7 +104,7 @@ def sharing(write_adapter: Callable[..., Path]) -> Iterator[RunningServer]:
 def free(pair: RunningServer, sharing: RunningServer) -> None:
     """Wait until the clients of the test before are gone."""
     for server in (pair, sharing):
-        wait_until(lambda server=server: '"taken": 0' in page(server.url, "/healthz")[1], "all places are free")
+        wait_until(lambda server=server: '"slots_in_use": 0' in page(server.url, "/healthz")[1], "all slots are free")
 
 
 def actions(peer: Peer, n: int, step: int = 0) -> Any:
@@ -212,7 +212,7 @@ def test_clients_of_a_shared_model_are_served_as_if_each_were_alone(sharing: Run
             return [(total, random) for total, _, random in told_all]
 
     alone = [episode(number) for number in range(4)]
-    wait_until(lambda: '"taken": 0' in page(sharing.url, "/healthz")[1], "they have left")
+    wait_until(lambda: '"slots_in_use": 0' in page(sharing.url, "/healthz")[1], "they have left")
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(episode, range(4)))
     for number, (one, other) in enumerate(zip(alone, together, strict=True)):
@@ -278,7 +278,7 @@ def test_a_client_that_leaves_or_resets_disturbs_nobody(sharing: RunningServer) 
                 other.close()
         before = told(stays.infer({"n": 1}))
         assert before[0] == 2
-        wait_until(lambda: '"taken": 1' in page(sharing.url, "/healthz")[1], "their places are free")
+        wait_until(lambda: '"slots_in_use": 1' in page(sharing.url, "/healthz")[1], "their slots are free")
         for _ in range(spec.LIMITS["clients"]):  # more than there are places left: used ones are used again
             newcomer = greeted(sharing.url)
             assert told(actions(newcomer, 7))[0] == 7
@@ -365,7 +365,7 @@ def test_a_connection_that_is_closing_takes_no_place(pair: RunningServer, leave:
         raw.send(BINARY, codec.encode(codec.Frame(kind, "e", {"observation": {"n": 1}})))
     raw.send(CLOSE, (1000).to_bytes(2, "big"))
     wait_until(lambda: f'"connections": {len(others)}' in page(pair.url, "/healthz")[1], "it is gone")
-    assert f'"taken": {len(others)}' in page(pair.url, "/healthz")[1]
+    assert f'"slots_in_use": {len(others)}' in page(pair.url, "/healthz")[1]
     assert [actions(other, 1)["seen"] for other in others] in ([], [[1]])
     goodbye(*others)
     raw.close()

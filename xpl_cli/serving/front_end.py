@@ -197,8 +197,8 @@ class FrontEnd:
             for worker in self.workers.values()
         ]
         return {
-            "places": len(self._slot_pool),
-            "taken": self._slot_pool.in_use(),
+            "slots": len(self._slot_pool),
+            "slots_in_use": self._slot_pool.in_use(),
             "connections": len(self._connections),
             "workers": workers,
             **self._state_report(),

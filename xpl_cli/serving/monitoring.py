@@ -123,10 +123,10 @@ class _PrometheusMetrics:
             for name, text in {
                 spec.ServerState.READY: "1 when the models are loaded",
                 "connections": "open connections",
-                "places": "clients that can be served at once",
-                "taken": "places in use",
-                "waiting": "requests in line",
-                "busy_seconds": "how long the busiest worker has been at work",
+                "slots": "clients that can be served at once",
+                "slots_in_use": "slots in use",
+                "waiting": "requests in the queue",
+                "busy_seconds": "how long the busiest worker has been busy",
                 "memory_bytes": "memory of the workers",
             }.items()
         }
@@ -143,8 +143,8 @@ class _PrometheusMetrics:
         sources: dict[str, Callable[[], float]] = {
             spec.ServerState.READY: lambda: float(health()[spec.Payload.STATE] == spec.ServerState.READY),
             "connections": lambda: float(health()["connections"]),
-            "places": lambda: float(health()["places"]),
-            "taken": lambda: float(health()["taken"]),
+            "slots": lambda: float(health()["slots"]),
+            "slots_in_use": lambda: float(health()["slots_in_use"]),
             "waiting": lambda: over("waiting", sum),
             "busy_seconds": lambda: over("busy_s", max),
             "memory_bytes": lambda: over("memory_bytes", sum),

@@ -1,1 +1,1 @@
-"""What a machine can run: every answer comes from trying it, in a process of its own where that could do harm."""
+"""What a machine can run, by testing it; risky tests run in a process of their own."""

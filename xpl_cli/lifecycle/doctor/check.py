@@ -1,4 +1,4 @@
-"""What a probe of the machine answers."""
+"""The result of a probe of the machine."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from enum import StrEnum
 
 
 class Status(StrEnum):
-    """How something stands."""
+    """State of a capability of the machine."""
 
     OK = "ok"
-    """It was tried, and works."""
+    """It was tested and works."""
     ABSENT = "absent"
-    """It is not there; what needs it says so, and the rest works."""
+    """It is missing; only what needs it does not work."""
     BROKEN = "broken"
-    """It is needed by everything, or there and does not work."""
+    """It is required or present, and does not work."""
 
 
 @dataclass(frozen=True)
 class MachineCheck:
-    """One thing that was tried.
+    """One tested capability.
 
     Attributes:
-        name: what it is.
-        status: how it stands.
-        found: what was found, one line.
-        serves: what it is good for.
-        mend: what to do if it is not there, None if nothing has to be done.
+        name: name of the capability.
+        status: its state.
+        result: result of the test, one line.
+        serves: what it is needed for.
+        fix: how to fix it; None if it works.
     """
 
     name: str
     status: Status
-    found: str
+    result: str
     serves: str
-    mend: str | None = None
+    fix: str | None = None

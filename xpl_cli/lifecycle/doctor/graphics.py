@@ -1,6 +1,6 @@
-"""Tries one way to render without a window, and prints what it is; run in a process of its own.
+"""Test one way of offscreen rendering, and print its driver; runs in a process of its own.
 
-Graphics drivers may crash whoever loads them. Plain Python: neither MuJoCo nor OpenGL's bindings are needed.
+Graphics drivers may crash the process that loads them. Plain Python: it needs neither MuJoCo nor OpenGL bindings.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ _UNSIGNED_BYTE = 0x1401
 
 
 def egl() -> str:
-    """Return which display EGL can open.
+    """Return the display that EGL can open.
 
     Raises:
-        OSError: if the library is not there.
-        RuntimeError: if it opens none.
+        OSError: if the library is missing.
+        RuntimeError: if it opens no display.
     """
     library = ctypes.CDLL("libEGL.so.1")
     library.eglGetProcAddress.restype = ctypes.c_void_p
@@ -40,7 +40,7 @@ def egl() -> str:
 
 
 def _displays(library: ctypes.CDLL) -> list[int | None]:
-    """Return the displays of all devices, and the one without any device."""
+    """Return the displays of all devices, and the surfaceless one."""
     address = library.eglGetProcAddress(b"eglGetPlatformDisplayEXT")
     if not address:
         return []
@@ -57,10 +57,10 @@ def _displays(library: ctypes.CDLL) -> list[int | None]:
 
 
 def osmesa() -> str:
-    """Return what renders in memory.
+    """Return the renderer of OSMesa.
 
     Raises:
-        OSError: if the library is not there.
+        OSError: if the library is missing.
         RuntimeError: if it cannot render.
     """
     library = _first("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")

@@ -19,7 +19,7 @@ from xpl_cli.basics.sizes import format_size
 from xpl_cli.isolation import sandbox
 from xpl_cli.lifecycle.doctor.check import MachineCheck, Status
 
-_SHARED = Path("/dev/shm")  # noqa: S108 - what is asked about; nothing stays there
+_SHARED = Path("/dev/shm")  # noqa: S108 - tested; nothing stays there
 _SHARED_ENOUGH = 1 << 28
 _MEMORY_ENOUGH = 2 << 30
 _DISK_ENOUGH = 2 << 30
@@ -27,7 +27,7 @@ _TRIED = 1 << 20
 
 
 def tool() -> MachineCheck:
-    """Look whether what this tool needs is installed, without importing it."""
+    """Check that this tool's requirements are installed, without importing them."""
     serves = "everything"
     try:
         wanted = metadata.requires("xpl-cli") or []
@@ -41,13 +41,13 @@ def tool() -> MachineCheck:
             continue
         missing[name] = text.partition(";")[0].strip()
     if missing:
-        mend = shlex.join(["pip", "install", *missing.values()])
-        return MachineCheck("xpl", Status.BROKEN, f"lacks {', '.join(missing)}", serves, mend)
+        fix = shlex.join(["pip", "install", *missing.values()])
+        return MachineCheck("xpl", Status.BROKEN, f"lacks {', '.join(missing)}", serves, fix)
     return MachineCheck("xpl", Status.OK, f"xpl-cli {metadata.version('xpl-cli')}", serves)
 
 
 def hub() -> MachineCheck:
-    """Look for the hub's client."""
+    """Check for the client of the Hugging Face hub."""
     serves = "checkpoints whose source is hf://..."
     if util.find_spec("huggingface_hub") is None:
         return MachineCheck("hub", Status.ABSENT, "huggingface_hub is not installed", serves, how_to_install("hub"))
@@ -55,14 +55,14 @@ def hub() -> MachineCheck:
 
 
 def memory() -> MachineCheck:
-    """Read how much memory there is, and how much of it is free."""
+    """Read the total and the free memory."""
     serves = "models, and simulators beside them"
     total = sandbox.machine_memory()
     free = min(_available(), total)
     small = free < _MEMORY_ENOUGH
     return MachineCheck(
         "memory", Status.BROKEN if small else Status.OK, f"{format_size(free)} of {format_size(total)} free", serves,
-        "end what uses it, or raise the container's limit" if small else None,
+        "end other programs, or raise the container's limit" if small else None,
     )  # fmt: skip
 
 
@@ -75,42 +75,42 @@ def cores() -> MachineCheck:
 
 
 def disk() -> MachineCheck:
-    """Write to the places that checkpoints and temporary files go to, and read how much room there is."""
+    """Write to the folders of checkpoints and temporary files, and read their free space."""
     serves = "checkpoints and environments"
-    places = {"cache": user_cache.folder(), "temporary files": Path(tempfile.gettempdir()), "here": Path.cwd()}
-    told, mend = [], None
-    for name, wanted in places.items():
-        place = next(one for one in (wanted, *wanted.parents) if one.is_dir())
-        free = shutil.disk_usage(place).free
-        told.append(f"{name} {format_size(free)} free")
+    folders = {"cache": user_cache.folder(), "temporary files": Path(tempfile.gettempdir()), "here": Path.cwd()}
+    results, fix = [], None
+    for name, wanted in folders.items():
+        folder = next(one for one in (wanted, *wanted.parents) if one.is_dir())
+        free = shutil.disk_usage(folder).free
+        results.append(f"{name} {format_size(free)} free")
         with contextlib.suppress(OSError):
-            with tempfile.TemporaryFile(dir=place):
+            with tempfile.TemporaryFile(dir=folder):
                 pass
-            if free < _DISK_ENOUGH and mend is None:
-                mend = f"make room in {place}"
+            if free < _DISK_ENOUGH and fix is None:
+                fix = f"free space in {folder}"
             continue
-        told[-1] = f"{name} cannot be written ({place})"
-        mend = mend or f"make {place} writable, or choose another place (XPL_CACHE, TMPDIR, another folder)"
-    return MachineCheck("disk", Status.BROKEN if mend else Status.OK, ", ".join(told), serves, mend)
+        results[-1] = f"{name} cannot be written ({folder})"
+        fix = fix or f"make {folder} writable, or choose another folder (XPL_CACHE, TMPDIR, another folder)"
+    return MachineCheck("disk", Status.BROKEN if fix else Status.OK, ", ".join(results), serves, fix)
 
 
 def shared_memory() -> MachineCheck:
     """Map memory of a file that two processes could share, and write to it."""
     serves = "large images between simulator and server on one machine; they travel in messages where it is missing"
-    mend = "docker run --shm-size=1g, or mount a tmpfs at /dev/shm"
+    fix = "docker run --shm-size=1g, or mount a tmpfs at /dev/shm"
     if not _SHARED.is_dir():
-        return MachineCheck("shared memory", Status.ABSENT, f"no {_SHARED}", serves, mend)
+        return MachineCheck("shared memory", Status.ABSENT, f"no {_SHARED}", serves, fix)
     try:
         with tempfile.TemporaryFile(dir=_SHARED) as file:
             os.posix_fallocate(file.fileno(), 0, _TRIED)
             with mmap.mmap(file.fileno(), _TRIED) as mapped:
                 mapped[:4] = b"test"
     except OSError as error:
-        return MachineCheck("shared memory", Status.BROKEN, f"{_SHARED}: {error.strerror}", serves, mend)
+        return MachineCheck("shared memory", Status.BROKEN, f"{_SHARED}: {error.strerror}", serves, fix)
     free = shutil.disk_usage(_SHARED).free
     small = free < _SHARED_ENOUGH
     found = f"{format_size(free)} free in {_SHARED}"
-    return MachineCheck("shared memory", Status.BROKEN if small else Status.OK, found, serves, mend if small else None)
+    return MachineCheck("shared memory", Status.BROKEN if small else Status.OK, found, serves, fix if small else None)
 
 
 def ports() -> MachineCheck:
@@ -123,20 +123,20 @@ def ports() -> MachineCheck:
                 accepted, _ = server.accept()
                 accepted.close()
     except OSError as error:
-        mend = "bring loopback up: ip link set lo up"
-        return MachineCheck("ports", Status.BROKEN, f"loopback does not work: {error.strerror or error}", serves, mend)
+        fix = "bring loopback up: ip link set lo up"
+        return MachineCheck("ports", Status.BROKEN, f"loopback does not work: {error.strerror or error}", serves, fix)
     return MachineCheck("ports", Status.OK, f"loopback works, tried with port {port}", serves)
 
 
 def isolation() -> MachineCheck:
-    """Try to keep a program from the network and from writing, as `--isolate` does."""
+    """Run a program without network and write access, as `--isolate` does."""
     serves = "xpl serve --isolate and xpl audit --isolate"
-    mend = f"{sandbox.INSTALL}; it needs unprivileged user namespaces"
+    fix = f"{sandbox.INSTALL}; it needs unprivileged user namespaces"
     try:
         with tempfile.TemporaryDirectory(prefix="xpl-doctor-") as folder, sandbox.isolated(Path(folder)) as isolation_:
-            return MachineCheck("isolation", Status.OK, f"{isolation_.method}, proven by trying", serves)
+            return MachineCheck("isolation", Status.OK, f"{isolation_.method}, tested", serves)
     except UserError as error:
-        return MachineCheck("isolation", Status.ABSENT, str(error), serves, mend)
+        return MachineCheck("isolation", Status.ABSENT, str(error), serves, fix)
 
 
 def _available() -> int:
@@ -148,7 +148,7 @@ def _available() -> int:
 
 
 def _quota() -> float | None:
-    """Return how many processors a container may use, None if nobody says."""
+    """Return how many processors a container may use; None without a limit."""
     with contextlib.suppress(OSError, ValueError):
         quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="ascii").split()
         return None if quota == "max" else int(quota) / int(period)

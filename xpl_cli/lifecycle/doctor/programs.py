@@ -1,4 +1,4 @@
-"""Probes that ask a program: interpreters, installers, git, containers, the graphics card, rendering."""
+"""Probes that run a program: interpreters, installers, git, containers, the graphics card, rendering."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from xpl_cli.lifecycle.doctor.check import MachineCheck, Status
 from xpl_cli.lifecycle.python_env import installers, pythons
 
 LIMIT_S = 5.0
-"""Longest wait for an answer; a program that takes longer does not work."""
+"""Longest wait for a program."""
 
 _SHOWN = 110
 _GPU_ASKED = "name,memory.total,driver_version"
@@ -23,11 +23,11 @@ _VERSION = re.compile(r"\d+(\.\d+)+")
 
 @dataclass(frozen=True)
 class ProgramOutput:
-    """What a program said.
+    """Output of a program.
 
     Attributes:
         ok: whether it ran and ended with 0.
-        text: its output; its last line of complaint if it failed.
+        text: its output, or its last line of error output.
     """
 
     ok: bool
@@ -35,7 +35,7 @@ class ProgramOutput:
 
 
 def run_program(*command: str) -> ProgramOutput:
-    """Run a program and return what it says."""
+    """Run a program and return its output."""
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, errors="replace", check=False, timeout=LIMIT_S,
@@ -52,7 +52,7 @@ def run_program(*command: str) -> ProgramOutput:
 
 
 def interpreters() -> MachineCheck:
-    """Find the versions of Python that can make environments for policies."""
+    """Find the versions of Python that can create environments for policies."""
     paths = [path for name in pythons.names() if (path := shutil.which(name))]
     with ThreadPoolExecutor(max_workers=max(len(paths), 1)) as pool:
         found = [version for version in pool.map(pythons.version_of, paths) if version]
@@ -67,8 +67,8 @@ def interpreters() -> MachineCheck:
     )
 
 
-def program(name: str, serves: str, mend: str, *others: str) -> MachineCheck:
-    """Ask a program for its version; `others` are names of programs that do as well."""
+def program(name: str, serves: str, fix: str, *others: str) -> MachineCheck:
+    """Run a program for its version; `others` are alternative programs."""
     for candidate in (name, *others):
         path = shutil.which(candidate)
         if path is None:
@@ -77,34 +77,34 @@ def program(name: str, serves: str, mend: str, *others: str) -> MachineCheck:
         version = _VERSION.search(answer.text) if answer.ok else None
         if answer.ok:
             return MachineCheck(name, Status.OK, f"{candidate} {version[0] if version else answer.text[:40]}", serves)
-        return MachineCheck(name, Status.BROKEN, f"{path} does not run: {answer.text[:_SHOWN]}", serves, mend)
-    return MachineCheck(name, Status.ABSENT, "not on PATH", serves, mend)
+        return MachineCheck(name, Status.BROKEN, f"{path} does not run: {answer.text[:_SHOWN]}", serves, fix)
+    return MachineCheck(name, Status.ABSENT, "not on PATH", serves, fix)
 
 
 def uv() -> MachineCheck:
-    """Ask uv."""
+    """Check uv."""
     serves = "installs environments quickly, any version of Python, locks of uv; venv and pip do where it is missing"
     return program("uv", serves, "pip install uv, or see its installation page")
 
 
 def conda() -> MachineCheck:
-    """Ask conda, or what is like it."""
+    """Check conda, mamba or micromamba."""
     name, *others = installers.CONDAS
     return program(name, "environments that come as a lock of conda", "install miniforge or micromamba", *others)
 
 
 def git() -> MachineCheck:
-    """Ask git."""
+    """Check git."""
     return program("git", "xpl update and xpl audit --changed-since", "apt-get install git")
 
 
 def docker() -> MachineCheck:
-    """Ask for a program that builds containers."""
+    """Check for a program that builds containers."""
     return program("docker", "the container recipe (docs/lifecycle.md)", "install docker or podman", "podman")
 
 
 def gpu() -> MachineCheck:
-    """Ask the driver for graphics cards; no library of a model is needed for that."""
+    """List graphics cards by the driver, without machine learning libraries."""
     serves = "policies that run on a graphics card"
     devices = sorted(path.name for path in Path("/dev").glob("nvidia[0-9]*"))
     tool = shutil.which("nvidia-smi")
@@ -113,7 +113,7 @@ def gpu() -> MachineCheck:
             return MachineCheck("gpu", Status.BROKEN, f"{', '.join(devices)}, but no nvidia-smi on PATH", serves,
                          "install the driver's utilities, or give the container the NVIDIA runtime")  # fmt: skip
         return MachineCheck(
-            "gpu", Status.ABSENT, "no NVIDIA device", serves, "a machine with one, if a policy needs it"
+            "gpu", Status.ABSENT, "no NVIDIA device", serves, "use a machine with one, if a policy needs it"
         )
     answer = run_program(tool, f"--query-gpu={_GPU_ASKED}", "--format=csv,noheader")
     cards = [line.strip() for line in answer.text.splitlines() if line.strip()] if answer.ok else []
@@ -125,7 +125,7 @@ def gpu() -> MachineCheck:
 
 
 def rendering(way: str) -> MachineCheck:
-    """Try one way to render without a window: `egl` or `osmesa`."""
+    """Test one way of offscreen rendering: `egl` or `osmesa`."""
     answer = run_program(sys.executable, "-I", "-S", str(Path(__file__).with_name("graphics.py")), way)
     serves = f"simulators that render with MUJOCO_GL={way}; envs/mujoco renders without"
     if answer.ok:

@@ -1,4 +1,4 @@
-"""All probes at once; each waits for others only, so that together they take as long as the slowest."""
+"""Run all probes at once; together they take as long as the slowest."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def examine() -> list[MachineCheck]:
 
 
 def _guarded(name: str, probe: Callable[[], MachineCheck]) -> MachineCheck:
-    """Return what a probe says; one that fails itself says nothing about the others."""
+    """Return the result of a probe, also if it raises."""
     try:
         return probe()
-    except Exception as error:  # noqa: BLE001 - a machine may be odd in ways that nobody thought of
-        return MachineCheck(name, Status.BROKEN, f"could not be tried: {type(error).__name__}: {error}", "unknown")
+    except Exception as error:  # noqa: BLE001 - machines differ in unforeseen ways
+        return MachineCheck(name, Status.BROKEN, f"could not be tested: {type(error).__name__}: {error}", "unknown")
