@@ -1,4 +1,4 @@
-"""Prepares a training: statistics and shapes of demonstrations, as LeRobot keeps them; `xpl prepare` runs it."""
+"""Prepares training: statistics and shapes of demonstrations, in LeRobot's format; `xpl prepare` runs it."""
 
 from pathlib import Path
 

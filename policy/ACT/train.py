@@ -1,4 +1,4 @@
-"""Trains with LeRobot's own loss; `xpl train` runs it in the policy's Python. Killed at any moment, it goes on."""
+"""Trains with LeRobot's own loss; `xpl train` runs it in the policy's Python, and resumes it after interruption."""
 
 from pathlib import Path
 

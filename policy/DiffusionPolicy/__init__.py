@@ -1,1 +1,1 @@
-"""Adapter of DiffusionPolicy. Imports nothing: a simulator that needs deploy.py must not load the model."""
+"""Adapter of DiffusionPolicy. It imports nothing, so that simulators can import deploy.py alone."""

@@ -1,4 +1,4 @@
-"""Diffusion Policy of LeRobot, from a checkpoint as training writes it; `model_io` of policy.yml is its interface."""
+"""Diffusion Policy of LeRobot, from a checkpoint of its training; `model_io` of policy.yml describes its interface."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .scene import scene
 
 
 class Model(Policy):
-    """Denoises a chunk of normalised actions, from noise of each environment's own."""
+    """Denoises a chunk of normalised actions, with separate noise for each environment."""
 
     def load(self, config: Mapping[str, Any]) -> None:
-        """Read the policy; LeRobot is imported nowhere else."""
+        """Load the policy; LeRobot is imported only here."""
         import torch
         from lerobot.configs.policies import PreTrainedConfig
         from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
@@ -45,10 +45,10 @@ class Model(Policy):
 
 
 class StateModel(Model):
-    """The variant `state`: reads the state of the scene besides what the block makes."""
+    """The variant `state`: also reads the state of the scene."""
 
     def encode(self, obs: Mapping[str, Any], env: int) -> dict[str, np.ndarray]:
-        """Add the state of the scene."""
+        """Add the state of the scene to the inputs."""
         return {**super().encode(obs, env), "observation.environment_state": scene(obs[spec.Obs.PRIVILEGED])}
 
     def predict(self, inputs: Any, envs: Sequence[int]) -> np.ndarray:

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Turns trajectories of the standard into the training data of DiffusionPolicy: runs process_data.py in the policy's Python.
+# Converts trajectories of the standard to the training data of DiffusionPolicy: runs process_data.py in the policy's Python.
 set -euo pipefail
 
 if (($# < 4)); then
   cat >&2 <<USAGE
 usage: ${0##*/} bench_name ckpt_name env_cfg_type action_type
-process_data.sh takes at least 4 arguments, got $#; further ones are handed on to xpl.
+process_data.sh takes at least 4 arguments, got $#; further ones are passed to xpl.
 USAGE
   exit 2
 fi
@@ -15,7 +15,7 @@ ckpt_name=$2
 env_cfg_type=$3
 action_type=$4
 
-# Text as a YAML string, whatever it holds.
+# Print text as a quoted YAML string.
 text() { printf "'%s'" "${1//\'/\'\'}"; }
 
 here=$(CDPATH='' cd -- "$(dirname -- "${BASH_SOURCE[0]}")" && pwd)

@@ -1,4 +1,4 @@
-"""The state of the scene as a vector: what only a simulator knows, for policies without cameras."""
+"""The state of the scene as a vector, from a simulator's ground truth, for policies without cameras."""
 
 from __future__ import annotations
 

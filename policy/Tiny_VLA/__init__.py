@@ -1,1 +1,1 @@
-"""Adapter of Tiny_VLA. Imports nothing: a simulator that needs deploy.py must not load the model."""
+"""Adapter of Tiny_VLA. It imports nothing, so that simulators can import deploy.py alone."""

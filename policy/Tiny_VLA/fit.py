@@ -1,4 +1,4 @@
-"""What a training run of Tiny_VLA holds: network, its running average, optimizer; saved whole, and gone on from."""
+"""State of a training run of Tiny_VLA: network, moving average of its weights, optimizer; saved and resumed."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from safetensors.torch import save_file
 from torch.nn.functional import l1_loss
 
 DECAY, AVERAGE = 0.02, 0.999
-GRASP = 0.5  # weight of saying where the gripper will close
-SERVED, KEPT = "model.safetensors", "training.safetensors"
+GRASP = 0.5  # loss weight of predicting the joints at which the gripper closes
+SERVED, TRAINING_STATE = "model.safetensors", "training.safetensors"
 
 
 class Fit:
-    """A network that is being fitted, and the average of its weights, which is what is served.
+    """A network in training, and the moving average of its weights, which is served.
 
     Args:
         sizes: of the network.
@@ -35,7 +35,7 @@ class Fit:
         self.step, self.seconds = 0, 0.0
 
     def learn(self, batch: dict[str, torch.Tensor], rate: float) -> tuple[torch.Tensor, torch.Tensor]:
-        """Take a step towards the targets of a batch; return its errors: of commands, of where the gripper closes."""
+        """Take an optimizer step on a batch; return its losses: of actions, and of the joints at gripper closing."""
         inputs = {name: values for name, values in batch.items() if name not in ("targets", "grasp")}
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
             chunks, closing = self.network(**inputs)
@@ -54,30 +54,30 @@ class Fit:
         return commands.detach(), grasp.detach()
 
     def save(self, folder: Path) -> None:
-        """Write what is served, and what a run that was cut goes on from; each file appears whole."""
+        """Write the served weights and the state for resuming, each file atomically."""
         write(self.average, self.sizes, folder / SERVED)
         tensors = {f"now/{name}": values for name, values in self.network.state_dict().items()}
         tensors |= {f"average/{name}": values for name, values in self.average.items()}
-        for place, state in self.optimizer.state_dict()["state"].items():
-            tensors |= {f"optimizer/{place}/{name}": values for name, values in state.items()}
-        told = {"step": str(self.step), "seconds": str(self.seconds)}
-        part = folder / f"{KEPT}.part"
-        save_file({name: values.contiguous().cpu() for name, values in tensors.items()}, part, told)
-        part.replace(folder / KEPT)
+        for index, state in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer/{index}/{name}": values for name, values in state.items()}
+        metadata = {"step": str(self.step), "seconds": str(self.seconds)}
+        part = folder / f"{TRAINING_STATE}.part"
+        save_file({name: values.contiguous().cpu() for name, values in tensors.items()}, part, metadata)
+        part.replace(folder / TRAINING_STATE)
 
     def resume(self, folder: Path) -> None:
-        """Go on from what was saved, if anything was."""
-        if not (folder / KEPT).is_file():
+        """Resume from the saved state, if there is one."""
+        if not (folder / TRAINING_STATE).is_file():
             return
-        with safe_open(folder / KEPT, "pt", device=str(self.device)) as file:
-            found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no map
-            told = file.metadata()
-        self.network.load_state_dict({name: found[f"now/{name}"] for name in self.average})
-        self.average = {name: found[f"average/{name}"] for name in self.average}
+        with safe_open(folder / TRAINING_STATE, "pt", device=str(self.device)) as file:
+            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no map
+            metadata = file.metadata()
+        self.network.load_state_dict({name: state[f"now/{name}"] for name in self.average})
+        self.average = {name: state[f"average/{name}"] for name in self.average}
         states: dict[int, dict[str, torch.Tensor]] = {}
-        for name, values in found.items():
+        for name, values in state.items():
             if name.startswith("optimizer/"):
-                _, place, key = name.split("/")
-                states.setdefault(int(place), {})[key] = values.cpu() if key == "step" else values
+                _, index, key = name.split("/")
+                states.setdefault(int(index), {})[key] = values.cpu() if key == "step" else values
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": states})
-        self.step, self.seconds = int(told["step"]), float(told["seconds"])
+        self.step, self.seconds = int(metadata["step"]), float(metadata["seconds"])

@@ -1,4 +1,4 @@
-"""Model of Tiny_VLA. network.py says what it is, train.py fits it, and this file runs it."""
+"""Model of Tiny_VLA: network.py defines it, train.py trains it, and this file runs it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from xpl.checkpoint import resolve
 
 
 class Model(Policy):
-    """Asks the network, all environments in one forward pass."""
+    """Runs the network, all environments in one forward pass."""
 
     def load(self, config: Mapping[str, Any]) -> None:
-        """Build the network from the checkpoint that deploy.yml names; PyTorch is imported nowhere else."""
+        """Load the network from the checkpoint of deploy.yml; PyTorch is imported only here."""
         import torch
 
         from .network import pieces, read
@@ -25,7 +25,7 @@ class Model(Policy):
         self.network = read(resolve(config, self.policy_dir)).to(self.device).eval()
 
     def predict(self, inputs: Mapping[str, Any], envs: list[int]) -> np.ndarray:
-        """Return a chunk of normalised commands for each environment, (B, H, D)."""
+        """Return a chunk of normalised actions for each environment, (B, H, D)."""
         arrays = {**inputs, "instruction": self.pieces(inputs["instruction"])}
         with self.torch.inference_mode():
             batch = {name: self.torch.from_numpy(values).to(self.device) for name, values in arrays.items()}

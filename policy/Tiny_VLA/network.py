@@ -1,4 +1,4 @@
-"""Network of Tiny_VLA: two cameras, a state and a sentence in, a chunk of commands out.
+"""Network of Tiny_VLA: two cameras, a state and an instruction in, an action chunk out.
 
 Each camera goes through a small convolutional stem whose blocks are scaled and shifted by the sentence (FiLM, as in
 RT-1), so that what it names stands out before anything is averaged. Patches, words and the state are tokens of a
@@ -50,7 +50,7 @@ def read(path: Path) -> Network:
 
 
 def write(weights: dict[str, torch.Tensor], sizes: dict[str, int], path: Path) -> None:
-    """Write weights, halved in precision, as `read` reads them; the file appears whole."""
+    """Write weights in half precision, in the format of `read`, atomically."""
     halves = {name: values.detach().half().cpu().contiguous() for name, values in weights.items()}
     save_file(halves, f"{path}.part", {"sizes": json.dumps(sizes)})
     Path(f"{path}.part").replace(path)
@@ -89,7 +89,7 @@ class Network(nn.Module):
     def forward(
         self, head: torch.Tensor, wrist: torch.Tensor, state: torch.Tensor, instruction: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return commands (B, chunk, D) and the one with which the gripper closes (B, D), normalised.
+        """Return actions (B, chunk, D) and the command at which the gripper closes (B, D), normalised.
 
         Args:
             head: (B, 96, 96, 3), bytes or numbers from 0 to 255.
@@ -115,7 +115,7 @@ class Network(nn.Module):
             asked = layer(asked, tokens, mask)
         answers = self.last(asked)
         commands = state[:, None] * self.carry + self.command(answers[:, :-1])
-        if not self.training:  # no gripper is more than open
+        if not self.training:  # grippers cannot open further
             commands[..., -1] = commands[..., -1].clamp(-1, 1)
         return commands, self.grasp(answers[:, -1])
 
@@ -142,7 +142,7 @@ class Stem(nn.Module):
 
 
 class Block(nn.Module):
-    """Two convolutions beside a shortcut."""
+    """A residual block of two convolutions."""
 
     def __init__(self, wide: int, width: int, stride: int) -> None:
         super().__init__()
@@ -189,7 +189,7 @@ class Attention(nn.Module):
         self.query, self.pair, self.out = nn.Linear(width, width), nn.Linear(width, 2 * width), nn.Linear(width, width)
 
     def forward(self, tokens: torch.Tensor, others: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
-        """Return what tokens (B, T, W) gather from others (B, S, W)."""
+        """Return the attention of tokens (B, T, W) over others (B, S, W)."""
         parts = [self.query(tokens), *self.pair(others).chunk(2, -1)]
         query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in parts)
         gathered = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)

@@ -1,4 +1,4 @@
-"""Makes training windows of recorded episodes, with the conversions that the policy is served with.
+"""Makes training windows of recorded episodes, with the conversions of serving.
 
 `xpl prepare policy/Tiny_VLA --set 'demonstrations=[FOLDER, ...]'` runs it. Folders are prepared side by side.
 """
@@ -17,11 +17,11 @@ from xpl import training
 from xpl.trajectory import open_folder
 
 CHUNK = 16
-"""Steps of an answer that the network learns; model_io.action.steps says how many are executed."""
+"""Action horizon of the network; model_io.action.steps is how many actions are executed."""
 
 
 def prepare(config: dict[str, Any], folder: str, target: Path) -> str:
-    """Write the windows of a folder's episodes to a file, and return what there is to say of it."""
+    """Write the windows of a folder's episodes to a file, and return a summary."""
     windows = training.windows(".", config, open_folder(folder), horizon=CHUNK)
     head, wrist, state, said = (np.asarray(windows.inputs[name]) for name in ("head", "wrist", "state", "instruction"))
     part = target.with_suffix(".part")
@@ -34,7 +34,7 @@ def prepare(config: dict[str, Any], folder: str, target: Path) -> str:
 
 
 def run_of(config: dict[str, Any]) -> str:
-    """Return the name under which data and checkpoints of a run lie."""
+    """Return the name of a run's data and checkpoints."""
     name = str(config["run_name"] or config["ckpt_name"])
     if "/" in name:
         raise SystemExit(f"{name} is a checkpoint that is there already: name your run, with --set ckpt_name=NAME")

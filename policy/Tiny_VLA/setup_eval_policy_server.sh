@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Serves Tiny_VLA until it is stopped. Without a host, deploy.yml says where it listens.
+# Serves Tiny_VLA until it is stopped. Without a host, it listens at the host of deploy.yml.
 set -euo pipefail
 
 if (($# < 9)); then
   cat >&2 <<USAGE
 usage: ${0##*/} bench_name task_name ckpt_name env_cfg_type action_type seed policy_gpu_id policy_env port [host]
-setup_eval_policy_server.sh takes at least 9 arguments, got $#; further ones are handed on to xpl.
+setup_eval_policy_server.sh takes at least 9 arguments, got $#; further ones are passed to xpl.
 USAGE
   exit 2
 fi
@@ -21,7 +21,7 @@ policy_env=$8
 port=$9
 host=${10:-}
 
-# Text as a YAML string, whatever it holds.
+# Print text as a quoted YAML string.
 text() { printf "'%s'" "${1//\'/\'\'}"; }
 
 here=$(CDPATH='' cd -- "$(dirname -- "${BASH_SOURCE[0]}")" && pwd)

@@ -1,4 +1,4 @@
-"""Fits the network of Tiny_VLA to what process_data.py prepared; `xpl train` runs it in the policy's Python.
+"""Trains the network of Tiny_VLA on the data of process_data.py; `xpl train` runs it in the policy's Python.
 
 A run that was cut goes on with the same command. What is drawn depends on seed and step alone, so that a run in parts
 is the run in one, where `minutes` does not end it.
@@ -21,12 +21,12 @@ from process_data import run_of
 
 PEAK, WARM_UP = 6e-4, 300
 STATE, GAIN, TINT, OFFSET, WORDS = 0.02, 0.15, 0.05, 12.0, 0.04
-"""How much is varied: the state (normalised), light, its color, what is added to it, and words that say nothing."""
-TOLD, SAVED = 100, 60.0  # steps, seconds
+"""Augmentation strength: state (normalised), brightness, colour, offset, and filler words."""
+LOG_STEPS, SAVE_S = 100, 60.0  # steps, seconds
 
 
 def demonstrations(folder: Path, device: torch.device) -> dict[str, torch.Tensor]:
-    """Return what was prepared, step by step, with the command at which the gripper closes in each episode."""
+    """Return the prepared steps, with the command at which the gripper closes in each episode."""
     parts: dict[str, list[np.ndarray]] = {}
     sentences: dict[str, int] = {}
     for file in sorted(folder.glob("*.npz")):
@@ -50,7 +50,7 @@ def _closing(commands: np.ndarray) -> np.ndarray:
 
 
 def batch(data: dict[str, torch.Tensor], size: int, draw: torch.Generator) -> dict[str, torch.Tensor]:
-    """Return a batch: in other light, with a state that is a little off, and a word now and then that says nothing."""
+    """Return an augmented batch: varied light, noisy state, and occasional filler words."""
 
     def drawn(*shape: int) -> torch.Tensor:
         return 2 * torch.rand(shape, generator=draw, device=draw.device) - 1
@@ -68,7 +68,7 @@ def batch(data: dict[str, torch.Tensor], size: int, draw: torch.Generator) -> di
 
 
 def main() -> None:
-    """Fit the network, and save it where deploy.yml will find it."""
+    """Train the network, and save it under the name of the run or `ckpt_name`."""
     config: dict[str, Any] = json.loads(os.environ["XPL_CONFIG"])
     run, seed, steps = run_of(config), int(config["seed"]), int(config["steps"])
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -91,13 +91,13 @@ def main() -> None:
         drawn = batch(data, int(config["batch"]), draw.manual_seed(seed * 1_000_003 + fit.step))
         commands, grasp = fit.learn(drawn, rate)
         fit.seconds = time.monotonic() - begun
-        if fit.step % TOLD == 1 or fit.step == steps:
+        if fit.step % LOG_STEPS == 1 or fit.step == steps:
             told = {"step": fit.step, "commands": commands.item(), "grasp": grasp.item(), "rate": rate}
             line = json.dumps({**told, "seconds": round(fit.seconds, 1)})
             print(line, flush=True)
             with (folder / "log.jsonl").open("a", encoding="utf-8") as log:
                 log.write(f"{line}\n")
-        if fit.seconds - saved > SAVED:
+        if fit.seconds - saved > SAVE_S:
             fit.save(folder)
             saved = fit.seconds
     fit.save(folder)

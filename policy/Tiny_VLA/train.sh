@@ -5,7 +5,7 @@ set -euo pipefail
 if (($# < 6)); then
   cat >&2 <<USAGE
 usage: ${0##*/} bench_name ckpt_name env_cfg_type action_type seed gpu_id
-train.sh takes at least 6 arguments, got $#; further ones are handed on to xpl.
+train.sh takes at least 6 arguments, got $#; further ones are passed to xpl.
 USAGE
   exit 2
 fi
@@ -17,7 +17,7 @@ action_type=$4
 seed=$5
 gpu_id=$6
 
-# Text as a YAML string, whatever it holds.
+# Print text as a quoted YAML string.
 text() { printf "'%s'" "${1//\'/\'\'}"; }
 
 here=$(CDPATH='' cd -- "$(dirname -- "${BASH_SOURCE[0]}")" && pwd)

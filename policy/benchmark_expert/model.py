@@ -1,4 +1,4 @@
-"""Expert of a benchmark: its environment computes what the benchmark's own expert does, and tells who may know."""
+"""Expert of a benchmark: the environment runs the benchmark's own expert, and puts its action into `privileged`."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from xpl.action import pack
 from xpl.observation import ObservationError
 
 EXPERT = "expert"
-"""Key of the privileged observation that holds the expert's action step."""
+"""Key of the expert's action in the privileged observation."""
 
 
 class Model(Policy):
-    """Executes the expert's action step of each observation."""
+    """Executes the expert's action of each observation."""
 
     def load(self, config: Mapping[str, Any]) -> None:
-        """Nothing is learned."""
+        """Load nothing: the policy has no weights."""
 
     def encode(self, obs: Mapping[str, Any], env: int) -> np.ndarray:
-        """Return the expert's action step, flat (D,)."""
+        """Return the expert's action, flat (D,)."""
         truth = obs.get(spec.Obs.PRIVILEGED)
         step = truth.get(EXPERT) if isinstance(truth, Mapping) else None
         if not isinstance(step, Mapping):
@@ -34,5 +34,5 @@ class Model(Policy):
         return pack(step, self.embodiment, self.action_type)
 
     def predict(self, inputs: list[np.ndarray], envs: list[int]) -> np.ndarray:
-        """Return chunks of one step, (B, 1, D)."""
+        """Return chunks of one action, (B, 1, D)."""
         return np.stack(inputs)[:, None]

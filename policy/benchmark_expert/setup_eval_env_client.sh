@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # Runs the environment against a server of benchmark_expert that was started elsewhere.
-# EVAL_ENV_TYPE (debug, sim, real) picks the environment; sim if unset.
+# EVAL_ENV_TYPE (debug, sim, real) selects the environment; sim if unset.
 set -euo pipefail
 
 if (($# < 10)); then
   cat >&2 <<USAGE
 usage: ${0##*/} bench_name task_name ckpt_name env_cfg_type action_type seed env_gpu_id eval_env additional_info port [server_ip]
-setup_eval_env_client.sh takes at least 10 arguments, got $#; further ones are handed on to xpl.
+setup_eval_env_client.sh takes at least 10 arguments, got $#; further ones are passed to xpl.
 USAGE
   exit 2
 fi
@@ -23,7 +23,7 @@ additional_info=$9
 port=${10}
 server_ip=${11:-}
 
-# Text as a YAML string, whatever it holds.
+# Print text as a quoted YAML string.
 text() { printf "'%s'" "${1//\'/\'\'}"; }
 
 here=$(CDPATH='' cd -- "$(dirname -- "${BASH_SOURCE[0]}")" && pwd)

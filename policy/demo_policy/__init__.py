@@ -1,1 +1,1 @@
-"""Adapter of demo_policy. Imports nothing: a simulator that needs deploy.py must not load the model."""
+"""Adapter of demo_policy. It imports nothing, so that simulators can import deploy.py alone."""

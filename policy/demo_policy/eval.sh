@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Evaluates demo_policy: starts its server, waits until it is ready, runs the environment against it.
-# EVAL_ENV_TYPE (debug, sim, real) picks the environment; sim if unset.
+# Evaluates demo_policy: starts its server, waits until it is ready, and runs the environment with it.
+# EVAL_ENV_TYPE (debug, sim, real) selects the environment; sim if unset.
 set -euo pipefail
 
 if (($# < 10)); then
   cat >&2 <<USAGE
 usage: ${0##*/} bench_name task_name ckpt_name env_cfg_type action_type seed policy_gpu_id env_gpu_id policy_env eval_env
-eval.sh takes at least 10 arguments, got $#; further ones are handed on to xpl.
+eval.sh takes at least 10 arguments, got $#; further ones are passed to xpl.
 USAGE
   exit 2
 fi
@@ -22,7 +22,7 @@ env_gpu_id=$8
 policy_env=$9
 eval_env=${10}
 
-# Text as a YAML string, whatever it holds.
+# Print text as a quoted YAML string.
 text() { printf "'%s'" "${1//\'/\'\'}"; }
 
 here=$(CDPATH='' cd -- "$(dirname -- "${BASH_SOURCE[0]}")" && pwd)

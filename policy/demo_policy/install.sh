@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes the Python environment that policy.yml declares; with `manager: none` there is nothing to make.
+# Creates the Python environment that policy.yml declares; does nothing with `manager: none`.
 set -euo pipefail
 
 here=$(CDPATH='' cd -- "$(dirname -- "${BASH_SOURCE[0]}")" && pwd)

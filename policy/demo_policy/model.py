@@ -12,7 +12,7 @@ from xpl.observation import pack_state
 
 
 class Model(Policy):
-    """Answers an observation with a chunk that repeats its state, for any robot and either action type."""
+    """Returns an action chunk that repeats the observed state, for any robot and action type."""
 
     def encode(self, obs: Mapping[str, Any], env: int) -> np.ndarray:
         """Return proprioception as a flat action, (D,) float32."""

@@ -1,4 +1,4 @@
-"""The robot cell as a program sees it: hands that are moved through the world, and the truth about objects.
+"""The robot cell for programs: hands that move through the world, and the ground truth of objects.
 
 A program is a generator: it sets targets, and every ``yield`` is one control step. Before it goes on, the cell shows
 the newest observation, so that a program can look again.
@@ -28,7 +28,7 @@ UPRIGHT = np.zeros(spec.POSITION_DIM)
 _TRAVEL, _TURN = 0.013, 0.055  # m and rad of one control step, on average over a motion
 _SHORTEST = 4  # control steps
 _ARRIVED, _ARRIVED_TURN, _PATIENCE = 0.003, 0.03, 12  # m, rad, and control steps waited for it at most
-_COARSE = 6.0  # control steps between the points at which a motion is foreseen
+_COARSE = 6.0  # control steps between the points at which a motion is predicted
 
 
 class Hand:
@@ -147,7 +147,7 @@ class Hand:
 
 
 class Cell:
-    """All hands, and what is known about the world.
+    """All hands, and the state of the world.
 
     Args:
         hands: in packing order.
@@ -159,7 +159,7 @@ class Cell:
         self.truth = truth
 
     def see(self, truth: Mapping[str, Any], joints: np.ndarray) -> None:
-        """Take in an observation: its `privileged` map and the joints (D,) of all arms, grippers included."""
+        """Update from an observation: its `privileged` map and the joints (D,) of all arms, with grippers."""
         self.truth, at = truth, 0
         for hand in self.hands:
             hand.measured = joints[at : at + hand.chain.dof]
@@ -176,7 +176,7 @@ class Cell:
         return min(self.hands, key=lambda hand: float(np.sum((hand.base[:2] - target) ** 2)))
 
     def object_position(self, name: str) -> np.ndarray:
-        """Return where an object's centre is now, (3,)."""
+        """Return the current position of an object's centre, (3,)."""
         return np.array(self.truth["objects"][name]["pose"], dtype=np.float64)[: spec.POSITION_DIM]
 
     def object_yaw(self, name: str) -> float:
@@ -200,7 +200,7 @@ class Cell:
         return transform(np.array(entry["pose"], dtype=np.float64), np.array(entry[points], dtype=np.float64))
 
     def goal_position(self, name: str) -> np.ndarray:
-        """Return where a goal is, (3,)."""
+        """Return the position of a goal, (3,)."""
         return np.array(self.truth["goals"][name]["position"], dtype=np.float64)
 
     def goal_yaw(self, name: str) -> float:

@@ -17,14 +17,14 @@ from .cell import Cell, Hand, Program
 
 
 class Model(Policy):
-    """Runs, per environment, the program of the task that the observation names."""
+    """Runs the program of the observed task, one per environment."""
 
     def load(self, config: Mapping[str, Any]) -> None:
-        """Start without any program; they begin with the first observation of an episode."""
+        """Start without programs; they begin with the first observation of an episode."""
         self._running: dict[int, tuple[Cell, Program]] = {}
 
     def encode(self, obs: Mapping[str, Any], env: int) -> tuple[Mapping[str, Any], np.ndarray]:
-        """Return the truth about the scene and the joints (D,)."""
+        """Return the ground truth of the scene and the joints (D,)."""
         truth = obs.get(spec.Obs.PRIVILEGED)
         if not isinstance(truth, Mapping):
             raise ObservationError(
@@ -34,7 +34,7 @@ class Model(Policy):
         return truth, pack_state(obs, self.embodiment, spec.ACTION_TYPES[0])
 
     def predict(self, inputs: list[Any], envs: list[int]) -> np.ndarray:
-        """Advance each environment's program by one step; return (B, 1, D)."""
+        """Advance each environment's program by one step; return action chunks (B, 1, D)."""
         return np.stack([row[None] for row in map(self._advance, envs, inputs)])
 
     def reset_env(self, env: int) -> None:
@@ -71,5 +71,5 @@ class Model(Policy):
 
 
 def programs() -> list[str]:
-    """Return the names of the tasks that there is a program for."""
+    """Return the names of the tasks that have a program."""
     return sorted(file.stem for file in Path(__file__).with_name("programs").glob("*.py"))

@@ -1,4 +1,4 @@
-"""Moves that many programs are made of: pick from above, carry, put down."""
+"""Common motions of the programs: pick from above, carry, put down."""
 
 from __future__ import annotations
 

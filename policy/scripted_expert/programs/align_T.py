@@ -1,4 +1,4 @@
-"""Grasp the stem, drag the T along the table, look again, let go."""
+"""Grasp the stem, drag the T along the table, observe it again, let go."""
 
 from __future__ import annotations
 

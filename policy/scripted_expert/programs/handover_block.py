@@ -34,7 +34,7 @@ def program(cell: Cell) -> Program:
     yield from left.move(left.pointing_down(bring, across + left_turn))
     yield from pause(4)
 
-    # Look again: the block may have turned or slipped a little on the way.
+    # Observe it again: the block may have turned or slipped a little on the way.
     block, yaw = cell.object_position(_BLOCK), cell.object_yaw(_BLOCK)
     end = block + _FROM_CENTER * _along(yaw)
     yield from right.move(right.pointing_down(end + up, yaw + across + right_turn))

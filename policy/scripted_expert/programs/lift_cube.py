@@ -14,7 +14,7 @@ _ATTEMPTS = 3
 
 
 def program(cell: Cell) -> Program:
-    """Lift, and look again whether the cube came along."""
+    """Lift, and check that the cube was lifted."""
     cube = cell.object_position(_CUBE)
     hand = min(cell.hands, key=lambda candidate: float(np.sum((candidate.base[:2] - cube[:2]) ** 2)))
     up = np.array([0.0, 0.0, _ABOVE])

@@ -1,4 +1,4 @@
-"""Grasp the peg above its middle, turn it square to the hole, look again, lower it."""
+"""Grasp the peg above its middle, turn it square to the hole, observe it again, lower it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lift the block that is asked for with the nearest hand."""
+"""Lift the instructed block with the nearest hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Push with two fingers side by side, looking where the block is at every step."""
+"""Push with two fingers side by side, with the block's position observed at every step."""
 
 from __future__ import annotations
 
