@@ -1,8 +1,8 @@
-"""How long three views of 480 x 640 take on their way to a model of 224 x 224, by `xpl.convert` and by others.
+"""Conversion time of three 480 x 640 images to a model's 224 x 224, by `xpl.convert` and by others.
 
-Each row is a filter; beside it the same filter of OpenCV and of Pillow, which are what adapters call by hand. Calls run
+Each row is a filter; beside it the same filter of OpenCV and of Pillow, which adapters call by hand. Calls run
 in turn (A B C A B C ...) in one process and one thread, so that a machine that changes its speed changes all of them
-alike. The results are compared, too: a fast filter that is another filter is no comparison.
+alike. The results are compared, too: another filter that is fast is no comparison.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""How fast the MuJoCo environment is, beside raw `mj_step`, gym-aloha, gymnasium-robotics and robosuite.
+"""Speed of the MuJoCo environment, beside raw `mj_step`, gym-aloha, gymnasium-robotics and robosuite.
 
-Physics: the expert's episode of every task, played again by the environment (reading the action, limits, physics,
+Physics: the expert's episode of every task, replayed by the environment (reading the action, limits, physics,
 digest, judging the task) and by as many physics steps of `mj_step` alone from the same state with the same controls,
-in processor time. What is compared is measured in turn, and the median round counts. The environments' control steps
+in processor time. Alternatives are measured in turn, and the median round counts. The environments' control steps
 hold the pose. Episodes are of 10 simulated seconds, reset included, so that tasks of different length compare; `x real
 time` is simulated by processor time. Peers run on their nearest task in environments of their own, made on first use
 from `environments_bench/locks`; one that cannot be made or run here is `not_run`, with the reason.

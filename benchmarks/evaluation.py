@@ -1,12 +1,12 @@
-"""How many episodes an hour a recorded run plays, by its number of workers, and what recording costs.
+"""Episodes per hour of a recorded run, by its number of workers, and the cost of recording.
 
     ./dev bench evaluation      targets: 1.6 times the episodes with 2 workers on 2 cores; recording costs below 3 %
 
-Episodes are those of the scripted expert without pictures: short ones, so that what is done once for each episode
-weighs as much as it ever does. Servers and environments are started beforehand; then what is compared plays the same
-episodes in turn, and the median of the rounds' ratios counts. Recording is a line with fsync, and curves, against
-nothing; films are left out, because they are asked for by number. Processor time is that of all processes of the run.
-No wall time means anything on a busy machine: the load at the beginning is printed.
+Episodes are those of the scripted expert without images: short ones, so that the work per episode has its largest
+weight. Servers and environments are started beforehand; then the alternatives run the same episodes in turn, and the
+median of the rounds' ratios counts. Recording is a line with fsync, and curves, against nothing; videos are left out,
+because users choose their number. Processor time is that of all processes of the run. Wall times mean nothing on a busy
+machine: the load at the beginning is printed.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ def main() -> None:
 
 
 class _Suite:
-    """A plan, and backends with one lane and two that are ready to play it.
+    """A plan, and backends with one worker and with two that are ready to run it.
 
     Args:
         episodes: of the plan.
-        folder: where runs are recorded.
+        folder: of the records.
     """
 
     def __init__(self, episodes: int, folder: Path) -> None:
@@ -85,8 +85,8 @@ class _Suite:
         for backend in self._backends.values():
             backend.close()
 
-    def play(self, workers: int = 1) -> _Took:
-        """Play without a record."""
+    def play(self, workers: int = 1) -> _Timing:
+        """Run without a record."""
         slots = self.plan.slots()
         jobs = [RolloutJob(slot.index, 1, slot.task, slot.setting, slot.seed, trace=False) for slot in slots]
         began = _now()
@@ -95,8 +95,8 @@ class _Suite:
         assert all(line.success for line in lines)
         return took
 
-    def record(self, workers: int = 1) -> _Took:
-        """Play a recorded run."""
+    def record(self, workers: int = 1) -> _Timing:
+        """Run with a record."""
         self._runs += 1
         began = _now()
         with records.RecordWriter(self._folder / str(self._runs), self.plan) as writer:
@@ -133,26 +133,26 @@ def recording(suite: _Suite, rounds: int) -> dict[str, Any]:
 
 
 class _Silent:
-    """A view that shows nothing."""
+    """A progress view without output."""
 
     def add(self, line: dict[str, Any], left: int) -> None:
         """Show nothing."""
 
 
-class _Took(NamedTuple):
+class _Timing(NamedTuple):
     """Time of this process and its descendants, s."""
 
     wall: float
     processor: float
 
 
-def _now() -> _Took:
-    return _Took(time.perf_counter(), _processor_s(os.getpid()))
+def _now() -> _Timing:
+    return _Timing(time.perf_counter(), _processor_s(os.getpid()))
 
 
-def _since(began: _Took) -> _Took:
+def _since(began: _Timing) -> _Timing:
     now = _now()
-    return _Took(now.wall - began.wall, now.processor - began.processor)
+    return _Timing(now.wall - began.wall, now.processor - began.processor)
 
 
 def _processor_s(root: int) -> float:

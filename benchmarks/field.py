@@ -1,16 +1,16 @@
-"""What the tool makes of adapters of the field, unmodified, with the libraries and weights that are here.
+"""Audit public adapters, unmodified, with the libraries and weights that are here.
 
     python benchmarks/field.py CHECKOUT [ADAPTER...] [--copied] [--defects FILE] [--json FILE]
 
 CHECKOUT is a clone of the ecosystem's repository. Each adapter is audited in the static and in the offline gate, by the
-commands that anybody would run, and this is written down of it:
+usual commands, and these figures are recorded:
 
-- loaded: `Model(config)` returned; served: it answered a plain observation with something;
-- judged: the offline gate came to a verdict from rules that ran, which are told as passed, failed and warned, and how
-  many could not be run; wall and processor seconds of the offline gate. What counts is the processor time, which
-  other work on the machine changes least;
+- loaded: `Model(config)` returned; served: it answered a plain observation;
+- judged: the offline gate reached a verdict from rules that ran: numbers of passed, failed and warning rules, and of
+  rules that could not run; wall and processor seconds of the offline gate. Processor time counts, since other work on
+  the machine changes it least;
 - findings: of MUST (failures) and of SHOULD (warnings), each gate by itself;
-- found: verified defects, given in a file, that a finding of either gate is about; `verified.py` tells when.
+- found: verified defects, from a file, that a finding of either gate is about; `verified.py` defines when.
 
 `--copied` audits a copy of each adapter's folder alone, outside of the checkout.
 """

@@ -1,11 +1,11 @@
-"""How many environments a policy answers in a second, in batches of 1, 8 and 32: all of `update_obs` and `get_action`.
+"""Environments that a policy answers per second, in batches of 1, 8 and 32: `update_obs` and `get_action` together.
 
     ./dev bench inference                                       policy/Tiny_VLA
     ./dev bench inference --policy policy/Foo --set ckpt_name=x
 
-The policy runs in its own Python. Observations are noise of the sizes that policy.yml asks for. `predict` is timed by
-itself, too: what is left is conversion. Batches of all sizes take turns, so that a machine that changes its speed
-changes all of them alike.
+The policy runs in its own Python. Observations are noise of the sizes in policy.yml. `predict` is timed by itself, too:
+the rest is conversion. Batches of all sizes take turns, so that a machine that changes its speed changes all of them
+alike.
 """
 
 from __future__ import annotations

@@ -1,12 +1,11 @@
-"""Records, prepares, trains and judges a policy of docs/learned-policies.md with the settings that it was trained with.
+"""Record, prepare, train and judge a policy of docs/learned-policies.md with the settings of its training.
 
-    ./dev bench learned                                          what there is
+    ./dev bench learned                                          the recipes
     ./dev bench learned --policy ACT --task lift_cube            a GPU, and some minutes
     ./dev bench learned --policy ACT:state --task mw-push        two cores, the variant `state`
 
-Everything lies in results/learned/POLICY-TASK, the checkpoint in the package. Who is stopped goes on with the same
-command: recording and judging episode by episode, training where it was saved last. result.json is there when all is
-done.
+Everything lies in results/learned/POLICY-TASK, the checkpoint in the package. The same command continues an interrupted
+run: recording and judging episode by episode, training at its last save. result.json is written when all is done.
 """
 
 from __future__ import annotations
@@ -36,13 +35,13 @@ class Recipe:
     """How a policy of the table was trained, and is judged.
 
     Attributes:
-        environment, task, robot: where.
-        record: by setting, how many episodes the environment's expert records.
-        images: of the demonstrations; None: none, and what the simulator tells instead.
+        environment, task, robot: of the rollouts.
+        record: by setting, the number of episodes that the environment's expert records.
+        images: of the demonstrations; None: none, but privileged observations instead.
         train: keys of deploy.yml.
-        action_type: control, of the demonstrations and of the policy.
-        horizon: executed actions of a chunk when it is judged; None: all.
-        judged: settings that it is judged in; behind a colon what its instruction is exchanged for, of `--instruction`.
+        action_type: of the demonstrations and of the policy.
+        horizon: execution horizon when it is judged; None: the whole chunk.
+        judged: settings that it is judged in; behind a colon the value of `--instruction`.
     """
 
     environment: str
@@ -124,10 +123,10 @@ class Stage:
     """One command.
 
     Attributes:
-        name: under which it is told, and noted when it is done.
-        words: what comes after `xpl`.
+        name: of the stage, recorded when it is done.
+        words: arguments of `xpl`.
         good: exit codes that mean done.
-        begun: a file that is there once it was begun: then it is told to go on.
+        begun: a file that exists once it has begun: then it continues.
     """
 
     name: str
@@ -232,7 +231,7 @@ def _variables() -> dict[str, str]:
 
 
 def parse_arguments(arguments: list[str] | None = None) -> argparse.Namespace:
-    """Return what is asked for."""
+    """Return the parsed arguments."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policy", choices=sorted({policy for policy, _ in RECIPES}), help="POLICY or POLICY:VARIANT")
     parser.add_argument("--task", help="as in the list; mw- for those of Meta-World")

@@ -1,11 +1,11 @@
-"""How far evaluation loops are from the reference loop: edit distance of normalised syntax trees.
+"""Distance of evaluation loops from the reference loop: edit distance of normalised syntax trees.
 
 Compares `eval_one_episode` and `eval_one_episode_batch` of each deploy.py with those of the nearest reference: 0 is the
 same loop, 1 shares nothing, and a function that is missing has distance 1. Names, comments, docstrings, annotations and
-layout do not count, nor whether an operation is asked for by `call(func_name="reset")` or `reset()`, nor a name that
-only hands a value to the next statement. Order and nesting do, and functions of deploy.py that a loop calls are part of
-it. Files are parsed, never executed. The distance tells how much is written differently; whether that is a fault, the
-audit tells.
+layout do not count, nor whether an operation is called by `call(func_name="reset")` or `reset()`, nor a name that
+only passes a value to the next statement. Order and nesting do, and functions of deploy.py that a loop calls are part
+of it. Files are parsed, never executed. The distance measures how much is written differently; the audit decides
+whether that is a fault.
 
     python benchmarks/loop_distance.py policy/*/deploy.py
 """
@@ -23,10 +23,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 REFERENCES = (ROOT / "policy/demo_policy/deploy.py", *ROOT.glob("templates/loop/**/deploy.py"))
-"""The loop that `xpl new-policy` writes, and the contract's in plain words."""
+"""The loop that `xpl new-policy` writes, and the contract's."""
 LOOPS = ("eval_one_episode", "eval_one_episode_batch")
 ARGUMENTS = ("<environment>", "<client>")
-"""What a loop is given, in this order."""
+"""Arguments of a loop, in this order."""
 
 _SIMPLE = (ast.Expr, ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Return)
 _COMPREHENSIONS = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
@@ -101,12 +101,12 @@ class _Writer:
 
     Args:
         function: the function; it is not changed.
-        given: labels of its first arguments.
-        known: functions that are followed.
+        passed: labels of its first arguments.
+        functions: functions that are followed.
 
     Attributes:
-        function: a copy, without names that only hand a value to the next statement.
-        called: functions among `known` that it calls, with the labels of their arguments.
+        function: a copy, without names that only pass a value to the next statement.
+        called: functions among `functions` that it calls, with the labels of their arguments.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class _Writer:
         return ["{", *(part for one in statements for part in self._node(one)), "}"]
 
     def _name(self, target: ast.expr, origin: str) -> None:
-        """Label a local name by what it was first given."""
+        """Label a local name by its first value."""
         if isinstance(target, ast.Name):
             self._labels.setdefault(target.id, f"<{origin}>")
         elif isinstance(target, (ast.Tuple, ast.List)):
@@ -150,7 +150,7 @@ class _Writer:
         return type(value).__name__
 
     def _operation(self, call: ast.Call) -> tuple[str, list[tuple[str, ast.expr]]] | None:
-        """Return what a call asks of the policy, and the arguments by name; None if it is another call."""
+        """Return the operation of the policy that a call, and the arguments by name; None for another call."""
         function = call.func
         if not isinstance(function, ast.Attribute) or not isinstance(function.value, ast.Name):
             return None

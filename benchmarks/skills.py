@@ -1,11 +1,11 @@
-"""What the skills are worth: coding agents do the tasks of `.agents/skills/*/evals` with them, with docs, with neither.
+"""Value of the skills: coding agents do the tasks of `.agents/skills/*/evals` with skills, with docs, with neither.
 
-Any agent that can be called by a command line takes part: `--agent 'NAME=COMMAND {prompt}'`, again for each. It works
-in a fresh project, and what it did is judged by `xpl audit --json`, never by what it says of itself. Recorded are pass
-rates with intervals, time, tokens, the time to the first rollout that succeeded, and lines that were written by hand.
-What was not run stands in the result as not run, with the reason; without `--agent` that is everything.
+Any agent with a command line takes part: `--agent 'NAME=COMMAND {prompt}'`, once for each. It works in a fresh project,
+and `xpl audit --json` judges the result, never the agent's own report. Recorded are pass rates with intervals, time,
+tokens, the time to the first successful rollout, and lines that were written by hand. Runs that were not made are in
+the result as not run, with the reason; without `--agent` these are all.
 
-An agent acts with your rights and your login, and costs what it costs: name one only where that is meant.
+An agent acts with your rights and your login, and costs what it costs: name one only if you mean it.
 """
 
 from __future__ import annotations

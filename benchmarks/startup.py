@@ -1,4 +1,4 @@
-"""How long a person waits: start-up of the command line, beside others of the same environment.
+"""Start-up time of the command line, beside other commands of the same environment.
 
 Commands run in turn (A B C A B C ...), so that a machine that changes its speed changes all of them alike. Prints
 median, spread and the ratio to a bare interpreter.

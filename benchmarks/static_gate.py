@@ -1,13 +1,13 @@
-"""How long the static gate takes, beside `ruff check` on the same files.
+"""Duration of the static gate, beside `ruff check` on the same files.
 
 Without arguments it audits a fresh scaffold, and a tree of 40 adapters with 4,000 files, most of them vendored, that is
-the same in every run. Folders that are given, such as those of a checkout of public adapters, are audited one by one
+the same in every run. Folders in the arguments, such as those of a checkout of public adapters, are audited one by one
 and all at once instead. Commands run in turn (A B C A B C ...) on at most two cores, so that a machine that changes its
-speed changes all of them alike. Wall time is what a person waits; CPU time is what other load on the machine changes
+speed changes all of them alike. Wall time is what a user waits; CPU time is what other load on the machine changes
 least.
 
-`ruff check` is given the same folders; once more the files alone that the audit reads in them (the boundary); and those
-with all of its rules, whose number is more like the audit's.
+`ruff check` gets the same folders; once more the files alone that the audit reads in them (the boundary); and those
+with all of its rules, whose number is closer to the audit's.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from xpl_cli.scaffold.answers import AdapterAnswers
 BIN = Path(sys.executable).parent
 CORES, ADAPTERS, FILES = 2, 40, 4000
 ONE_MS, ALL_MS = 150.0, 4000.0
-"""What is promised: one adapter with what is kept of the last audit, and the tree with and without."""
+"""Targets: one adapter with the cache of the last audit, and the tree with and without."""
 
 XPL, UNCACHED = "xpl audit", "xpl audit --no-cache"
 RUFF, RUFF_BOUNDARY, RUFF_ALL = "ruff check", "ruff check, boundary", "ruff --select ALL, b."
@@ -60,7 +60,7 @@ class _Row:
 
     @classmethod
     def of(cls, subject: str, command: str, taken: Figures, base: float) -> _Row:
-        """Sum up what a command took, beside the median of another."""
+        """Summarise the durations of a command, beside the median of another."""
         median = statistics.median(taken.wall)
         low, high = min(taken.wall), max(taken.wall)
         return cls(subject, command, median, low, high, statistics.median(taken.cpu), median / base)

@@ -1,9 +1,9 @@
-"""Which verified defects of the field's adapters the static gate finds, by the rules that are about their class.
+"""Verified defects of public adapters that the static gate finds, by the rules for their class.
 
     python benchmarks/static_recall.py CHECKOUT DEFECTS [ADAPTER...] [--json FILE]
 
-CHECKOUT is a clone of the ecosystem's repository. DEFECTS is a JSON file with verified defects; `verified.py` tells its
-form, and when one counts as found. Nothing of the adapters is run.
+CHECKOUT is a clone of the ecosystem's repository. DEFECTS is a JSON file with verified defects; `verified.py` defines
+its form, and when one counts as found. Nothing of the adapters is run.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""How fast benchmarks of the field are here, beside their own bare loops.
+"""Speed of other benchmarks here, beside their own bare loops.
 
-The same commands are played by the environment package (reading the action, limits, conversion, observation, digest,
-judging) and by the benchmark's own `step`, by turns, in the benchmark's own Python; processor time of a control step,
-resets not counted, and of each step the median of all rounds counts. With cameras: two or three of 128 x 128 by both.
-`experts` plays episodes of Meta-World's scripted policies and of ManiSkill's planners through the server. What is not
+The same commands run through the environment package (reading the action, limits, conversion, observation, digest,
+judging) and through the benchmark's own `step`, by turns, in the benchmark's own Python; processor time of a control
+step, without resets, and of each step the median of all rounds counts. With cameras: two or three of 128 x 128 by both.
+`experts` runs episodes of Meta-World's scripted policies and of ManiSkill's planners through the server. What is not
 installed is `not_run`, with the reason.
 """
 
@@ -42,7 +42,7 @@ PLAYED = {
     **dict.fromkeys(TEN, ("metaworld",)),
     **dict.fromkeys(PLANNED, ("maniskill", "--setting", "planner", "--set", "action_type=joint")),
 }
-"""Tasks that experts play, with the environment and what else is asked for."""
+"""Tasks of the experts, with the environment and further options."""
 LIMIT_S = 1800.0
 
 

@@ -1,9 +1,9 @@
-"""Verified defects of the field's adapters, and which rules are about each class of them.
+"""Verified defects of public adapters, and the rules about each class of them.
 
 A list of defects is a JSON file with `defects`: adapter, file, line and defect_class of each. A defect counts as found
-by the static gate where a finding of a rule that is about its class lies in the same file, at most 40 lines away, or
-anywhere in it where the rule is about what is missing. Findings of the offline gate are about behaviour, which has no
-line: there it is enough that they are about the class.
+by the static gate if a finding of a rule for its class lies in the same file, at most 40 lines away, or anywhere in it
+if the rule is about something missing. Findings of the offline gate are about behaviour, which has no line: there the
+class is enough.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ ABOUT: dict[str, tuple[int, ...]] = {
 
 
 def is_about(finding: dict[str, Any], defect: dict[str, Any]) -> bool:
-    """Tell whether a finding, with its code, path, line and message, is about a verified defect."""
+    """Return whether a finding, with its code, path, line and message, is about a verified defect."""
     starts = [start for start in ABOUT if defect["defect_class"].startswith(start)]
     number = int(finding["code"][3:])
     if not starts or number not in ABOUT[max(starts, key=len)]:

@@ -21,20 +21,20 @@ SEED = 0
 
 
 def tasks() -> list[str]:
-    """Return the names of all tasks that two arms can play."""
+    """Return the names of all tasks that support two arms."""
     facts = load_module(content_folder("envs") / "mujoco" / "manifest.py").manifest().data
     return [name for name, entry in facts["tasks"].items() if 2 in entry["arms"]]
 
 
 def physics(task: str, action_type: str, rounds: int) -> dict[str, float]:
-    """Measure the expert's whole episode, played again.
+    """Measure the expert's whole episode in a replay.
 
     Returns:
         `act_ms`, a control step (action, limits, physics, digest, judge), and `raw_ms`, as many physics steps by
         `mj_step` alone, in the same states with the same controls.
 
     Raises:
-        RuntimeError: the world of the task does something that `mj_step` does not.
+        RuntimeError: the task does something that `mj_step` does not.
     """
     episode = _replay(task, action_type)
     times = alternate({"act": episode.play, "raw": episode.play_raw}, 1, rounds=rounds, before=episode.rewind)
@@ -42,7 +42,7 @@ def physics(task: str, action_type: str, rounds: int) -> dict[str, float]:
 
 
 def check(task: str, action_type: str) -> int:
-    """Play the expert's episode again by `mj_step` alone and return its control steps; raises as `physics` does."""
+    """Replay the expert's episode by `mj_step` alone and return its control steps; raises as `physics` does."""
     episode = _replay(task, action_type)
     episode.play_raw()
     return len(episode.actions)
@@ -81,7 +81,7 @@ def figures(task: str, action_type: str, rounds: int) -> dict[str, Any]:
 
 
 class _Replay:
-    """One episode, played again as often as it takes: by the environment, and by `mj_step` alone.
+    """One episode, replayed repeatedly: by the environment, and by `mj_step` alone.
 
     Args:
         env: of the episode, at its beginning.
@@ -107,7 +107,7 @@ class _Replay:
         mujoco.mj_copyData(self._raw, self._model, self._start)
 
     def play(self) -> None:
-        """Play the episode."""
+        """Run the episode."""
         for action in self.actions:
             self._env.take_action(action)
 

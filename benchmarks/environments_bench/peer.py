@@ -1,7 +1,7 @@
-"""One environment of others, on its task nearest to ours: run by its own interpreter, prints one JSON object.
+"""One environment of another project, on its task nearest to ours: run by its own interpreter, prints a JSON object.
 
-`step_ms` is a control step with the environment's own observation but no picture, `raw_ms` the same number of physics
-steps by `mj_step` alone in the same state, `picture_ms` the camera that its observations show.
+`step_ms` is a control step with the environment's own observation but no image, `raw_ms` the same number of physics
+steps by `mj_step` alone in the same state, `picture_ms` the camera of its observations.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Figures = dict[str, Any]
 
 
 def gym_aloha() -> Figures:
-    """Transfer a cube between two arms; observations show one camera."""
+    """Transfer a cube between two arms; observations have one camera."""
     import gym_aloha  # noqa: F401 - registers the environments
     import gymnasium
     import mujoco
@@ -44,7 +44,7 @@ def gym_aloha() -> Figures:
 
 
 def gymnasium_robotics() -> Figures:
-    """Pick and place with one arm; observations show no camera."""
+    """Pick and place with one arm; observations have no camera."""
     import gymnasium
     import gymnasium_robotics
     import mujoco

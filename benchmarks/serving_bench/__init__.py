@@ -1,1 +1,1 @@
-"""Parts of `benchmarks/serving.py`: `xpl serve` and `xpl.Client` beside other ways to ask a policy for actions."""
+"""Parts of `benchmarks/serving.py`: `xpl serve` and `xpl.Client` beside other ways to get actions of a policy."""

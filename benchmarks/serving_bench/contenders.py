@@ -1,4 +1,4 @@
-"""Who takes part, with which settings and in which environment."""
+"""The contenders with their settings and environments."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Contender:
-    """One way to ask a policy for actions.
+    """One way to get actions of a policy.
 
     Attributes:
         name: `FAMILY` at its default, `FAMILY/SETTING` otherwise.
-        module: which of `ends` it is.
-        setting: what that module is told.
+        module: its module in `ends`.
+        setting: of that module.
         lock: file of `locks` with its environment; None is the environment of this project.
         websocket: whether its server speaks WebSocket.
-        concurrent: setting to serve several clients at once with, which may depend on how many they are, or None where
-            it takes no part in that.
-        note: what the numbers are of.
+        concurrent: setting for several clients at once, which may depend on their number, or None if it takes no part
+            in that.
+        note: what the numbers measure.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Contender:
 TCP, WEBSOCKETS, XPL = "tcp", "websockets", "xpl"
 XPL_SAME, XPL_WEBSOCKET = "xpl/same", "xpl/websocket"
 PEERS = ("openpi-client", "policy-websocket", "vla-eval")
-"""Families that speak WebSocket and that ours is to beat."""
+"""Families that speak WebSocket and that ours must beat."""
 
 CONTENDERS = (
     Contender(TCP, "tcp", "default", "same bytes, no codec", websocket=False),

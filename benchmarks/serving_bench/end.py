@@ -5,8 +5,8 @@
     python -m benchmarks.serving_bench.end crowd MODULE SETTING ADDRESS
 
 All print a JSON line when they are ready, a server with its address. A client then answers each JSON line on standard
-input, a measurement to make, with a JSON line. A crowd is told how many clients to be, answers once all of them are
-connected, is told how long to ask, and answers with the times. All end when standard input does.
+input, a measurement, with a JSON line. A crowd reads its number of clients, answers once all of them are connected,
+reads the duration of the measurement, and answers with the times. All end when standard input does.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def serve(module: Any, setting: str, model: Model) -> None:
 
 
 async def measure(module: Any, setting: str, address: str) -> None:
-    """Connect and make the measurements that are asked for, until standard input ends."""
+    """Connect and make the requested measurements, until standard input ends."""
     connection = await module.connect(address, setting)
     asks: dict[str, Any] = {}
     _say({"connected": True})
@@ -60,7 +60,7 @@ async def measure(module: Any, setting: str, address: str) -> None:
 
 
 async def _times(ask: Any, requests: int, limit_s: float, warm_up: int) -> list[float]:
-    """Return how long each request took, ms; fewer than asked for if the time is up."""
+    """Return the duration of each request, ms; fewer than requested if the time is up."""
     for _ in range(warm_up):
         await ask()
     times: list[float] = []
@@ -72,7 +72,7 @@ async def _times(ask: Any, requests: int, limit_s: float, warm_up: int) -> list[
 
 
 def crowd(module: Any, setting: str, address: str) -> None:
-    """Connect several clients, a thread each, and let them all ask for a while; two orders on standard input."""
+    """Connect several clients, a thread each, and let them all send requests; two commands come from stdin."""
     commands = _read_commands()
     order = commands.get()
     payload = payloads.make(order["payload"])
@@ -114,7 +114,7 @@ def crowd(module: Any, setting: str, address: str) -> None:
 
 
 def _read_commands() -> queue.SimpleQueue[dict[str, Any]]:
-    """Return the queue of orders from standard input; once that ends, so does this process, whatever it waits for."""
+    """Return the queue of commands from standard input; once that ends, so does this process."""
     commands: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
 
     def read() -> None:

@@ -43,7 +43,7 @@ def run(
         running: contenders with the interpreters of their environments.
         payloads: names of payloads.
         turns: how much to measure.
-        failed: told which contender failed, and why; it takes no further part.
+        failed: called with a contender that failed, and the reason; it takes no further part.
 
     Returns:
         One row per payload and contender. Times in ms; `cpu_ms` is per request, of server and client together;

@@ -38,7 +38,7 @@ PHASES = ("latency", "throughput", "responsiveness")
 
 
 def main(description: str | None) -> None:
-    """Measure, print, and write the figures where asked."""
+    """Measure, print, and write the figures to a file on request."""
     options = _options(description)
     chosen = [one for one in CONTENDERS if not options.only or {one.name, one.family} & set(options.only)]
     size = QUICK if options.quick else FULL

@@ -1,4 +1,4 @@
-"""What is asked and what is answered: observations of the standard, and a fixed chunk of actions.
+"""Requests and answers: observations of the standard, and a fixed chunk of actions.
 
 Nothing here needs more than numpy: the ends import it in their own environments.
 """

@@ -1,4 +1,4 @@
-"""The processes of a contender: start them, give orders, count their processor time, end them for certain."""
+"""The processes of a contender: start them, send commands, count their processor time, end them for certain."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STOP_S = 15.0
 
 
 class EndError(RuntimeError):
-    """An end of a contender did not start, or failed; the text is what it said last."""
+    """An end of a contender did not start, or failed; the text is its last output."""
 
 
 class End:
@@ -74,7 +74,7 @@ class End:
         return sum(_cpu_s(pid) for pid in _family(self._process.pid))
 
     def shares_memory(self) -> bool:
-        """Tell whether it writes into memory that another process can read."""
+        """Return whether it writes into memory that another process can read."""
         maps = Path(f"/proc/{self._process.pid}/maps").read_text(errors="replace").splitlines()
         return any(line.split()[1] == "rw-s" for line in maps)  # address, permissions, ...
 

@@ -62,7 +62,7 @@ def _on_our_wire(address: str, inferences: int) -> tuple[list[float], list[float
         _ask(socket, spec.Message.RESET, {spec.Payload.TRIAL_ID: None})
 
         def infer() -> None:
-            """Ask for one inference, and for heartbeats until its answer comes; answers may overtake each other."""
+            """Send one inference request, and heartbeats until its answer comes; answers may overtake each other."""
             frame = _send(socket, spec.Message.INFER, {spec.Payload.OBSERVATION: observation})
             while True:
                 started = time.perf_counter()

@@ -11,7 +11,7 @@ TCP_RATIO = 1.5
 WEBSOCKETS_RATIO = 2.0
 PER_S = 265.0
 LOSS = 0.03
-"""What two runs of the same thing differ by on a quiet machine."""
+"""Difference of two runs of the same thing on a quiet machine."""
 RESPONSE_MS = 20.0
 
 

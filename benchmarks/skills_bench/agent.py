@@ -1,4 +1,4 @@
-"""A coding agent as a command line: started in a project, given a prompt, waited for, asked what it used."""
+"""A coding agent as a command line: start it in a project with a prompt, wait for it, read its usage."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PROMPT: Final = "{prompt}"
 
 
 class NotRunError(Exception):
-    """An agent that could not begin; the message says why."""
+    """An agent could not begin; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Agent:
     """An agent, as it was named on the command line.
 
     Attributes:
-        name: what results call it.
-        words: its command; `{prompt}` stands for the prompt, which is appended where no word has it.
+        name: in results.
+        words: its command; `{prompt}` stands for the prompt, which is appended if no word has it.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Agent:
             raise ValueError(f"an agent is NAME=COMMAND, got {text!r}")
         return cls(name, tuple(words if PROMPT in command else [*words, PROMPT]))
 
-    def ask(self, prompt: str, folder: Path, environment: Mapping[str, str], limit_s: float) -> Told:
+    def ask(self, prompt: str, folder: Path, environment: Mapping[str, str], limit_s: float) -> AgentOutput:
         """Run the agent until it ends, or end it and all that it started after `limit_s` seconds.
 
         Raises:
@@ -78,18 +78,18 @@ class Agent:
             except BaseException:
                 _end(process)
                 raise
-        return Told(output, process.returncode, started, time.time() - started, in_time)
+        return AgentOutput(output, process.returncode, started, time.time() - started, in_time)
 
 
 @dataclass(frozen=True)
-class Told:
-    """What came of one call.
+class AgentOutput:
+    """The result of one call.
 
     Attributes:
         output: all that it printed.
         code: its exit code.
         started: when, s since the epoch.
-        seconds: how long it took.
+        seconds: duration.
         in_time: False if it was ended.
     """
 

@@ -11,7 +11,7 @@ import yaml
 
 EVALS: Final = "evals"
 CHECKS: Final = ("audit", "rule", "unchanged", "names_findings", "answer", "answer_not")
-"""Kinds of checks; `graders` says what each looks at."""
+"""Kinds of checks; `graders` defines them."""
 
 
 class CaseError(ValueError):
@@ -20,11 +20,11 @@ class CaseError(ValueError):
 
 @dataclass(frozen=True)
 class Query:
-    """What somebody writes.
+    """A user's request.
 
     Attributes:
-        skill: whose case it is.
-        text: the words.
+        skill: that the case belongs to.
+        text: of the request.
         wanted: name of the skill that fits, None if none does.
     """
 
@@ -35,15 +35,15 @@ class Query:
 
 @dataclass(frozen=True)
 class Task:
-    """Something to do in a project.
+    """A task in a project.
 
     Attributes:
-        skill: whose case it is.
-        name: what it is called.
-        prompt: what the agent is told.
+        skill: that the case belongs to.
+        name: of the task.
+        prompt: for the agent.
         folder: holds `files/NAME`, which is copied into the project.
         setup: commands of `xpl` that make the project, before the files are copied.
-        checks: what has to hold afterwards; each maps one kind to what it is about.
+        checks: what must hold afterwards; each maps one kind to its parameters.
     """
 
     skill: str

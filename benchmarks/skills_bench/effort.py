@@ -1,4 +1,4 @@
-"""How much of a package was written by hand: lines that neither the scaffold nor the task gave."""
+"""Lines of a package that were written by hand: neither in the scaffold nor in the task's files."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ SUFFIXES = frozenset({".py", ".yml", ".md", ".sh"})
 def written_lines(task: Task, folder: Path) -> int:
     """Return the lines of text in a project's packages that were written by hand.
 
-    A line counts as often as it stands there more often than in the scaffold of its package and in the files of the
-    task together; blank lines do not count. So a file of the task that is copied beside model.py costs nothing.
+    A line counts as often as it occurs more often than in the scaffold of its package and in the files of the task
+    together; blank lines do not count. So a file of the task that is copied beside model.py costs nothing.
     """
     given_lines = Counter(_lines(task.files))
     return sum(_written(package, given_lines) for package in sorted(folder.glob("*/*/")) if _is_package(package))

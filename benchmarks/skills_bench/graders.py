@@ -1,12 +1,12 @@
-"""Whether a task was done: by what `xpl audit --json` says of the project, and by what the agent's report says of that.
+"""Whether a task was done: by `xpl audit --json` of the project, and by what the agent's report says about it.
 
-Each check of a task maps one of these kinds to what it is about:
+Each check of a task maps one of these kinds to its parameters:
 
 - `audit: TARGET` is green, all gates and no rule left out, with the model itself and without waivers.
-- `rule: {target, code}` passes; with `profile: shadow` it is asked without the model.
-- `unchanged: FOLDER`: nothing in it was changed, added or taken away.
+- `rule: {target, code}` passes; with `profile: shadow` it runs without the model.
+- `unchanged: FOLDER`: nothing in it was changed, added or removed.
 - `names_findings: TARGET`: the report names every rule that fails in an audit of it.
-- `answer: PATTERN`, `answer_not: PATTERN`: what the report must say, or must not.
+- `answer: PATTERN`, `answer_not: PATTERN`: what the report must contain, or must not.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from benchmarks.skills_bench.project import Project
 
 REPORT = "REPORT.md"
-"""Where prompts ask for the report, so that every agent's can be found."""
+"""File name of the report in prompts, so that every agent's can be found."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,12 @@ class Grade:
     Attributes:
         check: the check, as the task has it.
         passed: whether it holds.
-        told: why not.
+        reason: why it does not hold.
     """
 
     check: Mapping[str, Any]
     passed: bool
-    told: str
+    reason: str
 
 
 def grades(task: Task, project: Project) -> Iterator[Grade]:

@@ -19,7 +19,7 @@ PARTS = ("triggers", "tasks")
 
 
 def main(description: str | None, arguments: Sequence[str] | None = None) -> int:
-    """Make the runs, print the table, write the document where asked; return the exit code."""
+    """Make the runs, print the table, write the document on request; return the exit code."""
     skills = bundles()
     options = _options(description, [skill.name for skill in skills], arguments)
     plans = _plans(options, skills)
@@ -58,7 +58,7 @@ def _agent(text: str) -> Agent:
 
 
 def _plans(options: argparse.Namespace, skills: Sequence[SkillBundle]) -> list[Plan]:
-    """Return all runs there could be; those that the options leave out say so."""
+    """Return all possible runs; those that the options leave out have the reason."""
     agents: list[Agent | None] = options.agent or [None]
     plans = []
     for agent in agents:

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from benchmarks.skills_bench.cases import Task
 
 CONDITIONS: Final = ("none", "docs", "skills")
-"""Nothing but the command `xpl`; the documentation beside it; the skills installed, as `xpl skills install` does."""
+"""Only the command `xpl`; also the documentation; also the skills, as `xpl skills install` installs them."""
 MAKE: Final = "make.py"
-"""Writes what a task has to be given and is no text, such as weights; not there any more when the agent begins."""
+"""Script that writes files of a task that are no text, such as weights; removed before the agent begins."""
 
 
 class SetupError(Exception):
@@ -33,13 +33,13 @@ class SetupError(Exception):
 
 @dataclass(frozen=True)
 class Project:
-    """A folder with what a task gives.
+    """A folder with the files of a task.
 
     Attributes:
         folder: where the agent works.
-        given: digests of all files that it found there.
+        given: digests of all files at the beginning.
         environment: variables of the agent's processes.
-        log: what the witness writes.
+        log: written by the witness.
     """
 
     folder: Path
@@ -48,7 +48,7 @@ class Project:
     log: Path
 
     def calls(self) -> list[dict[str, Any]]:
-        """Return the commands of `xpl` that were given, as the witness wrote them down."""
+        """Return the commands of `xpl` that were run, from the witness's log."""
         return [json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines()]
 
     def changed(self, below: str = "") -> list[str]:
@@ -60,10 +60,10 @@ class Project:
 
 @contextmanager
 def project(task: Task, condition: str) -> Iterator[Project]:
-    """Make a project for a task; it is gone afterwards.
+    """Make a project for a task; it is removed afterwards.
 
     Raises:
-        SetupError: if a command of its set-up fails.
+        SetupError: a command of its set-up fails.
     """
     with TemporaryDirectory(prefix="xpl-skills-") as top:
         folder = Path(top) / "project"
@@ -111,7 +111,7 @@ def _equip(folder: Path, condition: str, environment: dict[str, str]) -> None:
     if condition == "skills":
         _run([sys.executable, "-m", "xpl_cli", "skills", "install"], folder, environment)
     elif condition == "docs":
-        # What is told of skills would be the skills by another way.
+        # Text about skills would provide the skills in another way.
         shutil.copytree(witness.ROOT / "docs", folder / "docs", ignore=shutil.ignore_patterns("skills.md", "*.png"))
         shutil.copy(witness.ROOT / "README.md", folder / "docs" / "README.md")
 

@@ -16,7 +16,7 @@ SCHEMA: Final = "xpl.skill-evals/1"
 
 
 def document(results: Sequence[Result]) -> dict[str, Any]:
-    """Return all results, and what they come to for each kind, skill, agent and condition."""
+    """Return all results, and their summary for each kind, skill, agent and condition."""
     return {
         "schema": SCHEMA,
         "xpl": __version__,

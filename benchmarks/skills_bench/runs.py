@@ -1,6 +1,6 @@
-"""The runs of an evaluation: each query and each task, under each condition, by each agent, as often as asked.
+"""The runs of an evaluation: each query and each task, under each condition, by each agent, repeatedly.
 
-A run that was not made has its place in the result, too, with the reason.
+A run that was not made is in the result, too, with the reason.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmarks.skills_bench import effort, graders
-from benchmarks.skills_bench.agent import Agent, NotRunError, Told
+from benchmarks.skills_bench.agent import Agent, AgentOutput, NotRunError
 from benchmarks.skills_bench.cases import Query, Task
 from benchmarks.skills_bench.project import SetupError, project
 
@@ -38,13 +38,13 @@ only the word none.
 
 @dataclass(frozen=True)
 class Plan:
-    """One run that may be made.
+    """One possible run.
 
     Attributes:
         case: the query or the task.
-        agent: who makes it, None if nobody was named.
-        condition: what the agent has; a query is always asked with the skills.
-        repeat: which of the repeats, from 1.
+        agent: that makes it, None if none was named.
+        condition: what the agent has; a query always has the skills.
+        repeat: number of the repetition, from 1.
         left_out: why it is not to be made, None if it is.
     """
 
@@ -57,21 +57,21 @@ class Plan:
 
 @dataclass
 class Result:
-    """What came of one run; fields that a run does not have are None.
+    """The result of one run; fields that a run does not have are None.
 
     Attributes:
         kind: `trigger` or `task`.
         skill, case: what was tried.
-        agent, condition, repeat: by whom, with what, which time.
+        agent, condition, repeat: of the run.
         status: `ran` or `not run`.
         reason: why it was not run.
         passed: whether all checks hold, or the right skill was named.
         observed: the skill that was named, "none", or None if nothing of the kind was.
-        checks: what each check found.
+        checks: result of each check.
         seconds: how long the agent worked.
         in_time: False if it was ended.
-        tokens: what the agent says that it used.
-        first_rollout_s: time until the first rollout that succeeded had ended.
+        tokens: as the agent reports them.
+        first_rollout_s: time until the first successful rollout had ended.
         commands: number of calls of `xpl`.
         written_lines, model_lines: see `effort`.
     """
@@ -97,7 +97,7 @@ class Result:
 
 
 def make(plan: Plan, skills: Sequence[SkillBundle], limit_s: float) -> Result:
-    """Make a run, or say why not."""
+    """Make a run, or return why not."""
     is_query = isinstance(plan.case, Query)
     name = plan.case.text if isinstance(plan.case, Query) else plan.case.name
     result = Result(
@@ -155,16 +155,16 @@ def _task(task: Task, agent: Agent, condition: str, limit_s: float, result: Resu
     _record_measurements(output, result)
 
 
-def _failure(output: Told) -> str:
+def _failure(output: AgentOutput) -> str:
     last = (output.output.strip().splitlines() or ["it printed nothing"])[-1]
     return f"the agent did nothing and ended with {output.code}: {last[-200:]}"
 
 
-def _record_measurements(output: Told, result: Result) -> None:
+def _record_measurements(output: AgentOutput, result: Result) -> None:
     result.seconds, result.in_time, result.tokens = round(output.seconds, 1), output.in_time, output.tokens
 
 
-def _first_rollout(calls: Sequence[dict[str, Any]], output: Told) -> float | None:
+def _first_rollout(calls: Sequence[dict[str, Any]], output: AgentOutput) -> float | None:
     ends = [call["ended"] for call in calls if call["rollout"]]
     return round(min(ends) - output.started, 1) if ends else None
 
@@ -172,7 +172,7 @@ def _first_rollout(calls: Sequence[dict[str, Any]], output: Told) -> float | Non
 def all_of(
     plans: Sequence[Plan], skills: Sequence[SkillBundle], limit_s: float, done: Callable[[list[Result]], None]
 ) -> list[Result]:
-    """Make all runs in their order; `done` is given what there is after each one that was made.
+    """Make all runs in their order; `done` gets the results so far after each one.
 
     After Ctrl-C the rest is recorded as not run.
     """

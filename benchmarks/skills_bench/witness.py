@@ -1,7 +1,7 @@
-"""Stands for `xpl` on an agent's PATH: runs it, passes everything through, and writes down what was run.
+"""Replaces `xpl` on an agent's PATH: runs it, passes everything through, and logs what was run.
 
-Called as a program, with the standard library alone, so that it costs little. Two variables of its environment say
-where to write (`XPL_WITNESS_LOG`) and which commands there are not (`XPL_WITNESS_HIDES`).
+Called as a program, with the standard library alone, so that it costs little. Two variables of its environment are the
+log file (`XPL_WITNESS_LOG`) and the commands to hide (`XPL_WITNESS_HIDES`).
 """
 
 from __future__ import annotations

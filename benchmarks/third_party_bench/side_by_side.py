@@ -1,4 +1,4 @@
-"""Plays one benchmark here and in its own bare loop, by turns, with the same commands; prints the figures as JSON.
+"""Run one benchmark here and in its own bare loop, by turns, with the same commands; print the figures as JSON.
 
 Runs in the Python of the environment package.
 """
@@ -46,7 +46,7 @@ def ours(name: str, embodiment: str, cameras: Any) -> Any:
 
 
 def trajectory(env: Any, steps: int) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
-    """Return actions that wander about the first state, and what the simulator was told for them."""
+    """Return actions that wander about the first state, and the simulator's commands for them."""
     rng = np.random.default_rng(SEED)
     env.reset([SEED])
     first = env.get_obs()["state"]

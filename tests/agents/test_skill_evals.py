@@ -168,7 +168,7 @@ def test_a_task_is_judged_by_the_audit_and_not_by_what_is_said(task: Task, progr
     claim = "pathlib.Path('REPORT.md').write_text('Everything is green.')\n"
     spoilt = _make(task, program(claim + "pathlib.Path('upstream/code.py').write_text('')"))
     assert not spoilt.passed
-    assert "changed: upstream/code.py" in [check["told"] for check in spoilt.checks]
+    assert "changed: upstream/code.py" in [check["reason"] for check in spoilt.checks]
     deed = (
         "for path in pathlib.Path('policy/Here').rglob('*'):\n"
         "    if path.is_file() and '.xpl' not in path.parts:\n"

@@ -1,4 +1,4 @@
-"""Demonstrations by one command: so many are kept, on seeds of their own, and a kill costs one episode at most."""
+"""`xpl record`: the requested episodes are saved, on seeds of their own, and a kill costs one episode at most."""
 
 from __future__ import annotations
 
@@ -63,12 +63,12 @@ def test_practice_leaves_the_evaluation_seeds_alone() -> None:
     [([True] * 3, True), ([True, False, True], False), ([False] * 19, False), ([False] * 20, True)],
 )
 def test_a_task_ends_when_it_has_enough_or_never_will(outcomes: list[bool | None], ended: bool) -> None:
-    """Twenty tries of which none can be kept are no bad luck."""
+    """Twenty attempts without a saved one are not bad luck."""
     assert collect._stop_rule(3)(outcomes) is ended
 
 
 def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path) -> None:
-    """Whatever came beyond, as when several are played at once, is put aside and counts for nothing."""
+    """Further episodes, as with several workers, are moved aside and do not count."""
     failures = [None, "task", "infrastructure", None, None]
     lines = {
         index: episode(index=index, task="lift", steps=7, success=not failure, failure=failure)
@@ -108,7 +108,7 @@ def test_a_missing_policy_is_reported_in_one_sentence(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_an_evaluation_keeps_its_episodes_on_request(tmp_path: Path) -> None:
-    """With what the policy was shown: the record beside it tells the same."""
+    """The trajectories hold the policy's observations and agree with the record beside them."""
     demos, run = tmp_path / "demos", tmp_path / "run"
     command = ("eval", "demo_policy", "--env", "offline", "--horizon", "4", "--record", demos, "--out", run)
     _json(*command)
@@ -122,7 +122,7 @@ def test_an_evaluation_keeps_its_episodes_on_request(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_expert_of_a_simulation_is_recorded_through_a_kill(tmp_path: Path) -> None:
-    """What was killed goes on where it was; two at a time keep the same episodes as one."""
+    """A killed command continues where it was; two workers save the same episodes as one."""
     demos = tmp_path / "demos"
     command = [sys.executable, "-m", "xpl_cli", "record", "mujoco", "--task", "lift_cube", "--images", "32x32"]
     command += ["--episodes", "4", "--out", str(demos)]

@@ -1,4 +1,4 @@
-"""`xpl compare`: two runs on the episodes that both played."""
+"""`xpl compare`: two runs on their common episodes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ONE: dict[str, Any] = {"tasks": ["lift_cube"], "settings": ["clean"]}
 
 
 def compared(first: Path, second: Path) -> dict[str, Any]:
-    """Return the comparison of two recorded runs, which keeps to its schema and can be shown."""
+    """Return the comparison of two recorded runs, validated against its schema and rendered."""
     result = compare(records.read(first), records.read(second))
     comparison = result.as_json()
     assert [str(problem) for problem in validate(comparison, "comparison")] == []
@@ -82,7 +82,7 @@ def test_a_run_played_again_is_recognised(tmp_path: Path) -> None:
 
 
 def test_infrastructure_errors_are_compared_as_failed_and_others_only_where_both_have_them(tmp_path: Path) -> None:
-    """Seeds that one run lacks are left out, and this is said; whoever spoils an episode has not won it."""
+    """Seeds that one run lacks are left out and reported; an infrastructure error is no success."""
     foo = synthetic(tmp_path / "foo", **ONE, episodes=40, policy="Foo", rate=1.0, faults=Faults(infrastructure=0.2))
     bar = synthetic(tmp_path / "bar", **ONE, episodes=30, policy="Bar", rate=1.0, first_seed=5, faults=Faults(policy=0))
     comparison = compared(foo, bar)
@@ -151,7 +151,7 @@ def test_exit_codes(tmp_path: Path) -> None:
 
 
 def test_the_documentation_shows_what_the_command_prints(tmp_path: Path) -> None:
-    """docs/statistics.md: the pairs of its example, in words and in its table."""
+    """docs/statistics.md: the pairs of its example, in the text and in its table."""
     pairs = {"lift_cube": PairedCounts(27, 4, 14, 5), "stack_blocks_two": PairedCounts(9, 6, 15, 20)}
     folders = []
     for side, name in enumerate(("Foo", "Bar")):

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @pytest.mark.slow
 def test_the_expert_solves_all_episodes_of_each_task_and_the_demo_policy_none(tmp_path: Path) -> None:
-    """The tasks are solvable, and not by standing still; one server plays both, and seeds begin anew with each."""
+    """The tasks are solvable, and not by standing still; one server serves both, and seeds restart with each."""
     tasks = ["lift_cube", "handover_block"]
     options = ["--env", "mujoco", "--task", ",".join(tasks), "--json"]
     for policy, count, won in (("scripted_expert", 5, 10), ("demo_policy", 1, 0)):
@@ -48,7 +48,7 @@ def test_the_expert_solves_all_episodes_of_each_task_and_the_demo_policy_none(tm
 
 @pytest.mark.slow
 def test_the_scripts_of_a_scaffold_run_a_debug_evaluation(tmp_path: Path) -> None:
-    """eval.sh with the ten positional arguments of the ecosystem ends with the line that launchers look for."""
+    """eval.sh with the ten positional arguments of the ecosystem ends with the line that launchers expect."""
     assert xpl("new-policy", "Foo", cwd=tmp_path).returncode == ExitCode.CLEAN
     tool = tmp_path / "xpl"
     tool.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m xpl_cli "$@"\n')
@@ -82,7 +82,7 @@ def test_what_cannot_be_evaluated_is_refused_in_one_sentence(
 
 @pytest.mark.slow
 def test_a_policy_whose_process_dies_in_every_attempt_has_failed(frail: Path, tmp_path: Path) -> None:
-    """It is played again with a new server, as often as a run does, before that ends the evaluation."""
+    """It is retried with a new server, as often as in a run, before that ends the evaluation."""
     drill.adapter(tmp_path)
     drill.mark(tmp_path, "policy-dies-0", 9)
     done = xpl("eval", "Drilled", *HOLD, cwd=tmp_path)
@@ -131,7 +131,7 @@ def test_the_record_of_an_episode_does_not_depend_on_who_plays_it(tmp_path: Path
 
 @pytest.fixture
 def frail(tmp_path: Path) -> Path:
-    """Return an environment that does not keep its robot's limits."""
+    """Return an environment that does not enforce its robot's limits."""
     folder = drill.environment(tmp_path)
     client = folder / "client.py"
     client.write_text(client.read_text().replace("guarded = True", "guarded = False"))
@@ -172,7 +172,7 @@ WILD = """
 def test_what_does_not_keep_its_limits_is_guarded(  # noqa: PLR0917 - fixtures and parameters
     frail: Path, write_adapter: Callable[..., Path], tmp_path: Path, loop: list[str], far: str, reason: str, kind: str
 ) -> None:
-    """In either loop; the record tells what was corrected, where and how far."""
+    """In either loop; the record has the corrections, where and how far."""
     adapter = write_adapter(WILD)
     shutil.copy(ROOT / "policy" / "demo_policy" / "deploy.py", adapter)
     done = xpl("eval", str(adapter), *HOLD, *loop, "--set", f"far={far}", cwd=tmp_path)
@@ -304,7 +304,7 @@ SEES = """
 
 
 def test_an_environment_renders_what_the_policy_declares(write_adapter: Callable[..., Path], tmp_path: Path) -> None:
-    """Images of the declared size; where one environment cannot show all, the handshake names the one that is wrong."""
+    """Images have the declared size; if one environment cannot render all, the handshake names the wrong one."""
     adapter = write_adapter(SEES)
     manifest = {
         "spec": "v1",
@@ -327,7 +327,7 @@ def test_an_environment_renders_what_the_policy_declares(write_adapter: Callable
     ("environment", "robot"), [("metaworld", None), ("libero", "panda_libero"), ("maniskill", "panda_maniskill")]
 )
 def test_the_robot_is_the_first_that_policy_and_environment_both_have(environment: str, robot: str | None) -> None:
-    """The policy's own first one if the environment has that; whoever names one is heard."""
+    """The policy's own first one if the environment has that; the user's choice takes precedence."""
     expert = package.load(ROOT / "policy" / "benchmark_expert")
     overrides = {} if robot is None else {"env_cfg_type": robot}
     assert with_robot(expert, environment, {"seed": 3}) == {"seed": 3, **overrides}

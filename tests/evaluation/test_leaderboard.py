@@ -41,7 +41,7 @@ def _rank(*runs: records.Run, **options: bool) -> ranking.Ranking:
 
 
 def test_runs_are_ranked_by_success_and_compared_with_the_first(tmp_path: Path) -> None:
-    """The row of a run says what its own summary says, and by how much it is behind on equal seeds."""
+    """The row of a run equals its own summary, and has its difference on equal seeds."""
     runs = [_run(tmp_path, name, episodes=40, rate=rate) for name, rate in (("Low", 0.3), ("High", 0.9), ("Mid", 0.6))]
     result = _rank(*runs)
     assert validate(result.as_json(), "leaderboard") == []
@@ -65,7 +65,7 @@ def test_what_the_episodes_do_not_tell_apart_is_said(tmp_path: Path) -> None:
 
 
 def test_equal_runs_share_a_rank_and_have_names_of_their_own(tmp_path: Path) -> None:
-    """The same policy twice is told by the folders; the next rank is left out."""
+    """The same policy twice is distinguished by the folders; the next rank is left out."""
     same = [records.read(synthetic(tmp_path / name, rate=0.9)) for name in ("a", "b")]
     result = _rank(*same, _run(tmp_path, "Worse", rate=0.1))
     assert [row.rank for row in result.rows] == [1, 1, 3]
@@ -73,7 +73,7 @@ def test_equal_runs_share_a_rank_and_have_names_of_their_own(tmp_path: Path) -> 
 
 
 def test_a_run_whose_adapter_could_reach_its_judge_is_neither_ranked_nor_submitted(tmp_path: Path) -> None:
-    """One episode is enough, of which the record says so, or says nothing."""
+    """One episode is enough whose record says so, or says nothing."""
     variants = (("Kept", {"containment": "isolated"}), ("Trusted", {"containment": "trusted"}), ("Unsaid", {}))
     runs = [
         records.read(rewritten(synthetic(tmp_path / name, policy=name), lambda lines, last=last: [
@@ -152,7 +152,7 @@ def test_a_ranking_is_written_for_people_papers_and_tables(tmp_path: Path) -> No
 def test_runs_that_are_not_alike_are_ranked_only_by_those_who_want_it(
     tmp_path: Path, options: dict[str, Any], message: str
 ) -> None:
-    """The refusal says what differs; in spite of it, the ranking says so, too."""
+    """The refusal names the differences; with --anyway, the ranking names them, too."""
     runs = _run(tmp_path, "One"), _run(tmp_path, "Other", **options)
     with pytest.raises(comparable_runs.IncompatibleRunsError) as refused:
         _rank(*runs)
@@ -177,7 +177,7 @@ def test_other_machines_are_named_and_no_reason_to_refuse(tmp_path: Path) -> Non
 
 
 def test_common_episodes_make_runs_alike(tmp_path: Path) -> None:
-    """Only what all of them played is ranked: tasks and seeds; an infrastructure error counts as failed."""
+    """Only common tasks and seeds are ranked; an infrastructure error counts as failed."""
     runs = [
         _run(tmp_path, "One", tasks=["a", "b", "c"], episodes=30, faults=Faults(infrastructure=0.05)),
         _run(tmp_path, "Other", tasks=["b", "a"], episodes=30, first_seed=10, played=100),

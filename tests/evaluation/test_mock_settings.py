@@ -1,4 +1,4 @@
-"""Runs in which something stood in for a part of a benchmark: reports say so, and nothing takes them for its number."""
+"""Runs with a mock of a part of a benchmark: reports say so, and nothing takes them for the benchmark's results."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_an_evaluation_says_it_beside_its_figure(setting: str, is_said: bool, ra
 
 
 def test_no_leaderboard_takes_it(tmp_path: Path) -> None:
-    """Not beside others, not alone, not in spite of differences, and not if one of several settings is such a one."""
+    """Not beside others, not alone, not with --anyway, and not if only one of several settings is a mock."""
     usual, mixed = _run(tmp_path, "Usual", ("clean",)), _run(tmp_path, "Mixed", ("clean", SETTING))
     for runs in ([_run(tmp_path)], [usual, mixed]):
         with pytest.raises(UserError, match=rf"is not ranked\. {SETTING} replaces a part of .* {SAID}") as refused:
@@ -66,7 +66,7 @@ def test_no_result_file_is_written_of_it(tmp_path: Path, name: str) -> None:
 
 
 def test_a_result_file_in_such_a_folder_is_none(tmp_path: Path) -> None:
-    """Whoever put it there: RoboTwin's folders name the setting."""
+    """From whatever source: RoboTwin's folders name the setting."""
     file = tmp_path / "stack_blocks_two" / "Foo" / SETTING / "ckpt" / "2026-11-23 00:00:00" / "_result.txt"
     file.parent.mkdir(parents=True)
     file.write_text("1.0\n")

@@ -80,7 +80,7 @@ def test_a_record_is_written_as_it_was_read(tmp_path: Path) -> None:
 
 
 def test_what_may_be_null_is_always_written() -> None:
-    """Whoever reads a record need not ask whether there is an instruction, a layout or a digest."""
+    """A reader need not check whether there is an instruction, a layout or a digest."""
     properties = _RECORD["episode"]["properties"]
     line = episode().as_json()
     nullable = {name for name, entry in properties.items() if "null" in entry.get("type", ()) or "anyOf" in entry}

@@ -1,4 +1,4 @@
-"""The pages of `xpl report` and `xpl leaderboard`, looked at in a real browser; not run where there is none."""
+"""The pages of `xpl report` and `xpl leaderboard` in a real browser; not run if there is none."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_the_list_can_be_narrowed(page: Page, url: str, run: Path) -> None:
 
 
 def test_texts_of_others_stay_texts(page: Page, tmp_path: Path) -> None:
-    """Markup in names, errors and instructions is shown and not obeyed."""
+    """Markup in names, errors and instructions is displayed, not interpreted."""
     folder = synthetic(tmp_path / "foo", ["lift_cube", HOSTILE], episodes=4, policy=HOSTILE, faults=Faults(1.0))
     text = (folder / records.FILE).read_text()
     sentence = "left_arm_joint_state holds a value that is no number"

@@ -1,4 +1,4 @@
-"""How far a run has come: lines where nobody watches, a table that changes on a terminal."""
+"""The progress of a run: lines without a terminal, a table on a terminal."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def run(tmp_path: Path) -> records.Run:
-    """Return a run of 2 cells with 4 episodes each, of which 3 were played, all with success."""
+    """Return a run of 2 cells with 4 episodes each, of which 3 are completed, all with success."""
     faults = Faults(policy=0.0, retried=0.0)
     return records.read(synthetic(tmp_path, ["lift"], episodes=4, rate=1.0, played=3, faults=faults))
 

@@ -1,4 +1,4 @@
-"""What a Ray cluster runs for a suite, in this process: it plays, and refuses what is not of the run."""
+"""The actors of a Ray cluster, in this process: they run jobs, and refuse what is not of the run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ JOB = RolloutJob(0, 1, "hold", "clean", 0)
 
 @pytest.fixture
 def configs(tmp_path: Path) -> tuple[RolloutConfig, ServerConfig]:
-    """Return what lanes and servers of a run are told."""
+    """Return the configurations of workers and servers of a run."""
     environment, adapter = drill.environment(tmp_path), package.load(drill.adapter(tmp_path))
     line = plan.make_plan(adapter, environment, adapter.config({}), plan.PlanRequest()).plan
     return evaluate.make_configs(adapter, environment, line, Runtime(), IsolationSettings())
@@ -40,7 +40,7 @@ def configs(tmp_path: Path) -> tuple[RolloutConfig, ServerConfig]:
 
 @pytest.fixture
 def player(configs: tuple[RolloutConfig, ServerConfig]) -> Iterator[RolloutActor]:
-    """Return a lane with a server of its own; both are ended, which Ray would do by ending its process."""
+    """Return a worker with a server of its own; both are ended, as Ray would by ending its process."""
     player = RolloutActor(xpl_cli.__version__, *configs, number=3, token=None)
     yield player
     if player._rollout_worker is not None:
@@ -51,7 +51,7 @@ def player(configs: tuple[RolloutConfig, ServerConfig]) -> Iterator[RolloutActor
 
 @pytest.mark.slow
 def test_a_lane_with_a_server_of_its_own_plays_and_starts_it_again(player: RolloutActor, tmp_path: Path) -> None:
-    """An attempt in which the policy's process ended is an outcome; the next one is played with a new server."""
+    """An attempt in which the policy's process ended has a result; the next one gets a new server."""
     post = player.ready()
     assert isinstance(post, ActorInfo)
     assert post.worker.endswith("/3")

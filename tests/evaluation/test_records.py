@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Return a run of 8 episodes, of which 5 were played."""
+    """Return a run of 8 episodes, of which 5 are completed."""
     return synthetic(tmp_path / "run", episodes=2, played=5)
 
 
@@ -40,7 +40,7 @@ def _write(folder: Path, lines: list[Any]) -> None:
 
 
 def _next(folder: Path, index: int = 5) -> EpisodeRecord:
-    """Return a final line of an episode that was not played."""
+    """Return a final line of an episode that has not run."""
     run = records.read(folder)
     slot = run.plan.slots()[index]
     return replace(run.finals[0], index=index, task=slot.task, setting=slot.setting, seed=slot.seed)
@@ -126,7 +126,7 @@ def test_a_record_has_one_writer_and_one_plan(folder: Path) -> None:
 
 
 def test_an_episode_becomes_final_once(folder: Path) -> None:
-    """Whoever adds it again is refused, and nothing is written."""
+    """A second line is refused, and nothing is written."""
     before = (folder / records.FILE).read_bytes()
     with (
         RecordWriter(folder, records.read(folder).plan) as writer,
@@ -144,7 +144,7 @@ def test_a_machine_is_written_once(folder: Path) -> None:
 
 
 def test_half_a_line_is_taken_back_where_the_disk_is_full(folder: Path) -> None:
-    """The next line stands on its own, and the error says what is wrong."""
+    """The next line is complete, and the error names the cause."""
     script = """
         import dataclasses, resource, sys
         from pathlib import Path

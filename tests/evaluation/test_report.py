@@ -1,4 +1,4 @@
-"""`xpl report`: the files, what they hold, what they refuse; test_pages.py looks at the page itself."""
+"""`xpl report`: the files, their content, and refusals; test_pages.py tests the page itself."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _data(page: str) -> Any:
 
 
 def test_a_report_is_a_page_and_the_same_for_machines_and_for_papers(tmp_path: Path) -> None:
-    """The command writes five files beside the record and prints where the page is."""
+    """The command writes five files beside the record and prints the path of the page."""
     run = synthetic(tmp_path / "foo", episodes=6)
     done = xpl("report", str(run), folder=tmp_path)
     assert done.code == ExitCode.CLEAN, done.stderr
@@ -73,7 +73,7 @@ def test_what_cannot_be_reported_is_said_in_a_sentence(tmp_path: Path) -> None:
 
 
 def test_a_report_is_replaced_and_nothing_else_is(tmp_path: Path) -> None:
-    """A second report takes the place of the first; a folder with somebody's work stays as it is."""
+    """A second report replaces the first; a folder with other files stays as it is."""
     run = synthetic(tmp_path / "foo", episodes=2)
     first = (_write(run) / report_files.PAGE).read_bytes()
     assert (_write(run) / report_files.PAGE).read_bytes() == first
@@ -84,7 +84,7 @@ def test_a_report_is_replaced_and_nothing_else_is(tmp_path: Path) -> None:
 
 
 def test_a_run_that_goes_on_is_reported_as_what_it_is(tmp_path: Path) -> None:
-    """Page and Markdown say how much is still to come; cells without an episode have no rate."""
+    """Page and Markdown give the number of remaining episodes; cells without an episode have no rate."""
     out = _write(synthetic(tmp_path / "foo", episodes=10, played=13))
     assert "13 of 40 episodes" in (out / report_files.PAGE).read_text()
     assert "This run is not complete: 13 of 40 episodes." in (out / report_files.MARKDOWN).read_text()
@@ -127,7 +127,7 @@ def test_the_page_holds_all_that_it_needs(tmp_path: Path) -> None:
 
 
 def test_the_list_holds_every_episode(tmp_path: Path) -> None:
-    """Columns and shared values give back what the record says."""
+    """Columns and shared values restore the record."""
     run = synthetic(tmp_path / "foo", episodes=10, faults=Faults(0.2, 0.2, 0.3))
     data = _data((_write(run) / report_files.PAGE).read_text())["episodes"]
     finals = list(records.read(run).finals.values())
@@ -143,7 +143,7 @@ def test_the_list_holds_every_episode(tmp_path: Path) -> None:
 
 
 def test_what_exceeds_the_budget_is_linked(tmp_path: Path) -> None:
-    """Without a budget films are reached beside the page, wherever that is, and curves are named."""
+    """Without a budget videos are linked, wherever the page is, and curves are named."""
     run = synthetic(tmp_path / "a run", episodes=2, traces=3, films=2)
     media_by_index = _data((_write(run, tmp_path / "elsewhere", budget=0) / report_files.PAGE).read_text())["media"]
     assert media_by_index["0"]["film"] == {"source": "../a%20run/films/0.webp", "video": False}

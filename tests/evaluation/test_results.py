@@ -101,7 +101,7 @@ def test_episodes_that_are_missing_keep_a_task_out(tmp_path: Path) -> None:
 
 
 def test_the_latest_result_counts(tmp_path: Path) -> None:
-    """Of a task, policy, robot and seed; another checkpoint among them is told."""
+    """Of a task, policy, robot and seed; another checkpoint among them is reported."""
     _write(tmp_path, "insert_key", "P", 0, 50, 50, when="2026-08-02_00-00-00", ckpt="b")
     _write(tmp_path, "insert_key", "P", 0, 0, 50)
     results = _results(tmp_path)

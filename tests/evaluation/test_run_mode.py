@@ -42,7 +42,7 @@ BATCH = """
 
 @pytest.fixture(scope="module")
 def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Serve the drill's adapter from a folder that nobody else knows, to who has a token; return its address."""
+    """Serve the drill's adapter from a separate folder, with a token; return its address."""
     with running_server(drill.adapter(tmp_path_factory.mktemp("elsewhere")), {}, token=TOKEN) as server:
         yield server.url
 
@@ -65,7 +65,7 @@ def _outcomes(run: records.Run) -> list[tuple[Any, ...]]:
 
 
 def test_a_policy_that_is_not_here_is_recorded(room: Path, elsewhere: str) -> None:
-    """What its server announced takes the place of its files, and its address stands nowhere."""
+    """The announcement of its server replaces its files, and its address is not recorded."""
     done = _eval(room, "Foreign", "--episodes", "4", "--connect", elsewhere, "--token-file", "token")
     assert done.returncode == 0, done.stderr
     run = records.read(room / "run")
@@ -118,7 +118,7 @@ def test_a_batch_is_recorded_with_its_size(room: Path) -> None:
 
 
 def test_a_policy_is_told_what_another_episode_is_about(room: Path) -> None:
-    """The drill's adapter breaks off where it is told of seed 1: with other words that is the episode before it."""
+    """The drill's adapter fails at seed 1: with swapped instructions that is the episode before it."""
     drill.adapter(room, raises=[1])
     done = _eval(room, "Drilled", "--episodes", "2", "--instruction", "swap")
     assert done.returncode == 0, done.stderr
@@ -134,7 +134,7 @@ def test_a_policy_is_told_what_another_episode_is_about(room: Path) -> None:
     [(run_mode.BLANK, ["", ""]), (run_mode.SWAP, ["lift the blue one", "lift the red one"])],
 )
 def test_other_words_depend_on_the_seed_alone(instead: str, instructions: list[str]) -> None:
-    """Each episode is told what the next one is told that is about something else; all else stays as it is."""
+    """Each episode gets the instruction of the next one with another instruction; all else stays the same."""
     env = _Told(["lift the red one", "lift the red one", "lift the blue one", "lift the red one"])
     other = with_instruction(
         env, instead, [RolloutJob(0, 1, "pick", "clean", 1), RolloutJob(1, 1, "pick", "clean", 2)], 2
@@ -172,7 +172,7 @@ class _Told:
 
 
 def test_a_manner_reads_what_it_wrote() -> None:
-    """And takes what is none for the usual one; adapters are given nothing of it."""
+    """Invalid values count as the usual mode; adapters receive none of it."""
     foreign = RunMode(announced={"policy": {"name": "x"}})
     for how in (RunMode(), RunMode(3), RunMode(2, {"policy": {}}), foreign, RunMode(instruction=run_mode.BLANK)):
         config = how.add_to({"seed": 1})

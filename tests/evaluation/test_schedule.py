@@ -1,4 +1,4 @@
-"""What is played next, what is played again, when it is enough: exactly one final line for each episode."""
+"""The order of episodes, retries and stopping: exactly one final line for each episode."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Killed(Exception):  # noqa: N818 - no error, but what a test does
 
 
 class Script:
-    """A backend in memory: a function tells what becomes of each job, and in which order they end."""
+    """A backend in memory: a function determines the result of each job, and another one their order."""
 
     def __init__(
         self, workers: int, answer: Callable[[RolloutJob], list[RolloutResult]], turn: Callable[[int], int]
@@ -61,11 +61,11 @@ class Script:
         return self.answer(job)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing."""
 
 
 class Silent:
-    """A view that shows nothing."""
+    """A view without output."""
 
     def add(self, line: EpisodeRecord, left: int) -> None:
         assert left >= 0
@@ -105,7 +105,7 @@ def test_episodes_are_played_in_the_order_of_the_plan(plan: RunPlan, tmp_path: P
 
 @pytest.mark.parametrize("name", ["traces", "films", records.FILE])
 def test_nothing_is_written_through_a_link_of_a_run(name: str, plan: RunPlan, tmp_path: Path) -> None:
-    """Whoever began a run that is continued may have put a link to anywhere into it."""
+    """The folder of a continued run may hold a link of a third party."""
     run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
     RecordWriter(run, plan).close()
     elsewhere.mkdir()
@@ -139,7 +139,7 @@ def test_a_file_of_a_run_that_is_a_link_is_replaced(plan: RunPlan, tmp_path: Pat
 
 
 def test_an_infrastructure_error_is_retried_after_others_and_within_a_bound(plan: RunPlan, tmp_path: Path) -> None:
-    """What fails for good is final as a failure of the infrastructure; attempts are counted from 1."""
+    """An infrastructure error in every attempt is final; attempts are counted from 1."""
 
     def answer(job: RolloutJob) -> list[RolloutResult]:
         return [lost_rollout(job, "gone")] if job.index == 1 else _good(job)
@@ -154,7 +154,7 @@ def test_an_infrastructure_error_is_retried_after_others_and_within_a_bound(plan
 
 
 def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: RunPlan, tmp_path: Path) -> None:
-    """Nothing can be played: the run stops, nearly all stays open, and resuming plays it."""
+    """Nothing can run: the run stops, nearly all stays open, and resuming runs it."""
     cells = [replace(cell, seeds=list(range(20))) for cell in plan.cells]
     long = replace(plan, cells=cells).named()
     with pytest.raises(UserError, match="12 attempts in a row") as caught:
@@ -165,7 +165,7 @@ def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: RunPlan, tmp_p
 
 
 def test_many_lanes_that_are_lost_at_once_are_no_outage(plan: RunPlan, tmp_path: Path) -> None:
-    """Only attempts that began after the last one that went well tell of one."""
+    """Only attempts that began after the last success indicate one."""
     cells = [replace(cell, seeds=list(range(40))) for cell in plan.cells]
     lost_once = Counter[int]()
 
@@ -211,7 +211,7 @@ def test_a_cell_ends_when_it_is_enough(plan: RunPlan, tmp_path: Path) -> None:
 def test_whatever_happens_each_episode_is_final_once(
     plan: RunPlan, tmp_path: Path, data: st.DataObject, workers: int
 ) -> None:
-    """Lanes die, outcomes come twice or late, the run is killed and resumed: nothing is counted twice or missing."""
+    """Workers die, results come twice or late, the run is killed and resumed: nothing is counted twice or missing."""
     folder = tmp_path / "run"
     shutil.rmtree(folder, ignore_errors=True)
     old: list[RolloutResult] = []

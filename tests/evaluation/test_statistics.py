@@ -76,7 +76,7 @@ def test_the_paired_difference_is_that_of_a_published_example() -> None:
 
 
 def test_the_exact_test_is_that_of_published_examples() -> None:
-    """Fagerland et al., chapter 8: Bentur et al., 2009; and what nobody is better in says nothing."""
+    """Fagerland et al., chapter 8: Bentur et al., 2009; without discordant pairs there is no evidence."""
     assert mcnemar(PairedCounts(both=1, only_first=7, only_second=1, neither=12)) == pytest.approx(0.0703, abs=5e-5)
     assert mcnemar(PairedCounts(both=9, only_first=0, only_second=0, neither=11)) == 1.0
 
@@ -119,7 +119,7 @@ def test_a_mean_of_cells_holds_the_true_mean_as_often_as_it_says() -> None:
 
 
 def test_a_mean_of_one_is_that_one() -> None:
-    """A suite of one cell says the same overall; a suite of none says nothing."""
+    """A summary of one cell has the same overall row; of none it has no figures."""
     estimate = statistics.mean_estimate([_share(3, 7)])
     assert estimate.value == 3 / 7
     assert estimate.interval == pytest.approx(wilson(3 / 7, 7))
@@ -146,7 +146,7 @@ def test_resampling_depends_on_the_values_only() -> None:
 
 @pytest.mark.parametrize("scores", [[1.0] * 30, [0.5] * 30, [0.0, 1.0], [0.7]])
 def test_values_without_a_spread_are_not_resampled(scores: list[float]) -> None:
-    """Thirty perfect episodes do not prove that each is: an interval without width would say so."""
+    """Thirty perfect episodes do not prove perfection, which an interval without width would claim."""
     assert bootstrap(scores) == wilson(float(np.mean(scores)), len(scores))
 
 

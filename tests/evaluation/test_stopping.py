@@ -1,4 +1,4 @@
-"""Playing until the success rate is known well enough."""
+"""Running until the success rate is known well enough."""
 
 from __future__ import annotations
 

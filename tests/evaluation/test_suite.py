@@ -1,4 +1,4 @@
-"""`xpl eval --out`: suites that are played, recorded, broken off and resumed, by real processes."""
+"""`xpl eval --out`: runs that are executed, recorded, interrupted and resumed, by real processes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.model import PlannedCell
 
 UNSTEADY = ("started", "wall_seconds", "inference", "server", "worker", "machine", "trace", "film")
-"""What a line says of the time and place of an episode."""
+"""The parts of a line that depend on time and place of an episode."""
 
 
 OPTIONS = ("--task", "all", "--episodes", "4", "--horizon", "2", "--json")
@@ -41,7 +41,7 @@ OPTIONS = ("--task", "all", "--episodes", "4", "--horizon", "2", "--json")
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
-    """Return a folder with a run of two tasks in it, played by two lanes, and what the command told."""
+    """Return a folder with a run of two tasks by two workers, and the finished command."""
     folder = tmp_path_factory.mktemp("room")
     drill.environment(folder)
     drill.adapter(folder)
@@ -65,7 +65,7 @@ def _outcomes(run: records.Run) -> list[dict[str, Any]]:
 
 
 def _table(run: records.Run) -> str:
-    """Return the final table, as bytes would show it."""
+    """Return the final table, as JSON text."""
     report = summary.summarise(run).as_json()
     return json.dumps({key: value for key, value in report.items() if key != "execution"})
 
@@ -73,7 +73,7 @@ def _table(run: records.Run) -> str:
 def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
     played: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
-    """Every line is as specified, files have their digests, and two lanes find what one finds, traces too."""
+    """Every line is valid, files have their digests, and two workers give the results of one, with equal traces."""
     room, done = played
     assert done.returncode == ExitCode.CLEAN, done.stderr
     answer = json.loads(done.stdout)
@@ -222,10 +222,10 @@ def test_evaluation_seeds_are_those_of_the_environment_where_it_has_some(room: P
 
 @pytest.mark.slow
 def test_a_run_that_is_killed_again_and_again_ends_with_the_same_table(room: Path) -> None:
-    """No process survives a kill; each episode is final once, and table and traces are those of a whole run.
+    """No process survives a kill; each episode is final once, and table and traces are those of an uninterrupted run.
 
-    A moment is a random time after a random number of episodes that the run has told of, so that busy machines get as
-    far as quick ones; the first moments are before the first episode. XPL_KILLS says how often.
+    A moment is a random time after a random number of reported episodes, so that busy machines get as far as quick
+    ones; the first moments are before the first episode. XPL_KILLS is the number of kills.
     """
     kills = int(os.environ.get("XPL_KILLS", "5"))
     command = [sys.executable, "-m", "xpl_cli", "eval", "Drilled", "--env", "drill", "--task", "all", "--horizon", "2"]
@@ -273,7 +273,7 @@ def _servers(mark: str) -> list[int]:
 
 @pytest.mark.slow
 def test_lanes_and_servers_that_are_killed_are_replaced(tmp_path: Path) -> None:
-    """Two lanes share a server: one of the lanes is killed, then the server; their attempts are played again."""
+    """Two workers share a server: one of the workers is killed, then the server; their attempts are retried."""
     drill.environment(tmp_path)
     drill.adapter(tmp_path, close_timeout_s=1)
     mark = uuid.uuid4().hex
@@ -299,7 +299,7 @@ def test_lanes_and_servers_that_are_killed_are_replaced(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_lane_whose_server_does_not_start_any_more_leaves_its_episodes_to_others(tmp_path: Path) -> None:
-    """It costs the attempt in which the server was lost, and no other; without any lane the run ends, to be resumed."""
+    """It costs the attempt in which the server was lost, and no other; without workers the run ends, to be resumed."""
     drill.environment(tmp_path)
     drill.adapter(tmp_path)
     drill.mark(tmp_path, "policy-dies-for-good", 1)

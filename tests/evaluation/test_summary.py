@@ -22,7 +22,7 @@ Line = dict[str, Any]
 
 
 def summary_of(folder: Path, method: str = "wilson") -> dict[str, Any]:
-    """Return the summary of a recorded run, which keeps to its schema and can be shown."""
+    """Return the summary of a recorded run, validated against its schema and rendered."""
     summary = summarise(records.read(folder), method)
     document = summary.as_json()
     assert [str(problem) for problem in validate(document, "summary")] == []
@@ -99,7 +99,7 @@ def test_infrastructure_errors_count_as_failed_and_are_reported(tmp_path: Path) 
 
 
 def test_a_task_with_nothing_but_infrastructure_errors_counts_as_failed(tmp_path: Path) -> None:
-    """Leaving it out would reward whoever spoils the hard ones."""
+    """Leaving it out would reward a policy that breaks the hard ones."""
     folder = synthetic(tmp_path / "run", settings=["clean"], episodes=20, rate={("lift_cube", "clean"): 1.0,
                        ("stack_cubes", "clean"): 0.0}, faults=Faults(policy=0.0, retried=0.0))  # fmt: skip
 
@@ -167,7 +167,7 @@ def test_a_run_that_is_not_finished_says_so(tmp_path: Path) -> None:
 
 
 def test_what_was_played_after_a_cell_had_ended_does_not_count(tmp_path: Path) -> None:
-    """A run that plays until intervals are narrow enough has one result, however many episodes were on their way."""
+    """A run that stops at narrow intervals has one result, however many episodes were running."""
     cell: dict[str, Any] = {"tasks": ["lift_cube"], "settings": ["clean"], "episodes": 60, "rate": 0.95}
     whole = summary_of(rewritten(synthetic(tmp_path / "whole", **cell), until_width=0.3))
     row = whole["overall"]
@@ -185,7 +185,7 @@ def test_what_was_played_after_a_cell_had_ended_does_not_count(tmp_path: Path) -
 
 
 def test_a_gap_keeps_a_cell_from_ending(tmp_path: Path) -> None:
-    """What follows an episode that is still to be played does not yet tell whether the cell has ended."""
+    """An episode after a remaining one does not decide whether the cell has ended."""
     folder = synthetic(tmp_path / "run", ["lift_cube"], ["clean"], 60, rate=0.95)
 
     def gap(lines: list[Line]) -> list[Line]:
@@ -210,7 +210,7 @@ def test_settings_are_held_against_the_first(tmp_path: Path) -> None:
 
 
 def test_the_course_of_a_run_is_told_apart(tmp_path: Path) -> None:
-    """Retries, errors, and latency as exactly as a histogram can tell it."""
+    """Retries, errors, and latency as exactly as a histogram allows."""
     folder = synthetic(tmp_path / "run", faults=Faults(retried=0.3))
     execution = summary_of(folder)["execution"]
     assert execution["attempts"] == 80 + execution["retried"]

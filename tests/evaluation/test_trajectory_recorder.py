@@ -1,4 +1,4 @@
-"""Episodes that are kept while they are played: every step with what was seen before it, and only whole episodes."""
+"""Trajectories that are recorded during rollouts: every step with its observation, and only whole episodes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STATE = ("arm_joint_state", "ee_joint_state")
 
 
 class Counting:
-    """Environments whose state is the number of their step, and that end after as many as each is told."""
+    """Environments whose state is the number of their step, and that end after a given number of steps."""
 
     guarded = True
 
@@ -87,7 +87,7 @@ def _job(index: int) -> RolloutJob:
 
 
 def test_every_step_has_what_was_seen_before_it_also_inside_a_chunk(tmp_path: Path) -> None:
-    """A loop that does not look between the actions of a chunk changes nothing of what is kept."""
+    """A loop that does not observe between the actions of a chunk does not change the recording."""
     env = Counting(4)
     with recording(env, _config(tmp_path), [_job(7)], 10.0) as recorder:
         assert recorder is not None
@@ -125,7 +125,7 @@ def test_what_a_simulator_tells_is_kept_where_asked_and_shown_to_none_that_may_n
 
 
 def test_a_batch_becomes_one_file_for_each_episode(tmp_path: Path) -> None:
-    """They end one by one; places that play what nobody asked for leave nothing."""
+    """They end one by one; environments without a job leave nothing."""
     env = Counting(2, 5, 3)
     with recording(env, _config(tmp_path), [_job(0), _job(1)], 25.0) as recorder:
         assert recorder is not None
@@ -149,7 +149,7 @@ def test_a_batch_becomes_one_file_for_each_episode(tmp_path: Path) -> None:
 def test_only_episodes_that_are_wanted_leave_a_file(
     tmp_path: Path, keep: str, line: EpisodeOutcome, is_saved: bool
 ) -> None:
-    """Those that succeeded, or that were played to their end; never one that broke off."""
+    """Those that succeeded, or that ran to their end; never one that broke off."""
     with recording(Counting(2), _config(tmp_path, keep), [_job(0)], 25.0) as recorder:
         assert recorder is not None
         rollout.run_episode(recorder, recorder.listen(Chunks()))

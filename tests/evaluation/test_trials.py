@@ -1,4 +1,4 @@
-"""What a policy is told of trials: the case before each, and how it went after it."""
+"""What a policy learns about trials: the case before each, and the outcome after it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ HOOKS = """
 
 
 def _evaluated(folder: Path, *options: str, **config: Any) -> tuple[Any, list[Any]]:
-    """Evaluate an adapter with hooks; return what the command did and what the hooks were told."""
+    """Evaluate an adapter with hooks; return the finished command and the arguments of the hooks."""
     env = drill.environment(folder)
     policy = drill.adapter(folder, **config)
     model = policy / "model.py"

@@ -1,4 +1,4 @@
-"""Bundles: packed alike, opened with suspicion, and held against their records."""
+"""Bundles: equal content gives equal bytes, unpacking is strict, and claims are checked against records."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _run(folder: Path, **changes: Any) -> Run:
 
 
 def _rewritten(run: Run, change: Callable[[list[Line]], Any]) -> Run:
-    """Return a run whose lines somebody has edited."""
+    """Return a run whose lines were edited."""
     file = run.folder / records.FILE
     lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     change(lines)
@@ -46,7 +46,7 @@ def _episodes(lines: list[Line]) -> list[Line]:
 
 class TestArchive:
     def test_equal_content_gives_equal_bytes(self, tmp_path: Path) -> None:
-        """Neither the order of files nor the time nor their modes show."""
+        """Neither the order of files nor the time nor their modes matter."""
         first, second, source = tmp_path / "a.zip", tmp_path / "b.zip", tmp_path / "source"
         source.write_bytes(b"content")
         source.chmod(0o700)
@@ -65,7 +65,7 @@ class TestArchive:
 
 
 def _copied(line: Line) -> Line:
-    """Return all of an episode but what its place in the plan says."""
+    """Return an episode without the fields that its index in the plan determines."""
     return {key: value for key, value in line.items() if key not in {"index", "attempt", "seed"}}
 
 
@@ -121,7 +121,7 @@ class TestConsistency:
 
 class TestClaims:
     def test_the_manifest_is_valid_and_repeats_itself(self, tmp_path: Path) -> None:
-        """It tells counts by task and setting, and neither times nor places."""
+        """It has counts by task and setting, and neither times nor paths."""
         run = _run(tmp_path / "run")
         policy = prepare.describe_adapter(run)
         audit = verdict_of(TargetReport("policy/Foo", "Foo", "policy")).as_json()
@@ -140,7 +140,7 @@ class TestClaims:
 
 
 def _pair(recorded: bool | None, replayed: bool | None, *, digests: str = "ab", equal: bool = False) -> ReplayPair:
-    """Return an episode that was played twice; `digests` has one letter for each time."""
+    """Return an episode that was run twice; `digests` has one letter for each time."""
     old, new = (
         episode(success=won, digest=name, end_reason="max_steps")
         for won, name in zip((recorded, replayed), digests, strict=True)
@@ -198,7 +198,7 @@ class TestJudgement:
         assert result.counts == {ReplayMatch.INFRASTRUCTURE_ERROR: 1, ReplayMatch.OUTCOME: 1}
 
     def test_the_sample_is_drawn_from_what_counts(self, tmp_path: Path) -> None:
-        """Spoilt episodes are left out; the same seed draws the same ones."""
+        """Infrastructure errors are left out; the same seed draws the same sample."""
         run = _run(tmp_path / "run", faults=Faults(infrastructure=0.3))
         drawn = replay.draw([run], 1000, 7)
         assert [index for _, index in drawn] == replay.eligible(run)

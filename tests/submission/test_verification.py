@@ -1,4 +1,4 @@
-"""Bundles of runs that were really played: what verification finds in them, and what it plays again."""
+"""Bundles of real runs: findings of verification, and replays."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ UNAUDITED = "the audit ran without the gates offline, mujoco"
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """Return a run of two episodes of the expert that nobody played."""
+    """Return a run of two episodes of the expert that were never run."""
     return recorded(tmp_path_factory.mktemp("recorded") / "expert")
 
 
@@ -60,7 +60,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 @pytest.fixture(scope="module")
 def report() -> TargetReport:
-    """Return what the cheapest gate says of the expert."""
+    """Return the report of the static gate on the expert."""
     return audit(EXPERT, package.POLICY, AuditOptions(gates=(Gate.STATIC,)), display_path="policy/scripted_expert")
 
 
@@ -73,7 +73,7 @@ def packed(run: Run, report: TargetReport, tmp_path_factory: pytest.TempPathFact
 
 
 def _forged(source: Path, target: Path, change: Callable[[Path], Any], *, consistently: bool = True) -> Path:
-    """Write a bundle whose files somebody has changed, with or without telling its manifest."""
+    """Write a bundle with changed files, with or without changing its manifest."""
     folder = target.with_suffix("")
     names = sorted(archive.unpack(source, folder, limit=10**8))
     change(folder)
@@ -100,7 +100,7 @@ def _records(change: Callable[[list[Line]], Any]) -> Callable[[Path], None]:
 
 
 def _problems(path: Path) -> dict[str, tuple[str, ...]]:
-    """Return what is wrong with a bundle by what was looked at, but for the audit that these tests leave out."""
+    """Return the problems of a bundle by check, but for the audit that these tests leave out."""
     report = verify.verify(verify.VerifyRequest(path, sample=0))
     assert validate(report.as_json(), "verification") == []
     problems_by_check = {check.name: check.problems for check in report.checks if check.problems}
@@ -140,7 +140,7 @@ def test_a_bundle_of_fewer_than_all_evaluation_seeds_is_named_a_subset(packed: P
 
 @pytest.mark.slow
 def test_curves_come_along_where_they_are_wanted(played: Run, report: TargetReport, tmp_path: Path) -> None:
-    """They are held against the records, whose digests they have to have."""
+    """They are checked against the records, whose digests they must have."""
     path = tmp_path / "traced.zip"
     prepare.pack(
         prepare.SubmitRequest(package.load(EXPERT), (played.folder,), path, frozenset({"trace"})), [played], report
@@ -160,7 +160,7 @@ def test_curves_come_along_where_they_are_wanted(played: Run, report: TargetRepo
 def test_changed_files_are_found(
     packed: Path, tmp_path: Path, change: Callable[[Path], Any], where: str, message: str
 ) -> None:
-    """Whoever changes a file of a bundle and leaves its manifest alone is found out; nothing else is looked at."""
+    """A changed file under an unchanged manifest is found; nothing else is checked then."""
     problems = _problems(_forged(packed, tmp_path / "forged.zip", change, consistently=False))
     assert list(problems) == [where]
     assert any(message in problem for problem in problems[where])
@@ -276,7 +276,7 @@ _OTHER_WEIGHTS = {"loaded": "0" * 64, "name": None, "declared": []}
 def test_parts_that_contradict_each_other_are_found(
     packed: Path, tmp_path: Path, change: Callable[[Path], Any], where: str, message: str
 ) -> None:
-    """A manifest that was changed along with a file does not help: what is said follows from rules and records."""
+    """A manifest that was changed along with a file does not help: claims follow from rules and records."""
     problems = _problems(_forged(packed, tmp_path / "forged.zip", change))
     assert any(message in problem for problem in problems[where]), problems
 
@@ -298,11 +298,11 @@ def test_an_adapter_that_changed_since_is_not_packed(run: Run, tmp_path: Path) -
 
 
 class TestReplay:
-    """Episodes of a run played again."""
+    """Replays of a run's episodes."""
 
     @pytest.mark.slow
     def test_states_repeat_bit_by_bit(self, played: Run) -> None:
-        """A deterministic policy in a simulation does the same thing on the same machine."""
+        """A deterministic policy in a simulation repeats itself on the same machine."""
         pairs = ReplayRunner(EXPERT).replay(played, [0, 1])
         assert [pair.match for pair in pairs] == [replay.ReplayMatch.SAME] * 2
         assert replay.judge(pairs, 2, deterministic=True).verdict is replay.ReplayVerdict.AGREES
@@ -315,7 +315,7 @@ class TestReplay:
 
     @pytest.mark.slow
     def test_an_adapter_that_is_isolated_plays_alike(self, played: Run) -> None:
-        """Neither its server nor its loop sees the one who judges, and states repeat bit by bit."""
+        """Neither its server nor its loop sees the judging process, and states repeat bit by bit."""
         player = ReplayRunner(EXPERT, runtime=Runtime(isolate=True))
         try:
             rollout_config, server_config = player._configs(played)
@@ -330,7 +330,7 @@ class TestReplay:
             ReplayRunner(EXPERT.parent / "demo_policy").replay(run, [0])
 
     def test_weights_that_are_not_here_are_named(self, run: Run) -> None:
-        """Without the checkpoint of the run nothing is played, and what to do is said."""
+        """Without the checkpoint of the run nothing is run, and the error has a hint."""
         policy = replace(run.plan.policy, checkpoint=LoadedCheckpoint("checkpoints/base", "0" * 64))
         other = replace(run, plan=replace(run.plan, policy=policy))
         with pytest.raises(UserError, match="checkpoints/base") as raised:
@@ -350,7 +350,7 @@ class TestReplay:
 
 
 class TestCheckpoints:
-    """Weights stay out of a bundle, and are found by their digest."""
+    """Weights are not in a bundle, and are found by their digest."""
 
     @pytest.fixture
     def adapter(self, tmp_path: Path) -> Path:
@@ -371,7 +371,7 @@ class TestCheckpoints:
     def test_a_bundle_finds_the_checkpoint_that_was_fetched(
         self, adapter: Path, report: TargetReport, tmp_path: Path
     ) -> None:
-        """It is linked into the unpacked adapter; where it is not here, nothing is played."""
+        """It is linked into the unpacked adapter; without it, nothing is run."""
         request = evaluate.EvalRequest(package.load(adapter), "offline", tmp_path / "run", PlanRequest(), films=0)
         run = evaluate.evaluate(request)
         path = tmp_path / "demo.xpl.zip"

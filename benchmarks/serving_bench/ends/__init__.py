@@ -1,6 +1,6 @@
-"""The two ends of every contender: a server of one model, and a connection that asks it.
+"""The two ends of every contender: a server of one model, and a connection to it.
 
-A module here offers `serve(model, setting, ready)`, which calls `ready(address)` once and then serves for good, and
+A module here offers `serve(model, setting, ready)`, which calls `ready(address)` once and then serves forever, and
 `async connect(address, setting)`, which returns a `Connection`. It is imported in the contender's own environment.
 """
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from benchmarks.serving_bench.payloads import Payload
 
 Ready = Callable[[str], None]
-"""Says at which address a server answers."""
+"""Receives the address of a server."""
 
 Ask = Callable[[], Awaitable[Any]]
 """Sends one request and returns its answer once that is there and decoded."""
@@ -23,7 +23,7 @@ class Connection(Protocol):
     """A client that is connected."""
 
     def asking(self, payload: Payload) -> Ask:
-        """Return the function that asks for the actions of this payload; it encodes anew each time it is called."""
+        """Return a function that requests the actions of this payload; it encodes anew each time."""
 
     async def close(self) -> None:
         """Close the connection."""

@@ -1,8 +1,8 @@
 """vla-eval: its connection and its model server, with the model in a thread.
 
 Setting `default` sends images as PNG and infers one request after the other; `raw` sends them raw, which is lossless
-too; `batchN` is raw with batches of up to N. Its batching waits 10 ms for a batch to fill, whoever asks, so N is best
-the number of clients.
+too; `batchN` is raw with batches of up to N. Its batching always waits 10 ms for a batch to fill, so N is best the
+number of clients.
 """
 
 from __future__ import annotations

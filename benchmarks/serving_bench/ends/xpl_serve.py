@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from benchmarks.serving_bench.model import Model
 
 CONNECT_S = 10.0
-"""For a server that is busy: one that does not share its model has to be told from one that does."""
+"""Longer than a busy server takes to accept a client: a server whose model is not shared does not accept one."""
 
 _ADAPTER = f"""
     import time

@@ -1,10 +1,9 @@
-"""A Ray cluster of two machines, as far as Ray can tell, led through standard input; runs in a Python that has Ray.
+"""A Ray cluster of two nodes, controlled through standard input; runs in a Python that has Ray.
 
     nodes.py '{"num_cpus": 2}' '{"num_cpus": 2, "num_gpus": 1}'
 
-Arguments are what the first and the second node have. Prints the cluster's address. Reads `kill`, which ends the
-second node without a word to anybody, and `add`, which starts another like it; each is answered by a line. Ends with
-its input.
+Arguments are the resources of the first and the second node. Prints the cluster's address. Reads `kill`, which ends the
+second node without notice, and `add`, which starts another like it; each is answered by a line. Ends with its input.
 """
 
 import json

@@ -1,6 +1,6 @@
-"""Runs on a real Ray cluster of two nodes: a node, or whoever leads the run, is lost on the way, and nothing else is.
+"""Runs on a real Ray cluster of two nodes: a node or the leading process is lost on the way, and nothing else.
 
-The nodes are processes of this machine. What they start is found by a mark in its environment.
+The nodes are processes of this machine. Their children are identified by a mark in their environment.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PYTHON = build.interpreter("ray", locks=FOLDER)
 TWO = {"num_cpus": 2}
 PLAYED = ("--env", "mujoco", "--task", "lift_cube", "--film", "0", "--horizon", "1")
 SAME = ("success", "score", "steps", "digest", "end_reason", "failure", "stages", "trace")
-"""What an episode's line says that follows from its plan alone, on one machine."""
+"""The parts of an episode's line that depend on its plan alone, on one machine."""
 
 pytestmark = [
     pytest.mark.slow,
@@ -81,7 +81,7 @@ class Cluster:
 
     @contextlib.contextmanager
     def playing(self, *args: str, policy: Path | str = "scripted_expert") -> Iterator[subprocess.Popen[str]]:
-        """Start `xpl eval`; it is gone at the end of the block, however that ends."""
+        """Start `xpl eval`; it is ended at the end of the block."""
         process = subprocess.Popen(
             [str(PYTHON), "-m", "xpl_cli", "eval", str(policy), *args],
             stdin=subprocess.DEVNULL,
@@ -121,14 +121,14 @@ def lines(folder: Path) -> int:
 
 
 def same(one: records.Run, other: records.Run) -> bool:
-    """Tell whether two runs have the same final episodes."""
+    """Return whether two runs have the same final episodes."""
     finals = [{i: [getattr(line, key) for key in SAME] for i, line in run.finals.items()} for run in (one, other)]
     return one.plan.run == other.plan.run and finals[0] == finals[1]
 
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], records.Run]:
-    """Return a function that plays so many episodes on this machine, without Ray."""
+    """Return a function that runs episodes on this machine, without Ray."""
 
     def play(episodes: int) -> records.Run:
         out = tmp_path_factory.mktemp("reference") / "run"

@@ -40,7 +40,7 @@ cp {result} "$folder/_result.json"
 
 @pytest.fixture
 def workspace(tmp_path: Path) -> Path:
-    """A folder that has of RoboDojo what the hand-over asks for; its launcher notes its words and copies a result."""
+    """A folder with the files that the hand-over needs; its launcher logs its arguments and copies a result."""
     folder = tmp_path / "RoboDojo"
     files = ["src/eval_client/main.py", "env_cfg/arx_x5.yml", "XPolicyLab/policy/demo_policy/deploy.py"]
     files += ["task/RoboDojo/config/stack_bowls.yml", "task/RoboDojo/config/stack_bowls_random.yml"]
@@ -109,7 +109,7 @@ def test_what_it_found_is_recorded(workspace: Path, tmp_path: Path, task: str, s
 
 
 def test_a_run_that_broke_off_goes_on_under_its_name(workspace: Path, tmp_path: Path) -> None:
-    """RoboDojo finds what it had played by that name."""
+    """RoboDojo finds its earlier episodes by that name."""
     out = tmp_path / "run"
     (workspace / "fails").touch()
     ended = _call("--workspace", workspace, "--out", out)
@@ -180,7 +180,7 @@ def test_a_result_that_cannot_be_relied_on_is_refused(tmp_path: Path, content: A
 
 @pytest.mark.parametrize(("text", "value"), [("Timestamp: x\n\nInstruction Type: seen\n\n0.37", 0.37), ("1.0\n", 1.0)])
 def test_the_plain_number_of_robotwin_is_read(tmp_path: Path, text: str, value: float) -> None:
-    """It is the last line, whatever stands above."""
+    """It is the last line, whatever the other lines are."""
     (tmp_path / "_result.txt").write_text(text)
     assert results.rate(tmp_path / "_result.txt") == value
 
@@ -193,7 +193,7 @@ def test_what_is_no_rate_is_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_a_launcher_is_data_and_held_to_its_names() -> None:
-    """Unknown names, forms and keys are told; a value is never replaced again, and no shell reads it."""
+    """Unknown names, forms and keys are reported; a value is never substituted again, and no shell reads it."""
     facts = environments.manifest(ROOT / "envs" / "robodojo")
     Launcher.read(facts)
     changes: list[tuple[dict[str, Any], bool]] = [
@@ -241,7 +241,7 @@ def test_a_name_does_not_lead_out_of_the_workspace(workspace: Path) -> None:
 
 
 def test_robotwins_rate_is_read_where_only_robotwin_knows_the_folder(tmp_path: Path) -> None:
-    """The one that is new; a rate does not say which episodes succeeded, so that --out is refused."""
+    """The new one is read; a rate does not say which episodes succeeded, so that --out is refused."""
     folder = tmp_path / "RoboTwin"
     facts = environments.manifest(ROOT / "envs" / "robotwin")
     assert facts.hand_over is not None
