@@ -67,7 +67,7 @@ def test_a_task_ends_when_it_has_enough_or_never_will(outcomes: list[bool | None
     assert collect._stop_rule(3)(outcomes) is ended
 
 
-def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path) -> None:
+def test_a_set_is_the_first_of_the_plan_and_reports_discarded_episodes(tmp_path: Path) -> None:
     """Further episodes, as with several workers, are moved aside and do not count."""
     failures = [None, "task", "infrastructure", None, None]
     lines = {

@@ -56,7 +56,7 @@ def test_the_better_policy_is_named_with_its_margin(runs: tuple[Path, Path]) -> 
     assert [row["adjusted_p_value"] for row in rows] == intervals.holm([row["p_value"] for row in rows])
 
 
-def test_no_difference_shown_is_not_called_equality(tmp_path: Path) -> None:
+def test_no_significant_difference_is_not_called_equality(tmp_path: Path) -> None:
     foo = synthetic(tmp_path / "foo", **ONE, episodes=20, rate=0.5, policy="Foo")
     bar = synthetic(tmp_path / "bar", **ONE, episodes=20, rate=0.55, policy="Bar")
     comparison = compared(foo, bar)
@@ -69,7 +69,7 @@ def test_no_difference_shown_is_not_called_equality(tmp_path: Path) -> None:
     )
 
 
-def test_a_run_played_again_is_recognised(tmp_path: Path) -> None:
+def test_a_repeated_run_is_recognised(tmp_path: Path) -> None:
     """It is no evidence about anything but repeatability."""
     first = synthetic(tmp_path / "first")
     again = tmp_path / "again"
@@ -94,7 +94,7 @@ def test_infrastructure_errors_are_compared_as_failed_and_others_only_where_both
     assert [entry["what"] for entry in comparison["differences"]] == ["seeds of lift_cube (clean)"]
 
 
-def test_what_differs_besides_the_policy_is_told(runs: tuple[Path, Path]) -> None:
+def test_differences_besides_the_policy_are_reported(runs: tuple[Path, Path]) -> None:
     control = {"horizon": None, "attempts": 3}
     comparison = compared(runs[0], rewritten(runs[1], action_type="ee", control=control, until_width=0.5))
     assert {entry["what"] for entry in comparison["differences"]} == {
@@ -102,7 +102,7 @@ def test_what_differs_besides_the_policy_is_told(runs: tuple[Path, Path]) -> Non
     }  # fmt: skip
 
 
-def test_tasks_that_one_run_lacks_are_told(tmp_path: Path) -> None:
+def test_tasks_that_one_run_lacks_are_reported(tmp_path: Path) -> None:
     foo = synthetic(tmp_path / "foo", policy="Foo")
     comparison = compared(foo, synthetic(tmp_path / "bar", ["lift_cube"], ["clean", "other"], policy="Bar"))
     assert [(row["task"], row["setting"]) for row in comparison["cells"]] == [("lift_cube", "clean")]

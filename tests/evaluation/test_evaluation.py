@@ -233,7 +233,7 @@ def test_an_adapter_without_a_loop_is_driven_with_a_horizon(
         (["--eval-env", "venv:nowhere"], ExitCode.NOT_RUN, "nowhere/bin/python"),
     ],
 )
-def test_where_an_environment_cannot_be_played_one_sentence_says_so(
+def test_an_environment_that_cannot_run_is_reported_in_one_sentence(
     frail: Path, tmp_path: Path, options: list[str], code: ExitCode, message: str
 ) -> None:
     done = commands.xpl("eval", "demo_policy", *HOLD, *options, folder=tmp_path)
@@ -274,7 +274,7 @@ CORES = len(os.sched_getaffinity(0))
         *((2, "3", None), (None, "many", None)),
     ],
 )
-def test_there_is_one_environment_for_each_worker_unless_told_otherwise(
+def test_there_is_one_environment_for_each_worker_by_default(
     num_envs: int | None, workers: str, expected: tuple[int, int] | None
 ) -> None:
     if expected is None:

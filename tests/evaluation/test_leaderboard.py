@@ -55,7 +55,7 @@ def test_runs_are_ranked_by_success_and_compared_with_the_first(tmp_path: Path) 
     assert not any("No difference from" in note for note in result.notes)
 
 
-def test_what_the_episodes_do_not_tell_apart_is_said(tmp_path: Path) -> None:
+def test_runs_without_a_shown_difference_are_reported(tmp_path: Path) -> None:
     result = _rank(*(_run(tmp_path, name, rate=0.6) for name in ("One", "Other")))
     first, second = (row.policy for row in result.rows)
     assert any(

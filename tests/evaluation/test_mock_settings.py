@@ -28,7 +28,7 @@ def _run(folder: Path, policy: str = "Foo", settings: tuple[str, ...] = (SETTING
     return records.read(synthetic(folder / policy, tasks=("lift_cube",), settings=settings, episodes=4, policy=policy))
 
 
-def test_every_report_says_it_first(tmp_path: Path) -> None:
+def test_every_report_begins_with_the_remark(tmp_path: Path) -> None:
     """Summary, page, comparison, and what `xpl eval` prints; of a usual run none does."""
     run = _run(tmp_path)
     run_summary = summarise(run)
@@ -42,7 +42,7 @@ def test_every_report_says_it_first(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("setting", "is_said"), [(SETTING, True), ("clean", False)])
 @pytest.mark.parametrize("rate", [None, 1.0])
-def test_an_evaluation_says_it_beside_its_figure(setting: str, is_said: bool, rate: float | None) -> None:
+def test_an_evaluation_has_the_remark_beside_its_figure(setting: str, is_said: bool, rate: float | None) -> None:
     played = EvalSetup("x", "x", "x", setting, "x", "joint")
     evaluation = Evaluation(played, [episode(success=None if rate is None else True, score=rate)])
     assert evaluation.success_rate == rate

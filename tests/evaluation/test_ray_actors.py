@@ -94,7 +94,7 @@ def test_a_machine_with_something_else_is_refused(configs: tuple[RolloutConfig, 
 
 
 @pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
-def test_without_ray_the_backend_says_how_to_get_it(
+def test_without_ray_the_error_has_the_install_command(
     configs: tuple[RolloutConfig, ServerConfig], tmp_path: Path
 ) -> None:
     done = xpl("eval", "Drilled", "--env", "drill", "--out", "run", "--backend", "ray", cwd=tmp_path)

@@ -63,7 +63,7 @@ def test_a_report_is_a_page_and_the_same_for_machines_and_for_papers(tmp_path: P
     assert document["summary"]["notes"][-1].split(":")[0] in text
 
 
-def test_what_cannot_be_reported_is_said_in_a_sentence(tmp_path: Path) -> None:
+def test_a_run_that_cannot_be_reported_is_refused_in_a_sentence(tmp_path: Path) -> None:
     nothing = xpl("report", ".", folder=tmp_path)
     assert nothing.code == ExitCode.NOT_FOUND
     assert "no recorded run" in nothing.stderr
@@ -172,7 +172,7 @@ def test_a_small_budget_goes_to_every_cell_and_to_failures_first(tmp_path: Path)
         (lambda run: (run / "films/0.webp").unlink(), "cannot be read: No such file"),
     ],
 )
-def test_a_film_that_was_changed_or_is_gone_is_not_shown(tmp_path: Path, spoil: Any, message: str) -> None:
+def test_a_changed_or_missing_video_is_not_embedded(tmp_path: Path, spoil: Any, message: str) -> None:
     run = synthetic(tmp_path / "foo", episodes=2, films=1)
     spoil(run)
     media_by_index = media.collect_media(records.read(run), MUCH, "")

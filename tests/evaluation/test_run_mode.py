@@ -79,7 +79,7 @@ def test_a_policy_that_is_not_here_is_recorded(room: Path, elsewhere: str) -> No
 
 
 @pytest.mark.slow
-def test_such_a_run_is_resumed_by_whoever_serves_the_policy(room: Path, elsewhere: str) -> None:
+def test_such_a_run_is_resumed_with_another_server(room: Path, elsewhere: str) -> None:
     reach = ("--connect", elsewhere, "--token-file", "token")
     done = _eval(room, "Foreign", "--episodes", "3", *reach)
     assert done.returncode == 0, done.stderr
@@ -117,7 +117,7 @@ def test_a_batch_is_recorded_with_its_size(room: Path) -> None:
     assert "in batches of 2" in refused.stderr
 
 
-def test_a_policy_is_told_what_another_episode_is_about(room: Path) -> None:
+def test_a_policy_gets_the_instruction_of_another_episode(room: Path) -> None:
     """The drill's adapter fails at seed 1: with swapped instructions that is the episode before it."""
     drill.adapter(room, raises=[1])
     done = _eval(room, "Drilled", "--episodes", "2", "--instruction", "swap")
@@ -146,7 +146,7 @@ def test_other_words_depend_on_the_seed_alone(instead: str, instructions: list[s
     assert "instructions" not in other.get_obs_batch([1])[0]
 
 
-def test_where_all_episodes_are_told_the_same_nothing_is_swapped() -> None:
+def test_equal_instructions_are_not_swapped() -> None:
     with pytest.raises(UserError, match=r"pick, clean: the next 30 seeds have the same instruction"):
         with_instruction(_Told(["lift it"]), run_mode.SWAP, [RolloutJob(0, 1, "pick", "clean", 1)], 1)
 

@@ -96,7 +96,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> RunPlan:
     return records.read(folder).plan
 
 
-def test_episodes_are_played_in_the_order_of_the_plan(plan: RunPlan, tmp_path: Path) -> None:
+def test_episodes_run_in_the_order_of_the_plan(plan: RunPlan, tmp_path: Path) -> None:
     backend = Script(2, _good, _first)
     run = _play(tmp_path, plan, backend)
     assert [job.index for job in backend.played] == [0, 1, 2, 3, 4, 5] == list(run.finals)
@@ -164,7 +164,7 @@ def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: RunPlan, tmp_p
     assert len(_play(tmp_path, long, Script(3, _good, _first)).finals) == 40
 
 
-def test_many_lanes_that_are_lost_at_once_are_no_outage(plan: RunPlan, tmp_path: Path) -> None:
+def test_many_workers_that_are_lost_at_once_are_no_outage(plan: RunPlan, tmp_path: Path) -> None:
     """Only attempts that began after the last success indicate one."""
     cells = [replace(cell, seeds=list(range(40))) for cell in plan.cells]
     lost_once = Counter[int]()

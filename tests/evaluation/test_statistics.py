@@ -90,7 +90,7 @@ def test_pairing_narrows_the_interval_of_what_goes_together() -> None:
     assert newcombe_paired(pairs).interval == pytest.approx((-high, -low))
 
 
-def test_the_paired_interval_holds_the_true_difference_as_often_as_it_says() -> None:
+def test_the_paired_interval_has_its_nominal_coverage() -> None:
     """All tables of 20 pairs, weighted with their probability under rates that go together more or less."""
     from scipy import stats
 
@@ -103,7 +103,7 @@ def test_the_paired_interval_holds_the_true_difference_as_often_as_it_says() -> 
         assert 0.93 < covered < 0.99, shares
 
 
-def test_a_mean_of_cells_holds_the_true_mean_as_often_as_it_says() -> None:
+def test_a_mean_of_cells_has_its_nominal_coverage() -> None:
     """Three tasks of 12 episodes each, by the probabilities of all their outcomes."""
     from scipy import stats
 

@@ -110,7 +110,7 @@ def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
 
 
 @pytest.mark.slow
-def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_again(tmp_path: Path) -> None:
+def test_failures_are_attributed_and_infrastructure_errors_are_retried(tmp_path: Path) -> None:
     """A policy that raises fails its episode; a crashed one is restarted; infrastructure errors count as failed."""
     folder = drill.environment(tmp_path, tasks=("hold",))
     drill.adapter(tmp_path, raises=[1])
@@ -179,7 +179,7 @@ def _request(folder: Path, plan_request: plan.PlanRequest | None, **more: Any) -
         ({"plan_request": plan.PlanRequest(), "overrides": {"env_cfg_type": "piper_single"}}, "has no piper_single"),
     ],
 )
-def test_what_cannot_be_played_is_refused_before_anything_is_recorded(
+def test_an_invalid_request_is_refused_before_anything_is_recorded(
     room: Path, options: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(UserError, match=message):
@@ -272,7 +272,7 @@ def _servers(mark: str) -> list[int]:
 
 
 @pytest.mark.slow
-def test_lanes_and_servers_that_are_killed_are_replaced(tmp_path: Path) -> None:
+def test_killed_workers_and_servers_are_replaced(tmp_path: Path) -> None:
     """Two workers share a server: one of the workers is killed, then the server; their attempts are retried."""
     drill.environment(tmp_path)
     drill.adapter(tmp_path, close_timeout_s=1)

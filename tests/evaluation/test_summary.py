@@ -35,7 +35,7 @@ def results(summary: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in summary.items() if key != "execution"}
 
 
-def test_rows_count_what_was_played(tmp_path: Path) -> None:
+def test_rows_count_completed_episodes(tmp_path: Path) -> None:
     """Cells in the order of the plan, and sums over them."""
     report = summary_of(synthetic(tmp_path / "run", episodes=25, faults=Faults(policy=0.1)))
     assert [(row["task"], row["setting"]) for row in report["cells"]] == [
@@ -154,7 +154,7 @@ def test_an_environment_without_success_has_no_rate(tmp_path: Path) -> None:
     assert any(note.startswith("No episode defines success in lift_cube (clean)") for note in report["notes"])
 
 
-def test_a_run_that_is_not_finished_says_so(tmp_path: Path) -> None:
+def test_an_unfinished_run_is_reported(tmp_path: Path) -> None:
     """A cell without any episode takes no part in the means."""
     report = summary_of(synthetic(tmp_path / "run", episodes=10, played=12))
     assert [row["completed"] for row in report["cells"]] == [10, 2, 0, 0]
@@ -166,7 +166,7 @@ def test_a_run_that_is_not_finished_says_so(tmp_path: Path) -> None:
     assert any("means of the rates" in note for note in report["notes"])
 
 
-def test_what_was_played_after_a_cell_had_ended_does_not_count(tmp_path: Path) -> None:
+def test_episodes_after_the_end_of_a_cell_do_not_count(tmp_path: Path) -> None:
     """A run that stops at narrow intervals has one result, however many episodes were running."""
     cell: dict[str, Any] = {"tasks": ["lift_cube"], "settings": ["clean"], "episodes": 60, "rate": 0.95}
     whole = summary_of(rewritten(synthetic(tmp_path / "whole", **cell), until_width=0.3))
@@ -209,7 +209,7 @@ def test_settings_are_held_against_the_first(tmp_path: Path) -> None:
     assert overall["difference"] == pytest.approx(by_setting[1] - by_setting[0])
 
 
-def test_the_course_of_a_run_is_told_apart(tmp_path: Path) -> None:
+def test_execution_is_separate_from_results(tmp_path: Path) -> None:
     """Retries, errors, and latency as exactly as a histogram allows."""
     folder = synthetic(tmp_path / "run", faults=Faults(retried=0.3))
     execution = summary_of(folder)["execution"]

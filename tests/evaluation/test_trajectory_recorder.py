@@ -108,7 +108,7 @@ def test_every_step_has_what_was_seen_before_it_also_inside_a_chunk(tmp_path: Pa
 
 
 @pytest.mark.parametrize("may_know", [True, False])
-def test_what_a_simulator_tells_is_kept_where_asked_and_shown_to_none_that_may_not_know(
+def test_privileged_observations_are_recorded_on_request_and_hidden_from_the_policy(
     tmp_path: Path, may_know: bool
 ) -> None:
     """The file is the same; a policy without `privileged` among its inputs sees what it always sees."""

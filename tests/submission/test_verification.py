@@ -325,7 +325,7 @@ class TestReplay:
         assert server_config.bounds.flags[0] == "--isolate"
         assert [pair.match for pair in player.replay(played, [0])] == [replay.ReplayMatch.SAME]
 
-    def test_only_the_adapter_of_the_run_is_played(self, run: Run) -> None:
+    def test_only_the_adapter_of_the_run_is_replayed(self, run: Run) -> None:
         with pytest.raises(UserError, match="does not have the files of the run"):
             ReplayRunner(EXPERT.parent / "demo_policy").replay(run, [0])
 
@@ -388,7 +388,7 @@ class TestCheckpoints:
         assert pair.match in {replay.ReplayMatch.SAME, replay.ReplayMatch.OUTCOME}
 
     @pytest.mark.slow
-    def test_weights_that_nobody_else_could_get_are_not_packed(self, adapter: Path, tmp_path: Path) -> None:
+    def test_weights_that_third_parties_cannot_get_are_not_packed(self, adapter: Path, tmp_path: Path) -> None:
         """What was loaded has to be specified by its digest."""
         text = (adapter / "policy.yml").read_text(encoding="utf-8")
         (adapter / "policy.yml").write_text(text.partition("checkpoints:")[0], encoding="utf-8")

@@ -173,7 +173,7 @@ def test_a_node_and_the_leader_are_killed_and_every_episode_counts_once(
         assert (out / line.trace.path).is_file()
 
 
-def test_a_run_that_is_told_to_end_does_and_takes_all_along(tmp_path: Path) -> None:
+def test_a_terminated_run_ends_its_processes(tmp_path: Path) -> None:
     """By SIGTERM, as by Ctrl-C: the command's own exit code, nothing on standard output, no process left."""
     out = tmp_path / "run"
     with Cluster(TWO, TWO) as cluster:

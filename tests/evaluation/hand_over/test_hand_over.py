@@ -136,7 +136,7 @@ def test_the_environment_names_a_workspace_too_and_a_dry_run_starts_nothing(
 
 
 @pytest.mark.parametrize("missing", ["scripts/eval_policy.sh", "XPolicyLab/policy/demo_policy/deploy.py"])
-def test_a_folder_that_is_no_workspace_is_told(workspace: Path, missing: str) -> None:
+def test_a_folder_that_is_no_workspace_is_reported(workspace: Path, missing: str) -> None:
     (workspace / missing).unlink()
     ended = _call("--workspace", workspace)
     assert ended.code == 3
@@ -150,7 +150,7 @@ def test_a_folder_that_is_no_workspace_is_told(workspace: Path, missing: str) ->
     ("name", "task", "robot"),
     [("robodojo", "stack_bowls", "arx_x5"), ("robotwin", "stack_blocks_two", "aloha_agilex")],
 )
-def test_a_rehearsal_plays_the_stand_in_and_tells_no_number(name: str, task: str, robot: str) -> None:
+def test_a_rehearsal_runs_the_mock_and_gives_no_numbers(name: str, task: str, robot: str) -> None:
     """Server, client and the benchmark's own loop, in processes of their own."""
     words = ["--task", task, "--set", f"env_cfg_type={robot}", "--rehearse", "--episodes", "2", "--json"]
     ended = xpl("env", "hand-over", name, POLICY, *words)
@@ -288,7 +288,7 @@ def test_eval_hands_over_where_the_workspace_is_known(
 
 
 @pytest.mark.slow
-def test_eval_says_that_it_plays_a_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_eval_reports_that_it_runs_a_mock(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there is no workspace; and nothing is called a success."""
     monkeypatch.delenv("ROBODOJO_ROOT", raising=False)
     monkeypatch.delenv("EVAL_ENV_TYPE", raising=False)
