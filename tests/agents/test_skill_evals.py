@@ -166,9 +166,9 @@ def test_a_query_is_judged_by_the_skill_that_is_named(program: Callable[[str], A
 @pytest.mark.slow
 def test_a_task_is_judged_by_the_audit_and_not_by_what_is_said(task: Task, program: Callable[[str], Agent]) -> None:
     claim = "pathlib.Path('REPORT.md').write_text('Everything is green.')\n"
-    spoilt = _make(task, program(claim + "pathlib.Path('upstream/code.py').write_text('')"))
-    assert not spoilt.passed
-    assert "changed: upstream/code.py" in [check["reason"] for check in spoilt.checks]
+    changed_run = _make(task, program(claim + "pathlib.Path('upstream/code.py').write_text('')"))
+    assert not changed_run.passed
+    assert "changed: upstream/code.py" in [check["reason"] for check in changed_run.checks]
     deed = (
         "for path in pathlib.Path('policy/Here').rglob('*'):\n"
         "    if path.is_file() and '.xpl' not in path.parts:\n"

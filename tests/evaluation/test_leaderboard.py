@@ -146,7 +146,7 @@ def test_a_ranking_is_written_for_people_papers_and_tables(tmp_path: Path) -> No
         ({"tasks": ["lift_cube"]}, "Tasks that the other lacks: stack_cubes (clean), stack_cubes (randomized) in "),
         ({"settings": ["clean"]}, "Tasks that the other lacks: lift_cube (randomized), "),
         ({"spec": "v2"}, "Standard that the environment declares: v1 in "),
-        ({"played": 50}, "Episodes still to come: none in "),
+        ({"played": 50}, "Remaining episodes: none in "),
     ],
 )
 def test_runs_that_are_not_alike_are_ranked_only_by_those_who_want_it(

@@ -35,7 +35,7 @@ def _next(run: records.Run, index: int, **more: Any) -> EpisodeRecord:
     return replace(run.finals[0], **key, **more)
 
 
-SPOILT = {"success": None, "failure": "infrastructure", "end_reason": "infrastructure", "error": "the server ended"}
+ERRORED = {"success": None, "failure": "infrastructure", "end_reason": "infrastructure", "error": "the server ended"}
 
 
 def test_a_line_tells_what_happened_and_how_far_the_run_is(
@@ -43,7 +43,7 @@ def test_a_line_tells_what_happened_and_how_far_the_run_is(
 ) -> None:
     """Episodes of an earlier process count, except for the pace."""
     with show_progress(run, 5) as view:
-        view.add(_next(run, 3, final=False, wall_seconds=36.0, **SPOILT), 5)
+        view.add(_next(run, 3, final=False, wall_seconds=36.0, **ERRORED), 5)
         view.add(_next(run, 3), 4)
     first, second = capsys.readouterr().err.splitlines()
     assert first.startswith("lift, clean, seed 3: infrastructure (the server ended), will be retried; 3 of 8 episodes")
@@ -68,7 +68,7 @@ def test_a_terminal_shows_cells_and_the_last_failure(run: records.Run, monkeypat
         with os.fdopen(theirs, "w") as terminal:
             monkeypatch.setattr(sys, "stderr", terminal)
             with show_progress(run, 5) as view:
-                view.add(_next(run, 3, **SPOILT), 4)
+                view.add(_next(run, 3, **ERRORED), 4)
         text = _all_of(terminal_output)
     for part in ("clean", "4/4", "randomized", "0/4", "3 of 3 succeeded", "last failure: lift, clean, seed 3"):
         assert part in text

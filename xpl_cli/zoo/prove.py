@@ -21,7 +21,7 @@ from xpl_cli.audit.rules.verdict import PARITY, verdict_of
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.basics.git import place
+from xpl_cli.basics.git import discovery
 from xpl_cli.packages import package
 from xpl_cli.standard import spec
 from xpl_cli.standard.zoo import policies
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.model import GateReport, TargetReport
     from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.audit.rules.verdict import Verdict
-    from xpl_cli.standard.zoo.policies import GateProof, Played, Policy, Proof, Read
+    from xpl_cli.standard.zoo.policies import GateProof, ManifestValue, RecordedRun, ZooPolicy, ZooProof
 
 _SERVES: Final = "XPL201"
 """The rule that says whether an adapter could be served."""
@@ -54,13 +54,13 @@ class AdapterCheckout:
         commit: of the checkout; None without git.
     """
 
-    policy: Policy
+    policy: ZooPolicy
     path: Path
     folder: str
     commit: str | None
 
 
-def adapter_in(policy: Policy, checkout: Path) -> AdapterCheckout:
+def adapter_in(policy: ZooPolicy, checkout: Path) -> AdapterCheckout:
     """Find the adapter of a policy in a checkout, or in a folder that is the adapter itself.
 
     Raises:
@@ -77,7 +77,7 @@ def adapter_in(policy: Policy, checkout: Path) -> AdapterCheckout:
 
 def _commit(path: Path) -> str | None:
     """Return the commit of the work tree that contains a folder."""
-    git = place.work_tree(path)
+    git = discovery.work_tree(path)
     try:
         return None if git is None else git.text("rev-parse", "HEAD").strip()
     except UserError:
@@ -93,10 +93,10 @@ def _own_commit() -> str | None:
 def proof(
     adapter: AdapterCheckout,
     options: AuditOptions,
-    manifest: Mapping[str, Read],
+    manifest: Mapping[str, ManifestValue],
     arguments: Sequence[str] = (),
     run: Path | None = None,
-) -> Proof:
+) -> ZooProof:
     """Audit an adapter and return the proof of how far it runs.
 
     Args:
@@ -120,7 +120,7 @@ def proof(
     if not level:
         raise UserError(f"{adapter.folder} was not judged by the static gate: {following}", code=ExitCode.NOT_RUN)
     name = adapter.policy.name
-    result: Proof = {
+    result: ZooProof = {
         "name": name,
         "level": level,
         "date": dt.datetime.now(dt.UTC).date().isoformat(),
@@ -137,11 +137,11 @@ def proof(
     if evaluated is not None and level == _WEIGHTS:
         result["run"] = evaluated
     root = adapter.path.parents[1] if adapter.path.as_posix().endswith(f"/{adapter.folder}") else adapter.path
-    proven: Proof = _portable(result, str(root))
+    proven: ZooProof = _portable(result, str(root))
     return proven
 
 
-def write(result: Proof) -> Path:
+def write(result: ZooProof) -> Path:
     """Write a proof into the zoo, replacing an older one; return its path."""
     path = policies.proof_path(result["name"])
     path.parent.mkdir(exist_ok=True)
@@ -150,7 +150,7 @@ def write(result: Proof) -> Path:
     return path
 
 
-def _level(report: TargetReport, verdict: Verdict, evaluated: Played | None) -> tuple[int, str | None]:
+def _level(report: TargetReport, verdict: Verdict, evaluated: RecordedRun | None) -> tuple[int, str | None]:
     """Return the level, and why the next one was not reached."""
     gates = {gate.name: gate for gate in report.gates}
     for level, gate in enumerate((Gate.STATIC, Gate.OFFLINE)):
@@ -197,7 +197,7 @@ def _gate(gate: GateReport) -> GateProof:
     }
 
 
-def _recorded_run(adapter: AdapterCheckout, path: Path) -> Played:
+def _recorded_run(adapter: AdapterCheckout, path: Path) -> RecordedRun:
     """Return the result of a recorded run of an adapter with weights.
 
     Raises:
@@ -209,14 +209,14 @@ def _recorded_run(adapter: AdapterCheckout, path: Path) -> Played:
 
     run = records.read(path)
     plan, run_cells = run.plan.policy, cells(run)
-    unplayed = sum(cell.remaining for cell in run_cells)
+    remaining = sum(cell.remaining for cell in run_cells)
     if plan.digest != package_digest(adapter.path):
         raise UserError(f"{path} is a run of other files than {adapter.folder}: expected a run of this adapter")
     if plan.checkpoint is None:
         raise UserError(f"{path} is a run without weights: its configuration has no checkpoint")
     outcomes = [outcome for cell in run_cells for outcome in cell.outcomes]
-    if unplayed or not outcomes:
-        raise UserError(f"{path} is not finished: {unplayed} episodes are missing", hint="xpl eval --resume")
+    if remaining or not outcomes:
+        raise UserError(f"{path} is not finished: {remaining} episodes are missing", hint="xpl eval --resume")
     return {
         "run": run.plan.run,
         "environment": run.plan.environment.name,

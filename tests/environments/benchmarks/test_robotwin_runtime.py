@@ -149,7 +149,7 @@ def test_an_episode_over_the_wire_is_recorded_and_never_taken_for_robotwins(tmp_
     chosen = ("--env", str(env), "--setting", SETTING, "--task", "stack_blocks_two", "--out", run)
     found = ROBOTWIN.play("demo_policy", *chosen, "--set", "env_cfg_type=aloha_agilex")
     assert (found["overall"]["judged"], found["overall"]["mean_steps"]) == (1, STEPS)
-    assert "stands in for a part of robotwin" in found["notes"][0]
+    assert "replaces a part of robotwin by a mock" in found["notes"][0]
     ranked = xpl("leaderboard", run, "--robotwin", str(tmp_path / "out"), cwd=build.ROOT)
     assert ranked.returncode == ExitCode.NOT_RUN
     assert "no results of robotwin" in ranked.stderr

@@ -127,9 +127,9 @@ def _differences_from(first: Run, run: Run) -> Iterator[RunDifference]:
     """Yield in what a run differs from the first one, and whether it still goes on."""
     if run is not first:
         yield from find_differences(first, run)
-    unplayed = sum(cell.remaining for cell in cells(run))
-    if unplayed:
-        yield RunDifference("episodes still to come", "none", str(unplayed))
+    remaining = sum(cell.remaining for cell in cells(run))
+    if remaining:
+        yield RunDifference("remaining episodes", "none", str(remaining))
 
 
 def _sentence(runs: Sequence[Run], index: int, difference: RunDifference) -> str:

@@ -54,7 +54,7 @@ class Cell:
 
     @property
     def remaining(self) -> int:
-        """Number of episodes that are still to come."""
+        """Number of episodes that have not run yet."""
         return 0 if self.ended else self.planned - len(self.counted)
 
     @property
