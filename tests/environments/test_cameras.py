@@ -193,7 +193,7 @@ def test_shortcuts_change_no_picture(embodiment: str) -> None:
 
 
 def test_pictures_are_repeatable() -> None:
-    """A camera that has seen other things, and another camera, show the same state in the same pixels."""
+    """A camera that has rendered other scenes, and another camera, render the same state to the same pixels."""
     env = _env(cameras=False)
     env.reset([0])
     physics = env.episodes[0].physics
@@ -216,7 +216,7 @@ def test_pictures_are_repeatable() -> None:
 
 
 def test_segmentation_names_what_is_seen() -> None:
-    """Privileged observations tell every pixel's body; the observation's schema does not know such a key."""
+    """Privileged observations have every pixel's body; the observation's schema does not know such a key."""
     env = _env(cameras=[60, 80], privileged=True)
     env.reset([0])
     truth = env.get_obs()["privileged"]
@@ -284,7 +284,7 @@ def test_a_shape_without_a_closed_form_is_refused() -> None:
 
 
 def test_a_second_graphics_library_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process draws with one; the error says which, and where the other one can draw."""
+    """A process renders with one; the error says which, and how to use the other one."""
     monkeypatch.setenv("PYOPENGL_PLATFORM", "egl")
     with pytest.raises(gl.RendererMissingError, match=r"osmesa in this process, which draws with egl.*another one"):
         _env(renderer="osmesa").reset([0])
@@ -292,7 +292,7 @@ def test_a_second_graphics_library_is_refused(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.skipif(importlib.util.find_spec("OpenGL") is not None, reason="PyOpenGL is installed here")
 def test_a_missing_graphics_library_is_named() -> None:
-    """The error says what OpenGL needs and what needs nothing; the environment still works with rays."""
+    """The error names the requirements of OpenGL and the alternative without; the environment still works with rays."""
     env = _env(renderer="egl")
     with pytest.raises(gl.RendererMissingError, match=r"needs PyOpenGL and libEGL.*ray caster needs neither"):
         env.reset([0])

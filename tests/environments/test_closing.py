@@ -1,4 +1,4 @@
-"""However an evaluation ends, its environment is closed, once; and an environment that asks a person can ask."""
+"""However an evaluation ends, its environment is closed, once; and an environment can ask the operator."""
 
 from __future__ import annotations
 

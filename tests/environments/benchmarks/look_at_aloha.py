@@ -1,4 +1,4 @@
-"""Runs in the Python of envs/aloha: moves the arms, looks, plays again in gym-aloha itself; prints JSON."""
+"""Runs in the Python of envs/aloha: moves the arms, observes, replays in gym-aloha itself; prints JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs in the Python of envs/libero: moves the arm, looks, plays again in LIBERO's own wrapper; prints JSON."""
+"""Runs in the Python of envs/libero: moves the arms, observes, replays in LIBERO's own wrapper; prints JSON."""
 
 from __future__ import annotations
 

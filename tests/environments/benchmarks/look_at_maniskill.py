@@ -1,4 +1,4 @@
-"""Runs in the Python of envs/maniskill: moves its arms, looks, and prints what it saw as JSON."""
+"""Runs in the Python of envs/maniskill: moves its arms, and prints observations as JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs in the Python of envs/metaworld: moves the arm, looks, and prints what it saw as JSON."""
+"""Runs in the Python of envs/metaworld: moves the arm, and prints observations as JSON."""
 
 from __future__ import annotations
 

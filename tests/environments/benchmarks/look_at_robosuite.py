@@ -1,4 +1,4 @@
-"""Runs in the Python of envs/robosuite: moves arms, looks, plays again in robosuite itself; prints JSON."""
+"""Runs in the Python of envs/robosuite: moves arms, observes, replays in robosuite itself; prints JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs in the Python of envs/robotwin: plays RoboTwin's tasks with a robot that stands in, looks, and prints JSON."""
+"""Runs in the Python of envs/robotwin: runs tasks with a mock robot and prints observations as JSON."""
 
 from __future__ import annotations
 

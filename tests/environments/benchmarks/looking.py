@@ -1,4 +1,4 @@
-"""What programs share that run in a benchmark's own Python: they make its environment, move an arm and look."""
+"""Shared parts of programs in a benchmark's own Python: they make its environment, move an arm and observe."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _WAYS = [(sign, axis) for axis in "xyz" for sign in "+-"]
 
 
 def turns(env: Any, steps: int = STEPS) -> list[list[float]]:
-    """Return, for each axis of the world, the rotation vector by which the tool turned when told to turn by 0.3 rad."""
+    """Return, for each axis of the world, the rotation vector of the tool after a command of 0.3 rad."""
     found = []
     for axis in np.eye(3):
         env.reset([0])
@@ -108,12 +108,12 @@ def colored(picture: np.ndarray, place: tuple[float, float], reach: int = 1) -> 
 
 
 def told(env: Any) -> np.ndarray:
-    """Return what the simulator of the only environment was told last."""
+    """Return the last command of the simulator of the only environment."""
     return np.asarray(env.simulated().command, dtype=np.float64)
 
 
 def played(env: Any, state: Callable[[Any], np.ndarray], steps: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Play random poses in episode 3; return what the simulator was told, and its states before and after each."""
+    """Run random poses in episode 3; return the simulator's commands, and its states before and after each."""
     env.reset([3])
     rng, commands, states = np.random.default_rng(0), [], [state(env)]
     for _ in range(steps):
@@ -129,7 +129,7 @@ def different(states: list[np.ndarray], again: list[np.ndarray]) -> int:
 
 
 def changes(env: Any, moved: Any, steps: int = 5) -> list[list[float]]:
-    """Add a change to the command in each step, from the first observation on; return what the simulator is told."""
+    """Add a delta to the command in each step, from the first observation on; return the simulator's commands."""
     env.reset([0])
     action, found = command(env.get_obs(), opening=0.25), []
     for _ in range(steps):
@@ -145,7 +145,7 @@ def listed(state: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def show(parts: Mapping[str, Callable[[], Any]]) -> None:
-    """Print what the parts say that the command line names, as JSON; simulators print, too."""
+    """Print the parts that the command line names, as JSON; simulators print, too."""
     with contextlib.redirect_stdout(io.StringIO()):
         found = {name: parts[name]() for name in sys.argv[1:]}
     print(json.dumps(found))  # noqa: T201

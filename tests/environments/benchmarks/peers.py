@@ -1,4 +1,4 @@
-"""Environment packages over a benchmark's own code: their Pythons, what runs there, and what is asked of all."""
+"""Environment packages over a benchmark's own code: their Pythons, programs that run there, and common checks."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from xpl_cli.packages import environments
 FOLDER = Path(__file__).resolve().parent
 LIMIT_S = 1700.0
 patient = pytest.mark.timeout(LIMIT_S + 60)
-"""The mark of modules whose first test looks at everything: a minute of an idle core, half an hour of a busy one."""
+"""The mark of modules whose first test makes all observations: a minute of an idle core, half an hour of a busy one."""
 NO_VULKAN = "not run: there is no Vulkan device; envs/maniskill/mesa.sh gets a driver"
 
 
 class Benchmark:
-    """An environment package, whose simulator is played in a Python of its own.
+    """An environment package, whose simulator runs in a Python of its own.
 
     Args:
         name: the package.
 
     Attributes:
         env: its folder.
-        manifest: what env.yml says.
+        manifest: its env.yml.
         robots: its embodiments.
-        python: the interpreter that has its simulator; None where it is not installed.
-        needed: the mark of tests that play it.
+        python: the interpreter that has its simulator; None if it is not installed.
+        needed: the mark of tests that run it.
     """
 
     def __init__(self, name: str) -> None:
@@ -75,7 +75,7 @@ class Benchmark:
 
 
 def move_along_axes(seen: dict[str, list[float]], far: float, within: float) -> bool:
-    """Tell whether the tool went along each axis of the world, both ways, as far as it was told, m."""
+    """Return whether the tool moved along each axis of the world, both ways, by the commanded distance, m."""
     ways = {"+": far, "-": -far}
     wanted = {sign + "xyz"[place]: way * np.eye(3)[place] for sign, way in ways.items() for place in range(3)}
     assert seen.keys() == wanted.keys()
@@ -83,11 +83,11 @@ def move_along_axes(seen: dict[str, list[float]], far: float, within: float) -> 
 
 
 def same_pose(one: Any, other: Any, metres: float = 1e-3, radians: float = 1e-3) -> bool:
-    """Tell whether two poses (7,) are the same, within so much."""
+    """Return whether two poses (7,) are equal within a tolerance."""
     one, other = np.asarray(one), np.asarray(other)
     return bool(np.abs(one[:3] - other[:3]).max() < metres and rotation.angle_between(one[3:], other[3:]) < radians)
 
 
 def is_colored(color: list[float], channel: int) -> bool:
-    """Tell whether one channel of a color (R, G, B) outshines the others."""
+    """Return whether one channel of a color (R, G, B) dominates the others."""
     return color[channel] > 3 * max(*color[:channel], *color[channel + 1 :], 1)

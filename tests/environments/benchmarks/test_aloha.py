@@ -1,4 +1,4 @@
-"""envs/aloha with gym-aloha itself: its arms are moved and looked at, it is played again, its expert solves tasks."""
+"""envs/aloha with gym-aloha itself: arms move as commanded, episodes replay, its expert solves tasks."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ pytestmark = [peers.patient, pytest.mark.slow, ALOHA.needed]
 
 @pytest.fixture(scope="module")
 def looked() -> Any:
-    """Return what a look at the simulator found; without pictures, which a machine may not draw."""
+    """Return observations of the simulator, without images, which a machine may not be able to render."""
     return ALOHA.look("still")["still"]
 
 
 @pytest.mark.parametrize("arm", ["left", "right"])
 def test_joints_that_kinematics_finds_move_the_tool_along_an_axis_of_the_world(looked: Any, arm: str) -> None:
-    """By the 4 cm that were asked for: the right arm faces the left one, and both have the same axes."""
+    """By the commanded 4 cm: the right arm faces the left one, and both have the same axes."""
     assert peers.move_along_axes(looked["axes"][arm], 0.04, within=0.005)
 
 
@@ -36,7 +36,7 @@ def test_closing_closes_and_opening_opens(looked: Any) -> None:
 
 
 def test_joints_and_flanges_agree_by_kinematics(looked: Any) -> None:
-    """The standard's ViperX stands in gym-aloha; quaternions are [w, x, y, z]."""
+    """The standard's ViperX matches gym-aloha's; quaternions are [w, x, y, z]."""
     chain, state = Chain.from_embodiment(get_embodiment(ALOHA.robots[0]).data), looked["state"]
     for arm, base in looked["bases"].items():
         flange = compose(base, chain.flange(state[f"{arm}_arm_joint_state"]))
@@ -44,7 +44,7 @@ def test_joints_and_flanges_agree_by_kinematics(looked: Any) -> None:
 
 
 def test_rewards_are_gym_alohas_own_all_the_way_to_success(looked: Any) -> None:
-    """It is told of contacts by something faster than its physics; random actions earn no success."""
+    """The contact table replaces its physics; random actions earn no success."""
     assert looked["rewards"][-1] == [4, 4]
     assert all(ours == theirs for ours, theirs in looked["rewards"])
     assert {ours for ours, _ in looked["rewards"]} >= {0, 1, 2, 4}

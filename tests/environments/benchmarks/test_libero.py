@@ -1,4 +1,4 @@
-"""envs/libero with LIBERO itself: played again in LIBERO's own wrapper, and its arm is moved and looked at."""
+"""envs/libero with LIBERO itself: replayed in LIBERO's own wrapper, and its arm moves as commanded."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_a_suite_has_tasks_that_are_listed_with_its_step_limit(suite: str) -> No
 
 @pytest.fixture(scope="module")
 def glimpsed() -> Any:
-    """Return what one scene shows, loaded and played once."""
+    """Return the observations of one scene, loaded and run once."""
     return LIBERO.look("glimpse")["glimpse"]
 
 
@@ -60,7 +60,7 @@ def test_its_picture_is_upright(glimpsed: Any) -> None:
 
 @pytest.fixture(scope="module")
 def looked() -> Any:
-    """Return what a look at the simulator found."""
+    """Return observations of the simulator."""
     return LIBERO.look("moved", "deltas")
 
 

@@ -1,4 +1,4 @@
-"""envs/maniskill with ManiSkill itself: its arms are moved and looked at, its planners solve tasks over the wire."""
+"""envs/maniskill with ManiSkill itself: its arms move as commanded, its planners solve tasks over the wire."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _offered(task: str) -> list[str]:
 
 
 def test_each_task_that_runs_without_a_download_is_listed_with_its_robot_or_the_reason() -> None:
-    """22 tasks: 19 for one robot each, and three whose robots the standard cannot say."""
+    """22 tasks: 19 for one robot each, and three whose robots the standard does not describe."""
     without = {task: _offered(task) for task, facts in MANIFEST["tasks"].items() if "assets" not in facts}
     assert len(without) == 22
     assert sorted(map(len, without.values())) == [0] * 3 + [1] * 19
@@ -175,14 +175,14 @@ def test_each_of_two_arms_moves_by_its_own_command(looked: Any) -> None:
 
 @pytest.mark.slow
 def test_what_cannot_be_played_says_so_in_one_sentence(looked: Any) -> None:
-    """Assets that ManiSkill would ask at the terminal for, and a control mode that it lacks."""
+    """Assets that ManiSkill would ask for at the terminal, and a control mode that it lacks."""
     assert looked["refused"]["assets"].startswith("NotInstalledError: PickSingleYCB needs assets")
     assert looked["refused"]["changes"].startswith("ValueError: ManiSkill commands so100 by angles alone")
 
 
 @pytest.mark.slow
 def test_without_a_vulkan_driver_one_sentence_says_where_to_get_one(played: None) -> None:
-    """Also where nobody wants pictures; audits call it not run."""
+    """Also without images; audits call it not run."""
     said = MANISKILL.look("driver")["driver"]
     assert said.startswith("RendererMissingError: ManiSkill needs a Vulkan device even without cameras")
     assert "mesa.sh" in said
@@ -196,7 +196,7 @@ def test_every_task_that_is_offered_without_a_download_plays(looked: Any) -> Non
 
 @pytest.mark.slow
 def test_pictures_are_upright_and_maniskills_own(played: None) -> None:
-    """A red and a green cube are where their projection says, in both cameras; a goal is drawn in `goal` alone."""
+    """A red and a green cube are where their projection says, in both cameras; a goal is rendered in `goal` alone."""
     seen = MANISKILL.look("seen")["seen"]
     assert peers.is_colored(seen["cam_head"]["A"], 0)
     assert peers.is_colored(seen["cam_head"]["B"], 1)

@@ -1,4 +1,4 @@
-"""envs/metaworld with Meta-World itself: its arm is moved and looked at, its experts solve tasks over the wire."""
+"""envs/metaworld with Meta-World itself: its arm moves as commanded, its experts solve tasks over the wire."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ pytestmark = [peers.patient, METAWORLD.needed]
 
 @pytest.fixture(scope="module")
 def looked() -> Any:
-    """Return what a look at the simulator found; without pictures, which a machine may not draw."""
+    """Return observations of the simulator, without images, which a machine may not be able to render."""
     return METAWORLD.look("moved", "deltas", "touched")
 
 
 def test_commands_move_the_tool_and_the_fingers(looked: Any) -> None:
-    """Along an axis by the 5 cm that were asked for; the gripper is 0 when the fingers touch, Meta-World's +1 then."""
+    """Along an axis by the commanded 5 cm; the gripper is 0 when the fingers touch, Meta-World's +1 then."""
     assert peers.move_along_axes(looked["moved"]["axes"], 0.05, within=0.01)
     closed, opened = looked["moved"]["openings"]
     assert (closed < 0.05, opened > 0.95) == (True, True)
 
 
 def test_joints_flange_and_hand_agree_by_kinematics(looked: Any) -> None:
-    """The standard's Sawyer stands in Meta-World; quaternions are [w, x, y, z]; the hand lies 14.45 cm ahead."""
+    """The standard's Sawyer matches Meta-World's; quaternions are [w, x, y, z]; the hand lies 14.45 cm ahead."""
     state = looked["moved"]["state"]
     flange = Chain.from_embodiment(get_embodiment(METAWORLD.robots[0]).data).flange(state["arm_joint_state"])
     assert peers.same_pose(flange, state["ee_pose"], 1e-5, 1e-5)
@@ -45,7 +45,7 @@ def test_changes_that_a_policy_adds_up_arrive_as_it_said_them(looked: Any) -> No
 
 
 def test_fingers_press_when_meta_world_says_so(looked: Any) -> None:
-    """Asked of contacts that are read at once, through an episode of a grasp."""
+    """With contacts that are read at once, through an episode of a grasp."""
     touched = looked["touched"]
     assert touched["different"] == 0
     assert 5 < touched["pressed"] < touched["steps"]

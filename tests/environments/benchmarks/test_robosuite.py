@@ -1,4 +1,4 @@
-"""envs/robosuite with robosuite itself: its arms are moved and looked at, every task begins, it is played again."""
+"""envs/robosuite with robosuite itself: its arms move as commanded, every task begins, episodes replay."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_every_task_is_offered_with_one_arm_or_with_two_and_stands_in_that_split
 
 @pytest.fixture(scope="module")
 def looked() -> Any:
-    """Return what a look at the simulator found, without pictures."""
+    """Return observations of the simulator, without images."""
     return ROBOSUITE.look("clean", "absolute", "still", "two", "deltas", "every")
 
 

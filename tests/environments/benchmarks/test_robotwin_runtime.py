@@ -1,6 +1,6 @@
-"""envs/robotwin with RoboTwin's own runtime and a robot that stands in: tasks begin, arms are moved and looked at.
+"""envs/robotwin with RoboTwin's own runtime and a mock robot: tasks begin, arms move as commanded.
 
-Nothing here is a number of RoboTwin: the robot is another one.
+Nothing here is a result of RoboTwin: the robot is another one.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ pytestmark = [pytest.mark.slow, peers.patient, ROBOTWIN.needed]
 
 @pytest.fixture(scope="module")
 def looked() -> Any:
-    """Return what was seen of arms that are told angles and poses, and of episodes: won, lost, skipped and refused."""
+    """Return observations of arms with joint and pose commands, and of episodes: won, lost, skipped and refused."""
     try:
         return ROBOTWIN.look("joints", "poses", "won", "loop", "tasks")
     except AssertionError as error:
@@ -60,7 +60,7 @@ def test_joints_and_poses_agree_by_kinematics(looked: Any) -> None:
 
 
 def test_a_command_moves_the_joint_that_it_names_and_no_other(looked: Any) -> None:
-    """By the angle that was asked for: at once what is told, and what is measured a little later."""
+    """By the commanded angle: the command at once, the measurement a little later."""
     for move in looked["joints"]["moved"]:
         wanted = 0.15 * np.eye(12)[move["place"]]
         assert np.abs(np.subtract(move["told"], wanted)).max() < 1e-6
@@ -74,7 +74,7 @@ def test_the_observed_angle_is_the_drives_target(looked: Any) -> None:
 
 
 def test_a_gripper_is_open_at_one_and_closed_at_zero(looked: Any) -> None:
-    """Both fingers of both hands; what is told is what was commanded."""
+    """Both fingers of both hands; the state is the commanded value."""
     closed, opened = looked["joints"]["fingers"]
     assert (max(closed["measured"]) < 0.002, closed["told"]) == (True, [0, 0])
     assert (min(opened["measured"]) > 0.04, opened["told"]) == (True, [1, 1])
@@ -87,7 +87,7 @@ def test_ways_to_a_pose_are_the_same_again(looked: Any) -> None:
 
 
 def test_a_pose_moves_the_tool_along_an_axis_of_the_world(looked: Any) -> None:
-    """By the 4 cm that were asked for, of the one arm that was sent; where no way leads, that is said."""
+    """By the commanded 4 cm, of the commanded arm; an unreachable pose is reported."""
     for axis in looked["poses"]["axes"]:
         left, right = axis["moved"]
         assert np.abs(np.subtract(left, axis["wanted"])).max() < 0.005
@@ -97,7 +97,7 @@ def test_a_pose_moves_the_tool_along_an_axis_of_the_world(looked: Any) -> None:
 
 
 def test_success_is_robotwins_own_check(looked: Any) -> None:
-    """Blocks that are placed by hand win, with the next step; before, nothing is won."""
+    """Blocks that are placed by hand succeed, with the next step, and not before."""
     assert looked["won"]["before"] == [False, False]
     won = looked["won"]["won"]
     assert (won["success"], won["score"], won["end_reason"], won["steps"]) == (True, 1.0, "success", 2)
@@ -109,7 +109,7 @@ def test_the_limit_of_steps_ends_an_episode(looked: Any) -> None:
 
 
 def test_robotwins_loop_skips_an_unstable_seed_and_ends_with_a_plain_rate(looked: Any) -> None:
-    """Seeds from 100000 on; the expert of another robot solves none, and is asked for none."""
+    """Seeds from 100000 on; the expert of another robot solves none, and is not required."""
     told = looked["loop"]
     assert told["skipped"] == {"100000": "unstable"}
     ((episode,), rate) = told["episodes"], told["rate"]
@@ -120,7 +120,7 @@ def test_robotwins_loop_skips_an_unstable_seed_and_ends_with_a_plain_rate(looked
 
 
 def test_each_task_begins_by_its_seed_alone(looked: Any) -> None:
-    """Things lie elsewhere for another seed, and in the same places again; so does the wording."""
+    """Objects are elsewhere for another seed, and in the same places for the same one; so is the wording."""
     found = dict(looked["tasks"])
     assert "only RoboTwin's assets have" in found.pop("refused")
     assert list(found) == ROBOTWIN.manifest["stand_ins"][SETTING]["tasks"]
@@ -138,7 +138,7 @@ def test_the_environment_passes_its_audit(tmp_path: Path) -> None:
 
 
 def test_an_episode_over_the_wire_is_recorded_and_never_taken_for_robotwins(tmp_path: Path) -> None:
-    """Served, played and recorded; the report says what stood in, and no leaderboard takes it."""
+    """Served, run and recorded; the report names the mock, and no leaderboard accepts it."""
     env = tmp_path / "envs" / "robotwin"
     shutil.copytree(ROBOTWIN.env, env, ignore=shutil.ignore_patterns(".venv", "__pycache__"))
     text = (env / "env.yml").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Plays the tasks of envs/gymnasium from privileged observations: an adapter's model."""
+"""Solve the tasks of envs/gymnasium from privileged observations: an adapter's model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OVER = np.array([0.0, 0.0, 0.06])
 
 
 class Model(Policy):
-    """Knows by the names of what it is told which task it plays."""
+    """Identifies the task by the names of its privileged observations."""
 
     def load(self, config: Mapping[str, Any]) -> None:
         """Nothing is learned."""

@@ -1,4 +1,4 @@
-"""envs/gymnasium with the libraries that it maps, in a Python of their own: audited, and played over the wire."""
+"""envs/gymnasium with the libraries that it maps, in a Python of their own: audited, and run over the wire."""
 
 from __future__ import annotations
 

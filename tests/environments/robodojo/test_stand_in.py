@@ -1,4 +1,4 @@
-"""The stand-in of RoboDojo's TASK_ENV: as strict as the original, its form of observations, its ends of episodes."""
+"""The mock of RoboDojo's TASK_ENV: as strict as the original, with its observations and ends of episodes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ EE = {
 
 
 def made(**settings: Any) -> Any:
-    """Return the stand-in."""
+    """Return the mock."""
     return environments.make("robodojo", {**CONFIG, **settings})
 
 
@@ -74,7 +74,7 @@ def test_observations_have_the_form_of_robodojo() -> None:
 
 
 def test_matrices_come_in_robodojos_spelling_where_they_are_asked_for() -> None:
-    """RoboDojo says `extrinsic_matrix`, and means camera to world."""
+    """RoboDojo's `extrinsic_matrix` is camera to world."""
     env = made(setting="matrices")
     env.reset([0])
     camera = env.get_obs()["vision"]["cam_head"]
@@ -84,7 +84,7 @@ def test_matrices_come_in_robodojos_spelling_where_they_are_asked_for() -> None:
 
 
 def test_an_observation_is_nobody_elses() -> None:
-    """Who changes one changes no other, and not the environment."""
+    """A change of one changes no other, and not the environment."""
     env = made()
     env.reset([0])
     one, kept = env.get_obs(), env.get_obs()
@@ -125,7 +125,7 @@ def test_what_robodojo_refuses_is_refused_and_moves_nothing(action: dict[str, An
 
 
 def test_what_robodojo_takes_is_executed() -> None:
-    """Joints, poses, arrays, tuples, and further poses that nobody reads; grippers are clipped to 0 to 1."""
+    """Joints, poses, arrays, tuples, and further poses that are not read; grippers are clipped to 0 to 1."""
     env = made()
     env.reset([0])
     env.take_action(
@@ -227,7 +227,7 @@ def test_an_environment_that_has_ended_is_left_out_of_a_step() -> None:
 
 
 def test_the_last_frame_of_an_episode_belongs_to_its_film() -> None:
-    """What is looked at after the end does not, unless it is called the last frame."""
+    """Observations after the end do not, unless they are requested as the last frame."""
     env = made(max_steps=1)
     env.reset([0])
     env.get_obs()

@@ -1,4 +1,4 @@
-"""RoboTwin: its loop with a stand-in task, its conventions, and what is said where its code or assets are missing."""
+"""RoboTwin: its loop with a mock task, its conventions, and errors if its code or assets are missing."""
 
 from __future__ import annotations
 import __future__
@@ -52,12 +52,12 @@ CHECKOUT = os.environ.get("XPL_ROBOTWIN_CHECKOUT")
 
 
 def source(**settings: Any) -> Any:
-    """Return where stand-ins come from."""
+    """Return the source of mock tasks."""
     return STAND_IN.MockSource(**{"step_lim": 6, "size": SMALL, **settings})
 
 
 def task() -> Any:
-    """Return a stand-in task at the beginning of an episode."""
+    """Return a mock task at the beginning of an episode."""
     made = source().make("stack_blocks_two")
     made.setup_demo(seed=100000, is_test=True)
     return made
@@ -96,7 +96,7 @@ class Chunks:
 
 
 def played(client: Any, **settings: Any) -> Any:
-    """Play RoboTwin's loop with a stand-in."""
+    """Run RoboTwin's loop with a mock."""
     made = {key: settings.pop(key) for key in ("step_lim", "succeeds_at") if key in settings}
     options = LOOP.EvalOptions("stack_blocks_two", **{"test_num": 1, **settings})
     return LOOP.evaluate(source(**made), client, options, ROBOT, CAMERAS)
@@ -202,7 +202,7 @@ def test_the_expert_is_judged_before_its_task_is_closed() -> None:
 
 
 def test_an_expert_that_cannot_solve_only_tells_what_things_are_called() -> None:
-    """That of a robot that stands in: its moves are switched off, and the seed counts."""
+    """That of the mock robot: its motions are switched off, and the seed counts."""
     made = source()
     made.has_expert = False
     one = made.make("stack_blocks_two")
@@ -226,7 +226,7 @@ def test_wordings_that_were_not_seen_are_another_list() -> None:
 
 
 def test_what_the_policy_raises_fails_its_episode_and_is_told() -> None:
-    """RoboTwin counts it as a failure, too; a lost connection is none of the policy's."""
+    """RoboTwin counts it as a failure, too; a lost connection is not the policy's failure."""
     told = played(Chunks(length=0), test_num=2)
     assert [one["success"] for one in told.episodes] == [False, False]
     assert all("empty chunk" in one["error"] for one in told.episodes)
@@ -237,7 +237,7 @@ def test_what_the_policy_raises_fails_its_episode_and_is_told() -> None:
 
 
 def test_the_search_for_seeds_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the expert solves none, the error says how many were tried and why not."""
+    """If the expert solves none, the error has the number of seeds and the reasons."""
     unsolved = source()
     monkeypatch.setattr(type(unsolved.make("x")), "check_success", lambda _self: False)
     with pytest.raises(RuntimeError, match="expert_failed"):
@@ -278,7 +278,7 @@ def test_the_robot_that_stands_in_has_the_standards_kinematics() -> None:
 
 
 def test_the_robot_that_stands_in_is_what_robotwin_reads(tmp_path: Path) -> None:
-    """Each folder and file that its runtime asks for; every name of the configuration is one of the description."""
+    """Each folder and file that its runtime reads; every name of the configuration is in the description."""
     STAND_IN_ROBOT.write(tmp_path)
     own = tmp_path / "assets" / "embodiments" / "aloha-agilex"
     assert all((tmp_path / folder).is_dir() for folder in UPSTREAM.NEEDED)
@@ -318,7 +318,7 @@ def test_without_the_runtime_one_sentence_says_how_to_install_it() -> None:
 
 
 def _original(wordings: Any) -> Any:
-    """Return the functions of RoboTwin's evaluation script, without what they are imported beside."""
+    """Return the functions of RoboTwin's evaluation script, without its imports."""
     file = Path(CHECKOUT or ".") / "scripts" / "eval_policy_xpolicylab.py"
     if not CHECKOUT or not file.is_file():
         pytest.skip("no checkout of RoboTwin: name one in XPL_ROBOTWIN_CHECKOUT")
@@ -397,7 +397,7 @@ def test_the_stand_in_has_the_interface_of_base_task() -> None:
 
 
 def test_it_plays_as_an_environment_of_the_standard() -> None:
-    """With the stand-in in RoboTwin's place: observations, both kinds of control, success, the step limit."""
+    """With the mock instead of RoboTwin: observations, both action types, success, the step limit."""
     for action_type in ("joint", "ee"):
         config = {"task": "stack_blocks_two", "embodiment": "aloha_agilex", "action_type": action_type}
         env = Environment(
@@ -424,7 +424,7 @@ def test_a_seed_that_robotwin_skips_is_no_failure_of_the_policy(seed: int, said:
 
 
 def test_without_code_or_assets_one_sentence_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No code, a folder that is no checkout, a checkout without assets, and assets that stand in for RoboTwin's."""
+    """No code, a folder that is no checkout, a checkout without assets, and assets of the mock robot."""
     monkeypatch.delenv(UPSTREAM.CHECKOUT, raising=False)
     monkeypatch.setattr(UPSTREAM.importlib.util, "find_spec", lambda _name: None)
     with pytest.raises(NotInstalledError, match="code is not here"):
@@ -493,7 +493,7 @@ data_type: {{rgb: false, depth: false}}
 
 
 def test_a_checkout_is_played_through_its_own_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its settings, its robot's files, its words and its folder: with a checkout that has stand-ins for physics."""
+    """Its settings, its robot's files, its wordings and its folder: with a checkout whose physics is a mock."""
     for name, text in _FILES.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text.format(stand_in=str(ENV / "stand_in.py")))
