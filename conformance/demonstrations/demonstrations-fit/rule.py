@@ -138,8 +138,8 @@ def _numbers(demonstrations: DemonstrationComparison) -> dict[str, Any]:
         "error": round(float(own.steps[own.known].mean()), 4),
         **{f"error of {name}": round(value, 4) for name, value in means.items()},
         "changes": outcome.tried,
-        "told": ", ".join(outcome.determined),
-        "untold": ", ".join(outcome.undetermined),
+        "determined": ", ".join(outcome.determined),
+        "undetermined": ", ".join(outcome.undetermined),
         "unread": ", ".join(outcome.unread),
     }
 

@@ -1,6 +1,6 @@
-"""The configurations fact: the same scripted episode under other values of deploy.yml, each in a server of its own.
+"""The configurations fact: the same scripted episode under other values of deploy.yml, each on a server of its own.
 
-An experiment that several rules need is made once.
+An episode that several rules need runs once.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ _STANDARD = frozenset(value for name, value in vars(sdk.Deploy).items() if name.
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """An episode, or why there was none.
+    """The answers of an episode, or why it did not run.
 
     Attributes:
         chunks: the answer of every step; empty if the server did not start.
-        refusal: why it did not start, or None.
+        refusal: why the server did not start, or None.
     """
 
     chunks: tuple[Answer, ...] = ()
@@ -83,7 +83,7 @@ class Configurations:
 
     @property
     def usual(self) -> EpisodeResult:
-        """The episode with the usual seed and what deploy.yml says."""
+        """The episode with the usual seed and the values of deploy.yml."""
         return self.with_seed(USUAL_SEED)
 
     @property
@@ -92,7 +92,7 @@ class Configurations:
         return self.usual.difference(self.with_seed(USUAL_SEED, run=1)) is None
 
     def require_repeats(self) -> None:
-        """Stop a rule that compares the actions of two processes where these differ anyway.
+        """Stop a rule that compares the actions of two processes if these always differ.
 
         Raises:
             NotApplicable: if the policy is declared not deterministic.
@@ -117,7 +117,7 @@ class Configurations:
             return self.episode({sdk.Deploy.SEED: USUAL_SEED}, ("--chdir", os.fspath(folder)))
 
     def episode(self, overrides: dict[str, object], flags: Sequence[str] = (), run: int = 0) -> EpisodeResult:
-        """Return the episode under other values of deploy.yml and options of `xpl serve`, played once."""
+        """Return the episode under other values of deploy.yml and options of `xpl serve`; it runs once."""
         key = _key(overrides, flags, run)
         if key not in self._played:
             self._played[key] = self._run_episode(overrides, flags)

@@ -1,4 +1,4 @@
-"""Requests that no adapter can answer: what an environment that hiccups sends."""
+"""Malformed requests that no adapter can answer, as a faulty environment sends them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _UNKNOWN = 99
 
 
 def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[RecordedClient], Answer]]]:
-    """Yield operations with something wrong in them, each with a name for people; they return the policy's answer."""
+    """Yield operations with something wrong in them, each with a description; they return the policy's answer."""
     complete = probe.observation()
     for name, obs in {
         "an empty observation": {sdk.Obs.ENV_IDX: 0},
@@ -33,7 +33,7 @@ def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[RecordedCl
 
 
 def _update_and_act(policy: RecordedClient, obs: ObservationDict) -> Answer:
-    """Show an observation and ask; the first error counts, because an adapter may read it late."""
+    """Send an observation and get an action; the first error counts, since an adapter may read observations late."""
     return policy.update_obs(obs) or policy.get_action()
 
 

@@ -1,4 +1,4 @@
-"""Observations that an adapter has to refuse: inputs that are missing, not finite, or of another type or shape."""
+"""Faulty observations that an adapter must refuse: inputs that are missing, not finite, or of another type or shape."""
 
 from __future__ import annotations
 

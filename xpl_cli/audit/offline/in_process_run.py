@@ -1,7 +1,7 @@
-"""An adapter played in one process without a server, for what a client cannot see and a server would mend.
+"""An adapter run in one process without a server, to observe what a client cannot see and a server would correct.
 
-One run serves every rule that asks: what the model does to its observations and with a reset that fails
-(`xpl.worker.watch`), and what it answers where it is handed encoded pictures, which a server would have decoded.
+One run serves all rules: whether the model changes its observations, how it handles a reset that fails
+(`xpl.worker.watch`), and what it answers to encoded images, which a server would have decoded.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _EPISODE, _BATCHES = 3, 2
 
 @dataclass(frozen=True)
 class ModelNote:
-    """What a model did with an observation, or a part of it with a failure.
+    """An event of `xpl.worker.watch`: what the model did with an observation, or with a failure.
 
     Attributes:
-        what: a kind of `xpl.worker.watch`.
+        kind: of `xpl.worker.watch`.
         method: the operation.
         key: what it changed or answered with, or the part that failed.
-        beside: the key of the observation whose memory is shared; empty for other notes.
+        shared_with: the key of the observation whose memory is shared; empty for other notes.
     """
 
     kind: str
@@ -44,12 +44,12 @@ class ModelNote:
 
 @dataclass(frozen=True)
 class InProcessRun:
-    """What was seen.
+    """What the run observed.
 
     Attributes:
         notes: what the model did to its observations, and resets that went on after a failure (`xpl.worker.watch`).
         broken: parts of the model that failed during a reset, one at a time.
-        pictures: by the name of a form, the answers to decoded and to encoded pictures.
+        image_answers: by the name of an encoding, the answers to decoded and to encoded images.
     """
 
     notes: tuple[ModelNote, ...]
@@ -62,7 +62,7 @@ class InProcessRun:
 
 
 def run_in_process(probe: Probe) -> InProcessRun:
-    """Play an adapter in one process.
+    """Run an adapter in one process.
 
     Raises:
         NotRun: if it cannot be loaded there, does not answer, or does not come through a reset that fails.

@@ -1,4 +1,4 @@
-"""Runs an adapter in a process of its interpreter without server and client, to compare the served one with."""
+"""Runs an adapter in a process of its interpreter without server and client, to compare with the served one."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> lis
 
 
 def load_request(probe: Probe) -> dict[str, object]:
-    """Return what a process that loads the adapter is told, as a server's worker is."""
+    """Return the request that makes a process load the adapter, as a server's worker does."""
     package = probe.package
     return {
         "policy_dir": str(package.path),

@@ -1,4 +1,4 @@
-"""How far a robot moves in one control step, and where its joints end: what commands are held against."""
+"""Limits that commands are checked against: motion in one control step, and joint limits."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Excess:
 def jumps(embodiment: Embodiment, before: State, after: Action, frequency: float) -> Iterator[Excess]:
     """Yield what changes more between two states or actions than the robot can move in one control step.
 
-    Grippers may jump: they are told to close, not how far.
+    Grippers may jump: their commands are targets, not paths.
 
     Args:
         embodiment: the robot.

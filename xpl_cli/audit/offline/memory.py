@@ -1,4 +1,4 @@
-"""How much memory an adapter's processes use, and whether an episode that goes on and on makes it more."""
+"""Memory of an adapter's processes, and whether it grows during a long episode."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _WARM = 2
 
 @dataclass(frozen=True)
 class LongEpisode:
-    """What a long episode did to the adapter's memory.
+    """Memory growth during a long episode.
 
     Attributes:
         observation: size of one observation, bytes.
@@ -47,7 +47,7 @@ class LongEpisode:
 
 
 def long_episode(probe: Probe) -> LongEpisode | None:
-    """Play one episode until the adapter's memory rests, or has grown in every stretch.
+    """Run one episode until the adapter's memory stays constant, or has grown in every stretch.
 
     Returns:
         None where the system does not tell what memory a process uses.
@@ -70,7 +70,7 @@ def long_episode(probe: Probe) -> LongEpisode | None:
 
 
 def _measure_stretches(probe: Probe, policy: Client, pid: int) -> LongEpisode:
-    """Play stretches of one episode until one of them adds nothing."""
+    """Run stretches of one episode until one adds no memory."""
     history = probe.package.manifest.temporal.history
     size = _size(_enlarged(probe.observation()))
     stretches: list[tuple[int, int]] = []
@@ -96,7 +96,7 @@ def private_memory(pid: int) -> int | None:
 
 
 def _run_stretch(probe: Probe, policy: Client, first: int, most: int) -> int:
-    """Go on with an episode for one stretch and return how many steps that were."""
+    """Continue the episode for one stretch, and return its number of steps."""
     deadline = time.monotonic() + _SECONDS
     for steps in range(1, most + 1):
         policy.update_obs(_enlarged(probe.observation(0, first + steps)))

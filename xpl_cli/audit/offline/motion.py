@@ -1,4 +1,4 @@
-"""A short episode with every robot and action type that an adapter declares; actions are executed perfectly."""
+"""A short episode for every robot and action type that an adapter declares; actions are executed exactly."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class MotionAnswer:
 
 @dataclass(frozen=True)
 class MotionEpisode:
-    """What an adapter answered as the policy of one robot and action type.
+    """The answers of an adapter for one robot and action type.
 
     Attributes:
         embodiment: the robot.

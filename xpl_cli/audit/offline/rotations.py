@@ -1,4 +1,4 @@
-"""Orientations that conversions get wrong: half turns, where two formulas fail, and the two quaternions of one turn."""
+"""Rotations that conversions often get wrong: half turns, and the two quaternions of one rotation."""
 
 from __future__ import annotations
 
@@ -71,10 +71,10 @@ def first_turns(obs: ObservationDict, chunk: Sequence[Action]) -> list[Turn]:
 
 
 def sign_sensitive_rotations(model_io: ModelIO) -> list[str]:
-    """Return the rotations of a model_io block in which q and -q are two things, by what to call them.
+    """Return descriptions of the rotations of a model_io block in which q and -q differ.
 
-    Those are quaternions that the model is told with the sign that they happen to have (`sign: any`), and those to
-    which numbers are added.
+    Those are quaternions that the model gets with an arbitrary sign (`sign: any`), and those to which deltas are added
+    number by number.
     """
     names = []
     for entry in model_io.state:

@@ -1,4 +1,4 @@
-"""What the actions of an adapter depend on: pairs of episodes that differ in one respect."""
+"""Which inputs the actions depend on: pairs of episodes that differ in one respect."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ChangedObservation:
         kind: an `input` as a whole, the `colours` of a camera, two `cameras` exchanged, the `sides` of a robot, one
             `value` of a state.
         input: what was changed, named as in a manifest.
-        what: what was done, in words that follow "with".
+        what: the change, in words that follow "with".
         obs: the changed observation.
     """
 
@@ -46,7 +46,7 @@ class ChangedObservation:
 
 
 class Semantics:
-    """How an adapter answers when something means something else.
+    """Effects of changed observations on the actions of an adapter.
 
     Args:
         probe: the adapter.
@@ -66,11 +66,11 @@ class Semantics:
         return [change for change, difference_text in self.effects if change.kind in kinds and difference_text is None]
 
     def ignored_inputs(self) -> set[str]:
-        """Return the inputs that have no effect at all; what is part of them needs no finding of its own."""
+        """Return the inputs that have no effect; parts of them need no finding of their own."""
         return {change.input for change in self.ignored("input")}
 
     def known_ignored_inputs(self) -> set[str]:
-        """Return the inputs that have no effect at all; none where the actions cannot be compared."""
+        """Return the inputs that have no effect; none where the actions cannot be compared."""
         try:
             return self.ignored_inputs()
         except (NotApplicable, NotRun):
@@ -92,10 +92,10 @@ class Semantics:
     def compare(
         self, pairs: Sequence[tuple[Episode, Episode]], combination: tuple[str, str] | None = None
     ) -> list[tuple[Answer, Answer]]:
-        """Play pairs of episodes and return the last answers of each pair.
+        """Run pairs of episodes and return the last answers of each pair.
 
-        Both episodes of a pair are played under equal conditions: one after the other where a server repeats itself,
-        else each as the same episode of a server of its own.
+        Both episodes of a pair run under equal conditions: on one server if it is repeatable, else each as the same
+        episode of a server of its own.
 
         Args:
             pairs: the episodes.
@@ -185,7 +185,7 @@ def _state_changes(obs: ObservationDict, name: str) -> Iterator[ChangedObservati
 
 
 def _run_episode(policy: RecordedClient, episode: Episode) -> Answer:
-    """Play an episode and return the last answer, or the first error."""
+    """Run an episode and return the last answer, or the first error."""
     answer = policy.act(episode[0])
     for obs in episode[1:]:
         problem = policy.update_obs(obs)

@@ -1,4 +1,4 @@
-"""What policies are told of trials, for rules that try their hooks: the same as an evaluation tells them."""
+"""Arguments of the trial hooks, for rules that call them: the same as in an evaluation."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from xpl_cli.audit.served.probe import Probe
 
 RESULT: Final = trial.describe_outcome([EpisodeOutcome(success=False, score=0.25, steps=3, end_reason="max_steps")])
-"""How a trial went."""
+"""Result of a trial."""
 
 
 def trial_case(probe: Probe) -> Config:
-    """Return what a policy is told of a case, for the robot that it is served for."""
+    """Return the arguments of `prepare_case` for the robot that the policy is served for."""
     return trial.describe_case(EnvSettings("task", probe.embodiment.name, probe.action_type, setting="setting"))

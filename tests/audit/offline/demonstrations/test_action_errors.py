@@ -238,7 +238,7 @@ def test_too_few_episodes_and_another_robot_tell_nothing(package: Path, tmp_path
 
 
 def test_without_the_weights_nothing_is_told(package: Path) -> None:
-    with pytest.raises(NotRun, match="only the real model"):
+    with pytest.raises(NotRun, match="needs the real model"):
         DemonstrationComparison(_probe(package)).session  # noqa: B018 - what is asked for
 
 

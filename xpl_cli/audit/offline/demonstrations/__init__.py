@@ -1,1 +1,1 @@
-"""The oracle: what a policy would have done in recorded demonstrations, beside what was done in them."""
+"""Demonstration check: the actions that a policy predicts in recorded episodes, compared with the demonstrated ones."""

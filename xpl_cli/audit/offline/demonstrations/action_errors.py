@@ -1,4 +1,4 @@
-"""How far predicted actions are from those that were done: part by part, in the robot's units and as shares."""
+"""Errors of predicted actions: part by part, in the robot's units and as shares of the spread."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ Chunks = Mapping[int, "Sequence[Action | None]"]
 """Action steps by number of a question; None for steps that are not known."""
 
 _FLOOR: Final = 0.1
-"""A number that hardly moves counts as if it moved by this share of what moves most in its part."""
+"""Least spread of a number, as a share of the largest spread in its part."""
 _MOST: Final = 3.0
-"""Largest error, in spreads: what is farther is no worse, so that one wild number does not decide all."""
+"""Largest error, in spreads: errors are clipped, so that one outlier does not decide."""
 _TURN: Final = slice(sdk.POSITION_DIM, sdk.POSE_DIM)
 
 
 @dataclass(frozen=True)
 class ActionPart:
-    """Numbers of an action that are measured together.
+    """Numbers of an action whose errors are averaged.
 
     Attributes:
-        name: as people call it.
+        name: for people.
         unit: of its errors.
     """
 
@@ -61,7 +61,7 @@ class ActionErrors:
     shares: np.ndarray
 
     def units(self, like: ActionErrors | None = None) -> dict[ActionPart, float]:
-        """Return the mean error of each part, in its unit; only where another's is known, too."""
+        """Return the mean error of each part in its unit, restricted to the steps where another's is known."""
         is_known = self.known if like is None else self.known & like.known
         errors = {}
         for part in dict.fromkeys(self.parts):
@@ -85,7 +85,7 @@ class ActionErrors:
 
 
 class ErrorMetric:
-    """Measures chunks against what was done in a session.
+    """Measures chunks against the demonstrated actions of a session.
 
     Args:
         session: the recorded episodes with their questions.
@@ -101,9 +101,9 @@ class ErrorMetric:
         """Return the errors of the answers to some questions.
 
         Args:
-            answers: the answers; a question without one is not known, ...
+            answers: the answers; a question without one is unknown, ...
             questions: numbers of the questions.
-            refused: ... or as far off as anything can be, if it is among these.
+            refused: ... or counts with the largest error, if it is among these.
         """
         columns = [column for key in self._keys for column in self._columns(key)]
         predicted = {
@@ -125,7 +125,7 @@ class ErrorMetric:
 
     @cached_property
     def _stacked(self) -> dict[str, np.ndarray]:
-        """By key (questions, horizon, width) what was done, NaN after an episode's end."""
+        """Demonstrated actions by key, (questions, horizon, width), NaN after an episode's end."""
         stacks = {}
         for key in self._keys:
             stacks[key] = np.full((len(self._demonstrated), self.horizon, len(self._demonstrated[0][0][key])), np.nan)
@@ -135,7 +135,7 @@ class ErrorMetric:
 
     @cached_property
     def _spread(self) -> np.ndarray:
-        """(columns,): what each column spreads over in the episodes, by its part's floor at least."""
+        """(columns,): spread of each column in the episodes, at least the floor of its part."""
         spreads = []
         for key in self._keys:
             rows = np.concatenate([one.commanded[key] for one in self.session.recordings])
@@ -158,14 +158,14 @@ class ErrorMetric:
             return [JOINTS] * width
         return [GRIPPER if width == 1 else HAND] * width
 
-    # -- witnesses -----------------------------------------------------------------------------------------------------
+    # -- baselines -----------------------------------------------------------------------------------------------------
 
     def hold_pose(self) -> Chunks:
-        """Return the witness that holds the pose of each question."""
+        """Return the baseline that holds the pose of each question."""
         return {number: [self._state(*at)] * self.horizon for number, at in enumerate(self.session.question_steps)}
 
     def repeat_action(self) -> Chunks:
-        """Return the witness that repeats the action before each question; at the first step, it holds the pose."""
+        """Return the baseline that repeats the action before each question; at the first step, it holds the pose."""
         chunks = {}
         for number, (episode, step) in enumerate(self.session.question_steps):
             rows = self.session.recordings[episode].commanded
@@ -174,10 +174,7 @@ class ErrorMetric:
         return chunks
 
     def motion_share(self, answers: Chunks, questions: Sequence[int]) -> float:
-        """Return how far answers lead arms from where they are, as a share of how far they were led.
-
-        NaN where nothing is known.
-        """
+        """Return the commanded motion of arms as a share of the demonstrated motion; NaN where nothing is known."""
         still, moved = self.hold_pose(), [0.0, 0.0]
         for number in questions:
             for predicted, demonstrated, start in zip(
@@ -195,7 +192,7 @@ class ErrorMetric:
 
 
 def _distances(key: str, predicted: np.ndarray, demonstrated: np.ndarray) -> np.ndarray:
-    """Return how far rows (..., width) of one key are apart: by number, of poses three positions and one angle."""
+    """Return distances of rows (..., width) of one key: by number; of poses three coordinates and one angle."""
     if not key.endswith(sdk.State.EE_POSE):
         distances: np.ndarray = np.abs(predicted - demonstrated)
         return distances

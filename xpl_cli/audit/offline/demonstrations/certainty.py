@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.offline.demonstrations.action_errors import ActionErrors
 
 LEAST_EPISODES: Final = 5
-"""Fewer say nothing: with four, one of sixteen useless changes is better in all of them."""
+"""With four episodes, one of sixteen useless changes is better in all of them by chance."""
 BETTER: Final = 0.8
 """What fits better leaves this share of the error, or less, ..."""
 CERTAIN: Final = 0.92
@@ -26,11 +26,11 @@ _Z: Final = 2.33
 
 @dataclass(frozen=True)
 class Margin:
-    """A change beside the declared conventions.
+    """The error of a change relative to the declared conventions.
 
     Attributes:
         share: the error with the change, as a share of the error without.
-        least, most: the smallest and the largest share that the episodes leave open, 99 % one-sided each.
+        least, most: bounds of the share, 99 % one-sided each.
         needed: about how many episodes would make a margin of this size certain.
     """
 
@@ -51,12 +51,12 @@ class Margin:
 
 
 def margin(declared: ActionErrors, changed: ActionErrors, episodes: Sequence[int]) -> Margin | None:
-    """Return how much better a change fits, None where too little of what it would command is known.
+    """Return the relative error of a change, None where too few of its actions are known.
 
     Args:
         declared: errors under the declared conventions.
         changed: those with the change, of the same questions.
-        episodes: of each question, its episode.
+        episodes: of each question, the number of its episode.
     """
     is_known = declared.known
     if 3 * (is_known & changed.known).sum() < is_known.sum():

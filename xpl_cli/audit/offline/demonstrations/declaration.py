@@ -1,4 +1,4 @@
-"""Which demonstrations a policy is held against: those of `--demos`, or those that its `demonstrations.yml` names.
+"""The demonstrations that a policy is compared with: those of `--demos`, or those that `demonstrations.yml` names.
 
 The file is spec/demonstrations/demonstrations.schema.json: a path and the digest of each episode.
 """
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 FILE: Final = "demonstrations.yml"
-"""Beside policy.yml, which frozen versions of the standard leave no room in."""
+"""Stands beside policy.yml, whose frozen schema cannot take further keys."""
 _MOST_BYTES: Final = 1 << 22
 
 
 class DeclarationError(ValueError):
-    """The file cannot be read, or is not what its schema says."""
+    """The file cannot be read, or does not fit its schema."""
 
 
 def exists(package: Path) -> bool:
-    """Tell whether a package names demonstrations; a folder that may not be entered is the static gate's to tell."""
+    """Tell whether a package names demonstrations; the static gate reports a folder that cannot be entered."""
     try:
         return (package / FILE).is_file()
     except OSError:
@@ -64,7 +64,7 @@ def render(path: str, digests: Mapping[str, str]) -> str:
     lines = [f"  {json.dumps(name)}: {json.dumps(digest)}" for name, digest in sorted(digests.items())]
     return "\n".join(
         [
-            "# Demonstrations that an audit holds this policy against; `xpl data declare` writes it.",
+            "# Demonstrations that an audit compares this policy with; `xpl data declare` writes it.",
             "demonstrations:",
             f"  path: {json.dumps(path)}",
             "  digests:",

@@ -1,4 +1,4 @@
-"""Demonstrations as a ruler: how near predicted actions come to those that were done, under each mistake."""
+"""Score of mistakes by demonstrations: the error of predicted actions under each mistake."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from xpl_cli.model_io.pairs import Chunk
 
 _PROMISING: Final = 0.93
-"""What may be left of the error on a few questions to be tried on all."""
+"""Largest share of the error on a few questions for a mistake to be tried on all."""
 _MOST: Final = 32
 """Mistakes that are tried on all questions."""
 _HARDLY: Final = 0.25
-"""Mistakes under which arms are led less far than by this share of what was done are not named: who hardly moves is
-nearer than who moves wrongly, whatever is wrong."""
+"""Mistakes whose undoing moves arms by less than this share of the demonstrated motion are not named: a policy that
+hardly moves has a smaller error than one that moves wrongly, whatever is wrong."""
 
 
 class DemonstrationScorer(SearchRuler):
-    """Which of many mistakes brings predicted actions nearer to those that were done.
+    """Scores mistakes by the error of predicted actions with the mistake undone.
 
     Args:
         ruler: measures against these.
@@ -46,7 +46,7 @@ class DemonstrationScorer(SearchRuler):
         self.count = 0
 
     def set_baseline(self, own: Chunks | None, questions: Sequence[int]) -> None:
-        """Hold what follows against answers of the adapter that were asked alike; None for those that it served."""
+        """Set the adapter's own answers to compare with, asked in the same way; None for the served ones."""
         if own is None:
             self._own.clear()
         else:
@@ -58,7 +58,7 @@ class DemonstrationScorer(SearchRuler):
         return (self._few,)
 
     def select(self, results: Sequence[MistakeAnswers], questions: Sequence[int], round_number: int) -> list[int]:
-        """Return the places of those that fit better on a few questions."""
+        """Return the indices of the results that fit better on a few questions."""
         del round_number
         shares = []
         for slot, one in enumerate(results):
@@ -70,7 +70,7 @@ class DemonstrationScorer(SearchRuler):
         return sorted(slot for share, slot in sorted(shares)[:_MOST] if share <= _PROMISING)
 
     def margin(self, result: MistakeAnswers, questions: Sequence[int]) -> Margin | None:
-        """Return how answers fit beside what is declared, None where too little is known."""
+        """Return the error relative to the declared conventions, None where too few actions are known."""
         if result.answers is None:
             return None
         own = self._own.get(tuple(questions))
@@ -79,7 +79,7 @@ class DemonstrationScorer(SearchRuler):
         return margin(declared, changed, [self._metric.session.question_steps[number][0] for number in questions])
 
     def hardly_moves(self, answers: Chunks) -> bool:
-        """Tell whether answers lead arms less far than it would take to say anything."""
+        """Tell whether answers move arms too little for a conclusion."""
         return self._metric.motion_share(answers, self.all_questions) < _HARDLY
 
     @cache  # noqa: B019 - lives as long as one search

@@ -1,4 +1,4 @@
-"""Recorded episodes as a session whose questions an adapter can be asked, and what was commanded after each."""
+"""Recorded episodes as a session of questions, with the recorded actions after each."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from xpl.trajectory import Trajectory
 
 _EPISODE: Final = 1 << 20
-"""Places of one episode: a recipe is `episode * _EPISODE + step`."""
+"""Indices of one episode: the index of an observation is `episode * _EPISODE + step`."""
 _QUESTIONS: Final = 72
 _LEAST, _MOST = 3, 10
 """Questions of all episodes together, and of each."""
@@ -36,7 +36,7 @@ _MEMORY: Final = 64
 
 
 class MissingDataError(ValueError):
-    """The episodes lack what the policy commands, or are of another robot."""
+    """The episodes lack actions that the policy commands, or are of another robot."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class EpisodeRecording:
 
     Attributes:
         trajectory: the file.
-        commanded: (T, width) float64 by key of the action type.
+        commanded: recorded actions, (T, width) float64 by key of the action type.
         state: the same keys as they were observed.
     """
 
@@ -59,7 +59,7 @@ class EpisodeRecording:
         return len(next(iter(self.commanded.values())))
 
     def commanded_from(self, step: int, horizon: int) -> list[dict[str, np.ndarray]]:
-        """Return what was commanded from a step on, until the horizon or the end."""
+        """Return the recorded actions from a step on, until the horizon or the end of the episode."""
         until = min(step + horizon, self.steps)
         return [{key: rows[at] for key, rows in self.commanded.items()} for at in range(step, until)]
 
@@ -78,7 +78,7 @@ class _RecordedScene:
 
 @dataclass(frozen=True)
 class RecordedSession(PairSession):
-    """A session of recorded episodes; the answers are what was commanded.
+    """A session of recorded episodes; its answers are the recorded actions.
 
     Attributes:
         recordings: the episodes.
@@ -95,9 +95,9 @@ class RecordedSession(PairSession):
 
 
 class BatchedReplay(SessionReplay):
-    """The questions of a session in which each is an episode of its own, so that any may be asked without the others.
+    """Replay of a session in which each question is an episode of its own, so that any subset can be asked.
 
-    Several are asked in batches, as environments beside each other.
+    Questions are asked in batches, one environment for each.
     """
 
     def calls_for(self, numbers: Sequence[int]) -> list[Call]:
@@ -116,12 +116,12 @@ class BatchedReplay(SessionReplay):
 
 
 def load_recording(trajectory: Trajectory, robot: Embodiment, action_type: str) -> EpisodeRecording:
-    """Return an episode with what was commanded in the keys of an action type.
+    """Return an episode with its actions in the keys of an action type.
 
-    Poses that were commanded by joints follow from the robot's kinematics.
+    Poses are computed from recorded joint commands by the robot's kinematics.
 
     Raises:
-        LackingError: neither was recorded, or it is another robot's.
+        LackingError: neither was recorded, or the episode is of another robot.
         TrajectoryError: the file cannot be read.
     """
     recorded_robot = trajectory.episode.get("robot")
@@ -145,7 +145,7 @@ def load_recording(trajectory: Trajectory, robot: Embodiment, action_type: str) 
     lacking = sorted(key for key in dims if any(key not in one for one in states))
     if lacking:
         raise MissingDataError(
-            f"{trajectory.key} lacks state/{', state/'.join(lacking)}: holding the pose is the witness"
+            f"{trajectory.key} lacks state/{', state/'.join(lacking)}, which the baseline of holding the pose needs"
         )
     state = {key: _states(trajectory, key) for key in dims}
     return EpisodeRecording(trajectory, commanded, state)
@@ -161,7 +161,7 @@ def make_session(  # noqa: PLR0913, PLR0917 - what is served, and how far it loo
         robot: that is served.
         action_type: likewise.
         seed: likewise.
-        horizon: steps of a chunk that are looked at.
+        horizon: action steps of a chunk that are compared.
         span: control steps that the policy's history reaches over, 1 without one; 0 for a memory, which is shown the
             episode from its beginning, and asked once.
     """
@@ -192,9 +192,9 @@ def make_session(  # noqa: PLR0913, PLR0917 - what is served, and how far it loo
 
 
 def select_few(question_steps: Sequence[tuple[int, int]]) -> list[int]:
-    """Return questions on which changes are tried first: of each episode one, elsewhere in each; 12 of all at most.
+    """Return the questions on which changes are tried first: one of each episode, at different phases; at most 12.
 
-    Of few episodes there are eight, so that all phases of an episode are among them.
+    With few episodes there are eight, so that they cover all phases of an episode.
     """
     by_episode: dict[int, list[int]] = {}
     for number, (episode, _) in enumerate(question_steps):
@@ -207,7 +207,7 @@ def select_few(question_steps: Sequence[tuple[int, int]]) -> list[int]:
 
 
 def _steps(length: int, count: int, phase: float) -> Iterator[int]:
-    """Yield places that are evenly spread over an episode, which begin elsewhere in each."""
+    """Yield steps that are evenly spread over an episode, shifted by a phase."""
     steps = [int((number + phase) * (length - 1) / count) for number in range(count)]
     yield from dict.fromkeys(steps)
 

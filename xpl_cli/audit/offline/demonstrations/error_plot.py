@@ -1,4 +1,4 @@
-"""A picture of a finding: predicted beside done, over one episode, as SVG."""
+"""Plot of predicted and demonstrated actions over one episode, as SVG."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _COLOURS = ("#333333", "#d62728", "#1f77b4")
 
 
 def plot_errors(metric: ErrorMetric, declared: Chunks, changed: Chunks, words: str) -> tuple[str, str]:
-    """Return a picture and the number of an action that it shows: the one that the change mends most.
+    """Return an SVG plot, and the number of the action that it shows: the one that the change improves most.
 
     Args:
         metric: of the demonstrations.
-        declared: what the adapter answers.
-        changed: what it would with the change.
-        words: of the change.
+        declared: answers of the adapter.
+        changed: answers with the change.
+        words: of the change, for the legend.
     """
     episode = metric.session.question_steps[0][0]
     questions = [number for number, (one, _) in enumerate(metric.session.question_steps) if one == episode]
@@ -50,7 +50,7 @@ def plot_errors(metric: ErrorMetric, declared: Chunks, changed: Chunks, words: s
     strokes = [_line(points(lines[0]), _COLOURS[0])]
     for colour, traces in zip(_COLOURS[1:], chunks, strict=True):
         strokes += [_line(points(trace), colour) for trace in traces if trace]
-    labels = ("done", "as declared", f"with {words}")
+    labels = ("demonstrated", "as declared", f"with {words}")
     legend = "".join(
         f'<text x="{_EDGE + 150 * slot}" y="14" fill="{colour}">{escape(text[:40])}</text>'
         for slot, (text, colour) in enumerate(zip(labels, _COLOURS, strict=True))
@@ -82,7 +82,7 @@ def _trace(metric: ErrorMetric, answers: Chunks, number: int, key: str, index: i
 
 
 def _most_improved(metric: ErrorMetric, declared: Chunks, changed: Chunks, questions: Sequence[int]) -> tuple[str, int]:
-    """Return key and index of the number whose error falls most, in what it spreads over."""
+    """Return key and index of the number whose error falls most, relative to its range."""
     best, most_improved = -np.inf, next(iter((key, 0) for key in metric.session.recordings[0].commanded))
     for key, rows in metric.session.recordings[metric.session.question_steps[questions[0]][0]].commanded.items():
         for index in range(rows.shape[1]):

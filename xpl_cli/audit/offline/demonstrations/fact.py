@@ -1,4 +1,4 @@
-"""The demonstrations fact: what a served adapter answers in recorded episodes, and what explains it."""
+"""The demonstrations fact: the actions of a served adapter in recorded episodes, and what explains their errors."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.phrases import count_noun, join_limited
 
 if TYPE_CHECKING:
-    from xpl.trajectory import Trajectory, TrajectoryFolder
+    from xpl.trajectory import Folder, Trajectory
     from xpl_cli.audit.offline.demonstrations.action_errors import Chunks
     from xpl_cli.audit.offline.demonstrations.episodes import RecordedSession
     from xpl_cli.audit.served.probe import Probe
@@ -43,7 +43,7 @@ _MOST_BYTES: Final = 256 << 20
 
 
 class DemonstrationComparison:
-    """Recorded episodes and the adapter that they are held against.
+    """Recorded episodes and the adapter that is compared with them.
 
     Args:
         probe: the adapter.
@@ -54,11 +54,11 @@ class DemonstrationComparison:
 
     @cached_property
     def recordings(self) -> list[EpisodeRecording]:
-        """The episodes that are looked at.
+        """The recorded episodes, 24 at most.
 
         Raises:
-            NotApplicable: there are none to be held against.
-            NotRun: they cannot be read, are others than were declared, do not fit the robot, or are too few.
+            NotApplicable: no demonstrations are given or declared.
+            NotRun: they cannot be read, differ from the declared ones, do not fit the robot, or are too few.
         """
         trajectories = self._episodes()
         if len(trajectories) < LEAST_EPISODES:
@@ -79,10 +79,10 @@ class DemonstrationComparison:
         """The questions.
 
         Raises:
-            NotRun: as `recordings`; the model is not here; or the policy reads what was not recorded.
+            NotRun: as `recordings`; the model is not here; or the policy reads inputs that were not recorded.
         """
         if self.probe.profile.name is Profile.SHADOW:
-            raise NotRun("what a policy does with demonstrations only the real model can tell, and it is not here")
+            raise NotRun("a comparison with demonstrations needs the real model, which is not available here")
         recordings = self.recordings
         observation = recordings[0].trajectory.observation(0)
         missing = [name for name in self.probe.required if not _has_input(observation, name)]
@@ -105,7 +105,7 @@ class DemonstrationComparison:
 
     @cached_property
     def metric(self) -> ErrorMetric:
-        """What measures answers."""
+        """The error metric of these episodes."""
         return ErrorMetric(self.session)
 
     @cached_property
@@ -139,12 +139,12 @@ class DemonstrationComparison:
 
     @property
     def refusals(self) -> dict[int, str]:
-        """How it refused questions, by their numbers."""
+        """The error of each refused question, by its number."""
         return self._answers_and_refusals[1]
 
     @property
     def episodes(self) -> int:
-        """How many episodes were looked at."""
+        """Number of compared episodes."""
         return len(self.session.recordings)
 
     @cached_property
@@ -163,7 +163,7 @@ class DemonstrationComparison:
 
     @cached_property
     def outcome(self) -> ConventionSearchResult:
-        """What the search for a better convention came to.
+        """The result of the search for a convention that fits better.
 
         Raises:
             NotRun: the adapter refuses some of the observations, and no convention explains that.
@@ -178,16 +178,16 @@ class DemonstrationComparison:
         return result
 
     def margin_to(self, baseline: ActionErrors) -> Margin | None:
-        """Return how the adapter fits beside a witness."""
+        """Return the adapter's error relative to a baseline."""
         return margin(baseline, self.errors, [episode for episode, _ in self.session.question_steps])
 
     def table(self, changed: ActionErrors | None = None) -> dict[str, dict[str, float]]:
-        """Return the errors of each part in its unit: of the adapter, of a change, and of the witnesses."""
+        """Return the errors of each part in its unit: of the adapter, of a change, and of the baselines."""
         rows = {"declared": self.errors, **({} if changed is None else {"changed": changed}), **self.baselines}
         return {name: _round_units(errors.units(self.errors)) for name, errors in rows.items()}
 
     def save_plot(self, picture: str, name: str) -> str | None:
-        """Write a picture where the audit was asked to, and return its file; None where it was not."""
+        """Write a plot if the audit was started with `--pictures`, and return its path, else None."""
         folder = self.probe.options.pictures
         if folder is None:
             return None
@@ -223,7 +223,7 @@ class DemonstrationComparison:
         return [Trajectory(str(root / name)) for name in sorted(digests)]
 
 
-def _open_folder(path: Path) -> TrajectoryFolder:
+def _open_folder(path: Path) -> Folder:
     try:
         return open_folder(path)
     except TrajectoryError as error:

@@ -1,4 +1,4 @@
-"""Small demonstrations by a scripted expert, for subjects of rules and for tests: a colour says where to go.
+"""Small demonstrations by a scripted expert, for fixtures of rules and for tests: a colour is the goal.
 
 The red of the picture is where joint 1 goes, its blue where joint 2 goes; the gripper closes half-way.
 """

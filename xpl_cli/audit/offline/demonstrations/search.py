@@ -1,8 +1,8 @@
-"""Which other convention fits the demonstrations better than the declared one.
+"""Search for a convention that fits the demonstrations better than the declared one.
 
-Every single change that parity knows is tried: other words of the model_io block, in a process that loads the model
-once; changes around the served adapter, where it converts in code; and for all adapters other histories, instructions
-and rates. All are tried on a few questions, those that promise something on all.
+All single mistakes of the catalogue are tried: other values of the model_io block, in a process that loads the model
+once; changes of observations and actions, where the adapter converts in code; and for all adapters other histories,
+instructions and control rates. All are tried on a few questions, the promising ones on all.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ if TYPE_CHECKING:
 SEARCH_S: Final = 600.0
 """Longest search, s."""
 _LIKE: Final = 0.05
-"""Changes whose gains differ by less than this share of the best one's are alike."""
+"""Changes whose gains differ by less than this share of the best gain are ties."""
 _TOLD: Final = 1.1
-"""A convention is told apart if some other one makes the error grow to this share, or shrink as much."""
+"""A convention is determined if another value changes the error by this factor, up or down."""
 _FAR: Final = 1.1
-"""Nor are those that leave more than this share of the error of holding the pose: of such a policy nothing is told."""
+"""Largest error of a named change, as a share of that of holding the pose: of worse policies no change is named."""
 _UNREAD: Final = 6
-"""Questions in which an input has to change nothing to be called unread."""
+"""Questions in which an input must have no effect to count as unread."""
 _ALL_ADAPTERS: Final = frozenset((*conventions.HISTORY, "chunk", sdk.Obs.INSTRUCTION))
-"""Conventions whose changes around the adapter are tried although it converts by its block."""
+"""Conventions whose changes of observations and actions are tried also where the adapter converts by its block."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +53,11 @@ class ScoredChange:
     """A change that was tried.
 
     Attributes:
-        words: as a finding says it: `channels: bgr`.
+        words: for a finding: `channels: bgr`.
         convention: of the vocabulary of reference.py.
-        in_block: whether it is a word of the model_io block.
-        margin: how it fits, beside what is declared.
-        given: by question what would be commanded; empty where it was tried on a few questions only.
+        in_block: whether it is a value of the model_io block.
+        margin: its error relative to the declared conventions.
+        answers: actions by question; empty where it was tried on a few questions only.
     """
 
     words: str
@@ -69,21 +69,21 @@ class ScoredChange:
 
 @dataclass(frozen=True)
 class ConventionSearchResult:
-    """What a search came to.
+    """The result of a search.
 
     Attributes:
         tried: how many changes were tried.
-        complete: whether there was time for all.
+        complete: whether the time sufficed for all.
         best: of those that fit better, the one that fits best; None if none does.
         ties: others that fit as well.
-        told: conventions on which other words fit otherwise, sorted.
-        untold: those on which none did: the demonstrations say nothing of them.
-        unread: cameras and texts that change no answer, and `history` if the observations before the last do not.
-        far: changes that fit better, and yet no better than holding the pose; none where there is a best one.
-        deaf: name and convention of what is unread, although the model_io block hands it over, and episodes differ in
-            it.
-        first: words, convention and share of the error of all that were tried on a few questions.
-        held: those that were tried on all.
+        determined: conventions whose other values change the error, sorted.
+        undetermined: the other conventions: the demonstrations do not determine them.
+        unread: cameras and texts without effect, and `history` if earlier observations have none.
+        far: changes that fit better, but no better than holding the pose; empty if there is a best one.
+        unconnected: name and convention of unread inputs that the model_io block passes to the model, and in which
+            episodes differ.
+        first_round: words, convention and share of the error of all changes, on a few questions.
+        final_round: the changes that were tried on all questions.
     """
 
     tried: int
@@ -104,8 +104,8 @@ class ConventionSearch:
 
     Args:
         probe: the adapter, served for the robot and action type of the demonstrations.
-        ruler: measures against what was done.
-        given: the adapter's own answers to all questions, empty where it refused one.
+        metric: measures against the demonstrated actions.
+        answers: the adapter's own, to all questions; empty where it refused one.
         refused: the numbers of those.
         seconds: how long it may take.
     """
@@ -154,7 +154,7 @@ class ConventionSearch:
     # -- families ------------------------------------------------------------------------------------------------------
 
     def _search_block(self) -> list[ScoredChange] | None:
-        """Return what other words of the block come to; None where the adapter does not convert by it alone."""
+        """Return the changes of block values; None where the adapter does not convert by its block alone."""
         family = self._families.block_family(_is_decidable)
         if family is None:
             return None
@@ -162,19 +162,19 @@ class ConventionSearch:
 
         def ask(chosen: Sequence[int], questions: Sequence[int]) -> Iterator[MistakeAnswers]:
             if not self._refused:
-                # What is drawn depends on how it is asked, so that changes are held against answers asked alike.
+                # Samples depend on the batches, so changes are compared with answers in the same batches.
                 own = families.loaded.answers_by_block([block], questions, families.seconds_left)
                 self._scorer.set_baseline(own[0] if own else None, questions)
             yield from family.answers(chosen, questions)
 
         changes = self._rank_changes(replace(family, answers=ask), in_block=True)
-        if not families.by_block:  # what the block alone does not say is no question of time
+        if not families.by_block:  # the block is not the whole conversion: the time limit is not the reason
             self._complete = True
             return None
         return changes
 
     def _search_outer_changes(self, adapter: PerturbedAdapter, *, all_of_them: bool) -> list[ScoredChange]:
-        """Return what changes around the adapter come to."""
+        """Return the changes of observations and actions."""
         mistakes, chunks = [], set[str]()
         for one in (*rates(), *self._families.outer_mistakes):
             # Of those of equal words the first orders the steps. The others order their changes, from the state: that
@@ -196,7 +196,7 @@ class ConventionSearch:
         return self._rank_changes(MistakeFamily(mistakes, ask), in_block=False)
 
     def _find_unread(self, adapter: PerturbedAdapter) -> Iterator[str]:
-        """Yield the cameras and texts of which an answer does not depend."""
+        """Yield the inputs on which no answer depends."""
         mistakes = [
             (camera, Mistake(0, camera, "camera", change_observations=black_out(camera)))
             for camera in self._families.case.cameras
@@ -232,7 +232,7 @@ class ConventionSearch:
                 yield name
 
     def _find_unconnected(self, unread: Sequence[str]) -> Iterator[tuple[str, str]]:
-        """Yield what is unread although the model_io block hands it over, with its convention."""
+        """Yield unread inputs that the model_io block passes to the model, with their convention."""
         cameras = {camera for entry in self._families.model_io.images for camera in entry["cameras"]}
         instructions = {one.trajectory.instructions[:1] for one in self._session.recordings}
         for name in unread:
@@ -244,7 +244,7 @@ class ConventionSearch:
                 yield name, name
 
     def _rank_changes(self, family: MistakeFamily, *, in_block: bool) -> list[ScoredChange]:
-        """Return the mistakes whose undoing fits better on a few questions, tried on all."""
+        """Try a family on a few questions, the better ones on all, and return these with their margins."""
         ranking = rank(family, self._scorer)
         self._complete = self._complete and len(ranking.first_round) == len(family.mistakes)
         changes = []
@@ -255,7 +255,7 @@ class ConventionSearch:
         return changes
 
     def _is_near(self, change: ScoredChange) -> bool:
-        """Tell whether a change brings the policy about as near as holding the pose, or nearer."""
+        """Tell whether the error with a change is at most about that of holding the pose."""
         errors = self._metric.errors(change.answers, self._scorer.all_questions)
         still = self._metric.errors(self._metric.hold_pose(), self._scorer.all_questions)
         is_known = errors.known & still.known
@@ -273,13 +273,13 @@ class ConventionSearch:
 
     @property
     def _history(self) -> int:
-        """Observations that the model_io block hands over; 1 where it does not say."""
+        """History length of the model_io block; 1 where it does not say."""
         history = self._families.model_io.longest
         return 1 if history is None else history.length
 
     @cached_property
     def _read(self) -> ReadInputs:
-        """What the adapter reads of the demonstrations, everything if it does not say that."""
+        """The inputs of the demonstrations that the adapter reads; all if its manifest does not say."""
         read = list(self._probe.package.manifest.read)
         recorded_cameras = self._session.recordings[0].trajectory.cameras
         reads = [name.partition(".")[2] for name in read if name.startswith(f"{sdk.Obs.STATE}.")]
@@ -289,7 +289,7 @@ class ConventionSearch:
 
 
 def _is_decidable(mistake: Mistake) -> bool:
-    """Tell whether demonstrations may decide about a mistake.
+    """Tell whether demonstrations can decide about a mistake.
 
     Filters change less than any policy's own error. Demonstrated grippers are closed or open, and a threshold brings
     every prediction nearer to that, however it is converted.
@@ -298,7 +298,7 @@ def _is_decidable(mistake: Mistake) -> bool:
 
 
 def _best_and_ties(changes: Sequence[ScoredChange]) -> list[ScoredChange]:
-    """Return the change that fits best, and those that fit as well, the likeliest first; equal words count once."""
+    """Return the best change and its ties, the likeliest first; equal words count once."""
     if not changes:
         return []
     least = min(one.margin.share for one in changes)

@@ -1,1 +1,1 @@
-"""Parity: the served answers of an adapter beside those of the model's own pipeline, and what explains a difference."""
+"""Parity: the adapter's actions compared with those of the reference, and what explains a difference."""

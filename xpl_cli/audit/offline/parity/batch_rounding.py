@@ -1,8 +1,9 @@
-"""What batches round: an answer that is off by little, because it was given in a batch.
+"""Batch-size-dependent floating-point error: an answer that is slightly off because it was computed in a batch.
 
 reference.py answers one question at a time, an adapter some in batches, and a GPU sums batches in another order. In
-LeRobot's Diffusion Policy on an H100 one of 20 answers was 0.4 % of a span off. Rounding is gone where an environment
-is asked by itself, and stays as it is whatever the others of the batch show; what is mixed up or kept does not.
+LeRobot's Diffusion Policy on an H100, one of 20 answers was off by 0.4 % of the span. Rounding vanishes where an
+environment runs alone, and does not depend on the other observations of the batch; an adapter that mixes up
+environments or keeps state behaves differently.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def unbatched_answers(judgement: Judgement, connect: Serving) -> dict[int, Chunk]:
-    """Return the answers of environments by themselves, where those of batches differ from the golden ones by rounding.
+    """Return the answers of environments that run alone, where the batched answers differ by rounding only.
 
     Args:
         judgement: a session with one take of each question.
@@ -59,7 +60,7 @@ def unbatched_answers(judgement: Judgement, connect: Serving) -> dict[int, Chunk
 
 
 def _answers_alone(replay: SessionReplay, env: int, connect: Serving) -> dict[int, Chunk]:
-    """Return the answers to all questions of an environment that nothing is beside."""
+    """Return the answers to all questions of an environment that runs alone."""
     questions = [question for question in replay.session.questions if question.env == env]
     calls = replay.calls_for([question.number for question in questions])
     with connect() as client:
@@ -67,7 +68,7 @@ def _answers_alone(replay: SessionReplay, env: int, connect: Serving) -> dict[in
 
 
 def _answers_among_copies(replay: SessionReplay, env: int, connect: Serving) -> dict[int, Chunk]:
-    """Return the answers to all questions where every environment shows what this one does at its places."""
+    """Return the answers to all questions where every environment gets the observations of this one."""
     session = replay.session
 
     def observation(env_idx: int, recipe: int) -> ObservationDict:

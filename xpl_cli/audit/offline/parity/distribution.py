@@ -1,4 +1,4 @@
-"""Answers of a model that samples and takes no seed, beside the golden ones: by means and spreads.
+"""Comparison of answers with golden pairs in distribution, for a model that samples and takes no seed.
 
 The test: of every number of every step, K answers of each to the same question. Means differ if Welch's statistic
 passes the quantile of a normal distribution that equal ones pass once in a million audits (Bonferroni, over all numbers
@@ -31,7 +31,7 @@ _HEAVY: Final = 2.0
 
 @dataclass(frozen=True)
 class Shift:
-    """A number that is distributed otherwise.
+    """A number of the action that has another distribution.
 
     Attributes:
         part: the number, such as left_ee_joint_state[0].
@@ -40,7 +40,7 @@ class Shift:
         what: `mean` or `spread`.
         sigmas: how many standard errors they lie apart.
         limit: how many are allowed.
-        parts: all numbers that are distributed otherwise, the farthest first.
+        parts: all numbers with another distribution, the farthest first.
     """
 
     part: str
@@ -55,7 +55,7 @@ class Shift:
 
 
 def find_shift(session: PairSession, answers: Sequence[Sequence[Chunk]], share: float) -> Shift | None:
-    """Return what is distributed otherwise most clearly, None if nothing is.
+    """Return the clearest difference in distribution, None if there is none.
 
     Args:
         session: the golden answers.

@@ -1,4 +1,4 @@
-"""The parity fact: what an adapter answers to the questions of its golden pairs, session by session."""
+"""The parity fact: the adapter's answers to the questions of its golden pairs, session by session."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SessionComparison:
-    """A session beside its golden answers.
+    """A session with the adapter's answers and the golden ones.
 
     Attributes:
         session: the golden ones.
-        given: the adapter's, as many takes of each question; empty where it refused one.
+        answers: the adapter's, as many takes of each question; empty where it refused one.
         refusal: the question that it refused, and how; None if it answered all.
     """
 
@@ -59,7 +59,7 @@ class SessionComparison:
 
 
 class Parity:
-    """Golden pairs and the adapter that they are compared with.
+    """The golden pairs of an adapter and its answers.
 
     Args:
         probe: the adapter.
@@ -103,7 +103,7 @@ class Parity:
 
     @cached_property
     def conventions(self) -> tuple[int, list[str]]:
-        """How many conventions there are to agree on, and which of them, and of the block's values, are assumed."""
+        """Number of applicable conventions, and the names of those, and of values in the block, that are assumed."""
         manifest = self.probe.package.manifest
         values = [one.where.removeprefix("model_io.") for one in manifest.assumed]
         try:
@@ -115,7 +115,7 @@ class Parity:
 
     @cached_property
     def tolerance(self) -> float:
-        """Share of the span of the golden answers that an adapter's may be off by."""
+        """Tolerance as a share of the span of the golden answers."""
         return (self.probe.package.manifest.model_io or ModelIO()).tolerance
 
     @property
@@ -126,7 +126,7 @@ class Parity:
 
     @cached_property
     def comparisons(self) -> list[SessionComparison]:
-        """All sessions, each played by a server of its own.
+        """All sessions, each replayed on a server of its own.
 
         Raises:
             NotRun: if it does not start.
@@ -139,11 +139,11 @@ class Parity:
         return Judgement(compared.session, answers, self.tolerance, self.pairs.noise)
 
     def shift(self, compared: SessionComparison) -> Shift | None:
-        """Return what of a session with many takes is distributed otherwise."""
+        """Return the difference in distribution of a session with many takes."""
         return distribution.find_shift(compared.session, compared.answers, self.tolerance)
 
     def cause(self, compared: SessionComparison) -> ParitySearchResult | None:
-        """Return the single change that explains best how a session differs, None if none does."""
+        """Return the mistake that explains best how a session differs, None if none does."""
         if compared.session.takes == 1:
             return ParitySearch(self.probe, self.judge(compared), self.settings).run()
         means, answers, noise = distribution.average_takes(compared.session, compared.answers)
@@ -152,7 +152,7 @@ class Parity:
 
     @cached_property
     def margins(self) -> dict[str, Any]:
-        """How clearly known mistakes would show in the first session, if all answers are the golden ones."""
+        """How clearly the pairs of the first session detect known mistakes, if all answers are the golden ones."""
         first = self.comparisons[0]
         if first.session.takes > 1:
             return {}
@@ -161,7 +161,7 @@ class Parity:
 
     def _compare(self, session: PairSession) -> SessionComparison:
         self.probe.options.time_limit.check()
-        # What was asked of this audit counts for more than what was recorded with; the session is what it is.
+        # Overrides of this audit take precedence over the recorded settings; the session is fixed.
         settings = {**self.settings, **self.probe.options.overrides}
         connect = partial(self.probe.fresh_session, **overrides(session, settings))
         try:

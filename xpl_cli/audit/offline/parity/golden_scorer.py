@@ -1,4 +1,4 @@
-"""Golden pairs as a ruler: what is left of a difference under each mistake."""
+"""Score of mistakes by golden pairs: the difference that remains under each."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 _FEW: Final = 3
 """Questions on which mistakes are tried before they are on all."""
 _MOST: Final = (24, 8)
-"""Those that go on, of those tried on one question and on a few: so many that leave least, or mend most."""
+"""How many enter the next round, after one question and after a few: those that leave least, or fix most numbers."""
 _PROMISING: Final = 0.5
-"""Share of the difference that may be left to go on."""
+"""Share of the difference that may remain for the next round."""
 _INFINITE: Final = float("inf")
 
 
 class GoldenPairScorer(Scorer):
-    """Which of many mistakes explains a difference.
+    """Scores mistakes by the difference from golden pairs that they leave.
 
     Args:
-        course: the questions.
+        replay: the questions.
         judgement: of the adapter's answers to them.
-        among: numbers of the questions that are looked at; a difference has to be among them.
+        among: numbers of the questions that count; at least one differs.
     """
 
     def __init__(self, replay: SessionReplay, judgement: Judgement, among: Sequence[int]) -> None:
@@ -53,13 +53,13 @@ class GoldenPairScorer(Scorer):
         return max(self.remaining(result.answers).values()) <= self._judgement.tolerance
 
     def score(self, result: MistakeAnswers) -> TriedChange:
-        """Return what is left under a mistake."""
+        """Return the difference that remains under a mistake."""
         return TriedChange(result.words, result.convention, self.remaining(result.answers))
 
     def score_pair(
         self, first: MistakeAnswers, second: MistakeAnswers, answers: AnswersByQuestion | None
     ) -> TriedChange:
-        """Return what is left under two mistakes, of the answers with both undone."""
+        """Return the difference that remains with two mistakes undone."""
         return TriedChange(first.words, first.convention, self.remaining(answers), (second.words, second.convention))
 
     def explain_ranking(self, ranking: RankingResult) -> Explanation:
@@ -71,7 +71,7 @@ class GoldenPairScorer(Scorer):
         return explain(self.before, tried, self._judgement.tolerance)
 
     def remaining(self, answers: Mapping[int, Sequence[Step | None]] | None) -> dict[str, float]:
-        """Return how far answers to some questions are from the golden ones; steps that are not known do not count."""
+        """Return the differences of some answers from the golden ones; unknown steps do not count."""
         judgement = self._judgement
         if not answers:
             return dict.fromkeys(judgement.spread, _INFINITE)
@@ -79,7 +79,7 @@ class GoldenPairScorer(Scorer):
 
     @cached_property
     def rounds(self) -> Sequence[Sequence[int]]:
-        """One question, then a few: one that tells much, one that is right, another one."""
+        """One question, then a few: one with a large difference, one without, another one."""
         judgement = self._judgement
         largest_by_question = {
             number: max(self.remaining({number: judgement.answers[number]}).values()) for number in self.all_questions
@@ -92,7 +92,7 @@ class GoldenPairScorer(Scorer):
         return chosen[:1], chosen
 
     def select(self, results: Sequence[MistakeAnswers], questions: Sequence[int], round_number: int) -> list[int]:
-        """Return the places of those that are worth more questions: that leave least, or mend most numbers."""
+        """Return the indices of the results that leave least, or fix most numbers."""
         judgement = self._judgement
         before = self._before(questions)
         largest = max(before.values())
@@ -107,7 +107,7 @@ class GoldenPairScorer(Scorer):
         return sorted({*best, *widest})
 
     def improving(self, results: Sequence[MistakeAnswers], most: int) -> list[int]:
-        """Return the places of those that may be one of two mistakes, best first: the mean of what is left falls.
+        """Return the indices of candidates for one of two mistakes, best first: those that lower the mean difference.
 
         Args:
             results: to the questions of the first round.
@@ -122,7 +122,7 @@ class GoldenPairScorer(Scorer):
         return [slot for _, slot in sorted(slots.items())][:most]
 
     def _mean(self, rest: Mapping[str, float]) -> float:
-        """Return the mean of what is left of all numbers; what is allowed counts as nothing."""
+        """Return the mean of the remaining differences; those within the tolerance count as 0."""
         allowed = self._judgement.allowed
         return float(np.mean([max(0.0, value - allowed[part]) for part, value in rest.items()])) or 1e-12
 

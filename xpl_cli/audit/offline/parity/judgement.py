@@ -1,6 +1,6 @@
-"""Whether an adapter's answers equal the golden ones: by number of each key, as a share of what the golden ones span.
+"""Whether an adapter's answers equal the golden ones: for each number of the action, as a share of the golden span.
 
-A difference counts if it is above the tolerance, and above what two recordings of the golden answers are apart.
+A difference counts if it exceeds the tolerance and the difference between two recordings of the reference.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Deviation:
     Attributes:
         part: the number, such as left_ee_joint_state[0].
         question, step: the first question and step in which it differs.
-        golden, given: what the two say there.
+        golden, answer: the two values there.
         share: largest difference, as a share of the span.
         span: of the golden answers.
         allowed: share that is allowed.
@@ -50,11 +50,11 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A session's golden answers beside those of an adapter.
+    """Comparison of an adapter's answers with the golden ones of a session.
 
     Args:
         session: the golden ones.
-        given: the adapter's chunk of each question.
+        answers: the adapter's chunk of each question.
         share: of the span that is allowed.
         noise: by key, what two recordings of the golden answers are apart.
     """
@@ -66,7 +66,7 @@ class Judgement:
 
     @cached_property
     def golden(self) -> list[Chunk]:
-        """The golden chunks; of one that is longer than the adapter's, which hands on the beginning, as much."""
+        """The golden chunks, cut to the length of the adapter's, which may hand on only the beginning."""
         chunks = [self.session.chunk(question) for question in self.session.questions]
         return [chunk[: len(other)] for chunk, other in zip(chunks, self.answers, strict=True)]
 

@@ -1,7 +1,7 @@
-"""By how much known mistakes would have shown, had a right adapter made them: what its pairs determine, and what not.
+"""Sensitivity of golden pairs: by how much known mistakes would change the answers of a correct adapter.
 
-Single changes of the block, or of commands where code converts, are asked on all questions, the likeliest first, as far
-as the time reaches. A change that moves no answer beyond the tolerance is one that the pairs do not tell apart.
+Single changes of the block, or of actions where code converts, are applied to all questions, the likeliest first, until
+the time is over. The pairs do not detect a change that moves no answer beyond the tolerance.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from xpl_cli.model_io.difference import Step
 
 MARGIN_S: Final = 20.0
-"""Seconds that answers under changes may take, loading not counted."""
+"""Time limit for answers under changes, s; loading the model does not count."""
 _MOST: Final = 120
 """Changes that are tried at most."""
 
 
 @dataclass(frozen=True)
 class MistakeMargin:
-    """How clearly one mistake would show.
+    """How clearly the pairs detect one mistake.
 
     Attributes:
         words, convention: of the change.
@@ -47,7 +47,7 @@ class MistakeMargin:
 
 
 def measure_margins(probe: Probe, judgement: Judgement, settings: Mapping[str, object]) -> list[MistakeMargin]:
-    """Return how clearly known mistakes would show in the pairs of one session, in the order of their likelihood.
+    """Return how clearly the pairs of one session detect known mistakes, the likeliest first.
 
     Args:
         probe: the adapter, whose answers are the golden ones.
@@ -70,7 +70,7 @@ def measure_margins(probe: Probe, judgement: Judgement, settings: Mapping[str, o
 
 
 def _margins_of_family(family: MistakeFamily, judgement: Judgement, replay: SessionReplay) -> Iterator[MistakeMargin]:
-    """Yield how clearly each mistake of a family would show."""
+    """Yield how clearly the pairs detect each mistake of a family."""
     chosen = range(min(_MOST, len(family.mistakes)))
     for result in family.answers(chosen, replay.all_questions):
         if result.answers is not None:
@@ -78,7 +78,7 @@ def _margins_of_family(family: MistakeFamily, judgement: Judgement, replay: Sess
 
 
 def summarize_margins(margins: Sequence[MistakeMargin], pairs: int) -> dict[str, Any]:
-    """Return what a verdict says of that: undetermined conventions, and the smallest margin of the others.
+    """Summarise margins for a verdict: undetermined conventions, and the smallest margin of the others.
 
     Args:
         margins: of `margins`.

@@ -1,8 +1,8 @@
-"""Which change of what an adapter is shown explains how its answers differ.
+"""Search for the change of observations that explains how an adapter's answers differ.
 
-It is played again on a server: each episode of an environment by itself, in one connection, if it answers as before
-then. If it does not, since it draws, or environments see each other, then all together as in the recording, by a model
-that was just built.
+The session is replayed on a server: each episode of an environment alone, in one connection, if that gives the same
+answers. If not, because the model samples or mixes up environments, all environments run together as in the recording,
+with a model that was just built.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ Answers = Mapping[int, Sequence[Any]]
 _SAME: Final = Mistake(
     0, "each environment asked by itself", "recurrent", change_observations=lambda seen: [dict(obs) for obs in seen]
 )
-"""Changes nothing of what is shown."""
+"""Changes no observation."""
 _FIRSTS: Final = 4
-"""Mistakes that are undone so that others are tried besides."""
+"""Mistakes that are undone while a second one is searched."""
 
 
 class ObservationSearch:
-    """The search among changes of what is shown.
+    """The search among changes of observations.
 
     Args:
         probe: the adapter.
-        course: the questions.
+        replay: the questions.
         judgement: of its answers; something differs.
         config: keys of deploy.yml.
         repeats: whether a reset makes the model forget all, as far as its manifest says.
@@ -59,13 +59,13 @@ class ObservationSearch:
         self._probe, self._replay, self._judgement = probe, replay, judgement
         self._config, self._repeats = config, repeats
         self.patterns: list[Pattern] = []
-        """What was seen besides."""
+        """Patterns that the search noticed."""
 
     def explain(self, mistakes: Sequence[Mistake], families: MistakeFamilies, deadline: float) -> Explanation | None:
-        """Return what mistakes explain; None if nothing can be said so.
+        """Return the explanation by changes of observations; None if the session cannot be replayed.
 
         Args:
-            mistakes: as changes of what is shown.
+            mistakes: those that change observations.
             families: of the adapter.
             deadline: when to end, by the monotonic clock.
         """
@@ -108,7 +108,7 @@ class ObservationSearch:
         scorer: GoldenPairScorer,
         families: MistakeFamilies,
     ) -> Explanation:
-        """Return what mistakes explain, one by one; where none does, with a change of commands besides."""
+        """Return the explanation by one mistake, or by one together with a change of actions."""
         ranking = rank(
             MistakeFamily(mistakes, families.answer_function(adapter, mistakes, scorer.leaves_nothing)), scorer
         )
@@ -126,7 +126,7 @@ class ObservationSearch:
         scorer: GoldenPairScorer,
         families: MistakeFamilies,
     ) -> Explanation | None:
-        """Return what explains the difference by two mistakes: of what is shown, and another one."""
+        """Return the explanation by a change of observations and a change of actions."""
         families.halve_time()
         for slot in scorer.improving(ranking.first_round, _FIRSTS):
             answers = adapter.answers(mistakes[slot], scorer.all_questions) if families.seconds_left > 0 else None
@@ -142,7 +142,7 @@ class ObservationSearch:
     def _find_shared_input(
         self, separate: PerturbedAdapter, numbers: Sequence[int]
     ) -> Callable[[Mapping[str, float]], TriedChange] | None:
-        """Return what to say if environments see only one input of each other: alike in all, it makes no difference."""
+        """Find the one input that environments see of each other: the difference vanishes if it is equal in all."""
         first = self._replay.observation(*self._judgement.session.questions[0].recipes[0])
         for words, convention, keys in (
             ("each environment's own instruction", sdk.Obs.INSTRUCTION, (sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS)),
@@ -167,7 +167,7 @@ class ObservationSearch:
                 yield adapter
 
     def _cameras_without_effect(self, adapter: PerturbedAdapter, cameras: Sequence[str]) -> Iterator[Pattern]:
-        """Tell which cameras may be exchanged for darkness."""
+        """Yield the cameras that can be black without any effect."""
         judgement, number = self._judgement, self._replayable[-1]
         for camera in cameras:
             answers = adapter.answers(Mistake(0, camera, "camera", change_observations=black_out(camera)), [number])
@@ -179,7 +179,7 @@ class ObservationSearch:
 
     @property
     def _replayable(self) -> list[int]:
-        """The questions whose answers are the same when they are played again; a model may draw otherwise later."""
+        """The questions that have the same answers when replayed; a model that samples has others in later episodes."""
         questions = self._judgement.session.questions
         return [question.number for question in questions if self._repeats or question.episode == 0]
 

@@ -1,9 +1,9 @@
-"""Which mistake explains that an adapter's answers differ from the golden ones; where none does, which two.
+"""Search for the mistake, or the two, that explain how an adapter's answers differ from the golden ones.
 
-The mistakes of the catalogue are tried in one way after another until one explains it: as other words of the model_io
-block, where the adapter converts by its block alone; for conversions in code, as changes of what it commands, which
-cost no play, of what its `encode` makes, and of what it is shown. Then those that ease the difference are undone, and
-the others tried besides. The time is bounded: a finding without a cause is still a finding.
+The mistakes of the catalogue are tried in this order until one explains the difference: other values of the model_io
+block, if the adapter converts by its block alone; for conversions in code, changes of actions, which need no inference,
+of the inputs that `encode` returns, and of observations. Then mistakes that lower the difference are undone and
+combined with others. The time is limited: a finding without a cause is still a finding.
 """
 
 from __future__ import annotations
@@ -49,20 +49,20 @@ if TYPE_CHECKING:
 SEARCH_S: Final = 240.0
 """Longest search, s."""
 _LIKELIEST: Final = 2
-"""Mistakes of a family that are undone so that all others are tried besides."""
+"""Mistakes of a family that are combined with all others."""
 _FIRSTS: Final = 6
-"""Mistakes of a family that are undone so that some others are tried besides, ..."""
+"""Mistakes of a family that are combined with some others, ..."""
 _EASED: Final = 60
-"""... and those that are tried so."""
+"""... and how many others."""
 
 
 @dataclass(frozen=True)
 class ParitySearchResult:
-    """What a search came to.
+    """The result of a search.
 
     Attributes:
         explanation: the best mistake, or two.
-        in_block: whether it is a word of the model_io block.
+        in_block: whether a value of the model_io block undoes it.
     """
 
     explanation: Explanation
@@ -96,7 +96,7 @@ class ParitySearch:
     def run(self) -> ParitySearchResult | None:
         """Return the mistake that explains the difference best, or the two, None if none lowers it.
 
-        A word of the block is preferred to a change around the adapter that does the same.
+        A value of the block is preferred to a change in code with the same effect.
         """
         with self._families.loaded:
             return self._run()
@@ -130,14 +130,14 @@ class ParitySearch:
     # -- one mistake ---------------------------------------------------------------------------------------------------
 
     def _by_block(self) -> Explanation | None:
-        """Return what other words of the block explain; None where the adapter does not convert by it alone."""
+        """Return the explanation by values of the block; None if the adapter does not convert by its block alone."""
         explanation = self._by_words(self._scorer.leaves_nothing)
         if explanation is None or explanation.cause is not None:
             return explanation
         ((family, ranking),) = self._tried
         if len(ranking.first_round) == len(family.mistakes) or self._families.seconds_left <= 0:
             return explanation
-        # What leaves nothing of one question leaves something of others: then all are tried.
+        # A value that explains one question does not explain others: try all values.
         return self._by_words(lambda _answered: False)
 
     def _by_words(self, explains_all: ExplainsAll) -> Explanation | None:
@@ -149,7 +149,7 @@ class ParitySearch:
         explanation = self._scorer.explain_ranking(ranking)
         if explanation.cause is None:
             return explanation
-        # What is less likely was not tried; what of the same convention these pairs do not tell from it is to be said.
+        # Less likely mistakes were skipped; those of the same convention may explain as much, which the finding says.
         later = range(len(ranking.first_round), len(family.mistakes))
         same_convention = [
             number for number in later if family.mistakes[number].convention == explanation.cause.convention
@@ -162,7 +162,7 @@ class ParitySearch:
         return self._scorer.explain_tried([self._scorer.score(result) for _, result in results])
 
     def _by_commands(self) -> Explanation:
-        """Return what changes of the answers that are known explain."""
+        """Return the explanation by changes of known actions."""
         family = self._families.action_family(dict(enumerate(self._judgement.answers)), self._scorer.leaves_nothing)
         ranking = rank(family, self._scorer)
         self._tried.append((family, ranking))
@@ -177,7 +177,7 @@ class ParitySearch:
         return fit if fit.cause is not None or (fit.partial and not explanation.partial) else explanation
 
     def _by_inputs(self) -> Explanation | None:
-        """Return what changes of encoded inputs explain; None if there is no time for them."""
+        """Return the explanation by changes of encoded inputs; None if the time is over."""
         if self._families.seconds_left <= 0:
             return None
         family = self._families.input_family()
@@ -189,13 +189,13 @@ class ParitySearch:
         return explanation
 
     def _both_ways(self, result: MistakeAnswers) -> TriedChange:
-        """Return a change of what goes in, with the line that what comes out is then of the golden answers, if any."""
+        """Return a change of the inputs, with the linear fit of the actions to the golden ones, if there is one."""
         scored = self._scorer.score(result)
         line = self._line(result, scored)
         return scored if line is None else TriedChange(f"{scored.words}, both ways", scored.convention, line.remaining)
 
     def _by_shown(self) -> Explanation | None:
-        """Return what changes of what is shown explain; None if the adapter cannot be served for it."""
+        """Return the explanation by changes of observations; None if the adapter cannot be served for it."""
         search = ObservationSearch(self._probe, self._replay, self._judgement, self._config, repeats=self._repeats)
         mistakes = [one for one in self._families.outer_mistakes if one.change_observations is not None]
         try:
@@ -209,9 +209,9 @@ class ParitySearch:
     # -- two mistakes --------------------------------------------------------------------------------------------------
 
     def _two(self) -> Iterator[ParitySearchResult]:
-        """Yield what explains the difference by two mistakes of which each eases it.
+        """Yield explanations by two mistakes of which each lowers the difference.
 
-        Both are undone in one way, all pairs in one contest; or the second is one of commands, or a line, of the
+        Both are of one family, all pairs in one ranking; or the second is a change of actions, or a linear fit, of the
         answers with the first one undone.
         """
         improving = [
@@ -220,7 +220,7 @@ class ParitySearch:
         for family, _, slots in improving:
             yield from self._found(family, [one for slot in slots[:_FIRSTS] for one in self._with_line(family, slot)])
         for family, ranking, slots in improving:
-            # Those first that ease it most: the time may not reach over all.
+            # Those first that lower the difference most: the time may not suffice for all.
             ordered = sorted(itertools.combinations(range(len(slots)), 2), key=lambda pair: (sum(pair), pair))
             some = [(slots[one], slots[other]) for one, other in ordered if one < _FIRSTS]
             every = [
@@ -235,7 +235,7 @@ class ParitySearch:
     def _pairs(
         self, family: MistakeFamily, ranking: RankingResult, pairs: Sequence[tuple[int, int]]
     ) -> list[TriedChange]:
-        """Return what is left where both of each pair are undone, of those that are worth all questions."""
+        """Return the remaining differences of the best pairs of mistakes."""
         both = family.combine(pairs) if pairs and self._families.seconds_left > 0 else None
         if both is None:
             return []
@@ -248,7 +248,7 @@ class ParitySearch:
             yield ParitySearchResult(explanation, in_block=self._families.by_block and family is self._tried[0][0])
 
     def _with_line(self, family: MistakeFamily, slot: int) -> list[TriedChange]:
-        """Return what is left where one mistake is undone, and commands are a line of the golden ones, if they are."""
+        """Return the remaining difference with one mistake undone and actions fitted linearly, if that fits."""
         first = self._undone(family, slot)
         line = None if first is None else self._line(first, self._scorer.score(first))
         if first is None or line is None:
@@ -256,7 +256,7 @@ class ParitySearch:
         return [TriedChange(first.words, first.convention, line.remaining, (line.words, line.convention))]
 
     def _with_commands(self, family: MistakeFamily, slot: int) -> list[TriedChange]:
-        """Return what is left where one mistake is undone, and one of commands besides."""
+        """Return the remaining differences with one mistake undone and a change of actions."""
         first = self._undone(family, slot)
         if first is None or first.answers is None:
             return []
@@ -281,7 +281,7 @@ class ParitySearch:
     # -- what is known -------------------------------------------------------------------------------------------------
 
     def _line(self, result: MistakeAnswers, scored: TriedChange) -> TriedChange | None:
-        """Return the line that answers under a mistake are of the golden ones, if any is."""
+        """Return the linear fit of answers under a mistake to the golden ones, if there is one."""
         judgement = self._judgement
         if result.answers is None or max(scored.remaining.values()) <= judgement.tolerance:
             return None
@@ -333,7 +333,7 @@ class ParitySearch:
 
     @cached_property
     def _read(self) -> ReadInputs:
-        """What the adapter reads, everything if it does not say that."""
+        """The inputs that the adapter reads; all if its manifest does not say."""
         read, session = list(self._probe.package.manifest.read), self._judgement.session
         observations = [self._replay.observation(*question.recipes[-1]) for question in session.questions]
         texts = sorted({obs[sdk.Obs.INSTRUCTION] for obs in observations})
@@ -347,12 +347,12 @@ class ParitySearch:
 
     @property
     def _repeats(self) -> bool:
-        """Whether a reset is enough between two plays: the model draws nothing, or nothing that could be had again."""
+        """Whether a reset suffices between two replays: the model does not sample, or takes no seed."""
         return is_free(self._families.manifest) or not self._draws
 
     @property
     def _draws(self) -> bool:
-        """Whether the adapter says that its model draws."""
+        """Whether the manifest says that the model samples."""
         return not self._families.manifest.deterministic or self._families.model_io.draws
 
 

@@ -1,1 +1,1 @@
-"""The search for the mistake of an adapter: its answers under each, by a ruler that says how far they are off."""
+"""Search for the mistake of an adapter: its actions under each candidate mistake, scored and ranked."""

@@ -1,6 +1,6 @@
-"""An adapter asked again in a process of its interpreter, where the model is loaded once for all mistakes.
+"""An adapter in a process of its own interpreter, which loads the model once and answers under many mistakes.
 
-It answers under other words of its model_io block, or under changes of what its own `encode` makes.
+Mistakes are other values of its model_io block, or changes of the inputs that its `encode` returns.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     from xpl_cli.model_io.pairs import Chunk
 
 AnswersByQuestion = Mapping[int, "Sequence[Any]"]
-"""By number of a question its answer: action steps, None for those that are not known."""
+"""Action steps by question number; None for steps that are not known."""
 
 _MORE_S = 30.0
-"""What an answer may take beyond the seconds that are given."""
+"""Seconds added to the limit of a request before the process is ended."""
 
 
 @dataclass(frozen=True)
 class MistakeAnswers:
-    """What an adapter answers with a mistake undone.
+    """The answers of an adapter with a mistake undone.
 
     Attributes:
-        words, convention: of the mistake, as well as they are known now.
-        given: the answers; None where the mistake has no meaning here.
+        words, convention: of the mistake, refined by the process where it knows better.
+        answers: by question; None where the mistake does not apply.
     """
 
     words: str
@@ -43,7 +43,7 @@ class MistakeAnswers:
 
 @dataclass(frozen=True)
 class _WorkerAnswer:
-    """What `xpl.worker.encoded.play` says of a change; nothing where it has no meaning.
+    """The reply of `xpl.worker.encoded.play` to a change; empty where the change does not apply.
 
     Attributes:
         answers: of each question.
@@ -65,11 +65,11 @@ class _WorkerAnswer:
 
 
 class LoadedAdapter:
-    """One adapter and the questions that it is asked again. The process starts with the first question.
+    """One adapter and the session that it replays. The process starts with the first request.
 
     Args:
         probe: the adapter.
-        course: the questions.
+        replay: the questions.
         config: values of deploy.yml after overrides.
         block: its model_io block, as it is used; empty without one.
     """
@@ -93,7 +93,7 @@ class LoadedAdapter:
     def answers_by_block(
         self, blocks: Sequence[Entry], questions: Sequence[int], seconds: float
     ) -> list[AnswersByQuestion | None] | None:
-        """Return the answers to some questions under each model_io block, as far as the time reaches.
+        """Return the answers to some questions under each model_io block, until the time is over.
 
         Args:
             blocks: what is tried.
@@ -110,11 +110,11 @@ class LoadedAdapter:
     def answers_by_input_change(
         self, changes: Sequence[Mistake], questions: Sequence[int], seconds: float
     ) -> list[MistakeAnswers]:
-        """Return the answers to some questions under each change of encoded inputs, as far as the time reaches.
+        """Return the answers to some questions under each change of encoded inputs, until the time is over.
 
-        Nothing, if the adapter does not derive from `xpl.Policy`, or cannot be loaded there. Of pictures of another
-        size the process tells how far they are from those before: the geometry of the nearest is the adapter's, and
-        where a change leaves that, the filter is the mistake.
+        Empty if the adapter does not derive from `xpl.Policy`, or cannot be loaded there. For images of another size,
+        the process returns their distance from the adapter's own: the nearest geometry is the adapter's, and a change
+        that keeps the geometry changes the resize filter.
         """
         results = self._request({"changes": [dict(one.input_change or {}) for one in changes]}, questions, seconds)
         tried = list(zip(changes, map(_WorkerAnswer.read, results or []), strict=False))

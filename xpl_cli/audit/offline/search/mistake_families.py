@@ -1,7 +1,7 @@
-"""The ways in which an adapter's answers under mistakes are had, each as a family of mistakes.
+"""Families of mistakes, one for each way to obtain an adapter's answers under a mistake.
 
-As other words of the model_io block and as changes of encoded inputs, in a process that loads the model once; as
-changes of what is shown, by a server; as changes of the commands that are known already.
+Other values of the model_io block and changes of encoded inputs run in a process that loads the model once. Changes of
+observations run on a server. Changes of actions are applied to answers that are known already.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ if TYPE_CHECKING:
 
 _MANY: Final = 0.45
 _FEW: Final = 0.9
-"""Shares of the time that is left for changes of encoded inputs: of all, and of those that lower the difference."""
+"""Shares of the remaining time for changes of encoded inputs: for all of them, and for the promising ones."""
 
 _ALONE: Final = frozenset(("drawn", "once"))
-"""Kinds of changes of encoded inputs that are made of all that a model does."""
+"""Kinds of changes of encoded inputs that cannot be combined with others."""
 _LITTLE_S: Final = 15.0
-"""What the search for two mistakes may take at least."""
+"""Least time for the search for two mistakes."""
 
 ExplainsAll = Callable[[MistakeAnswers], bool]
-"""Tells whether answers leave nothing to explain, so that what is less likely need not be tried."""
+"""Whether answers explain the whole difference, so that less likely mistakes need not be tried."""
 
 
 @dataclass(frozen=True)
 class ReadInputs:
-    """What an adapter reads, of what the questions show.
+    """The inputs that an adapter reads.
 
     Attributes:
         cameras: names of cameras.
@@ -61,14 +61,14 @@ _NOTHING: Final = ReadInputs((), None, ())
 
 
 class MistakeFamilies:
-    """One adapter and the questions that it is asked under mistakes.
+    """The families of mistakes of one adapter.
 
     Args:
         probe: the adapter.
-        course: the questions.
-        settings: keys of deploy.yml that it is served with for them.
-        until: when to end, by the monotonic clock.
-        read: what it reads.
+        replay: the questions.
+        settings: keys of deploy.yml that it is served with.
+        deadline: by the monotonic clock.
+        read_inputs: the inputs that it reads.
     """
 
     def __init__(
@@ -104,11 +104,11 @@ class MistakeFamilies:
 
     @property
     def seconds_left(self) -> float:
-        """Seconds that are left."""
+        """Remaining time, s."""
         return max(0.0, self._deadline - time.monotonic())
 
     def halve_time(self) -> None:
-        """Leave no more time than was used, and a little for what is quick."""
+        """Limit the remaining time to the time used so far, but at least 15 s."""
         now = time.monotonic()
         self._deadline = min(self._deadline, now + max(_LITTLE_S, now - self._started))
 
@@ -119,11 +119,11 @@ class MistakeFamilies:
         predicate: Callable[[Mistake], bool] = lambda _one: True,
         explains_all: ExplainsAll = lambda _answered: False,
     ) -> MistakeFamily | None:
-        """Return other words of the block; None where there is none that fits.
+        """Return the mistakes that other values of the block undo; None without a block that fits.
 
         Args:
-            predicate: tells which are tried.
-            explains_all: of all of them, what is less likely than one for which this holds is not asked.
+            predicate: selects the mistakes.
+            explains_all: stops the search: mistakes less likely than one for which this holds are skipped.
         """
         if self._block_mistakes is None:
             return None
@@ -133,7 +133,7 @@ class MistakeFamilies:
 
     @functools.cached_property
     def _block_mistakes(self) -> list[tuple[Mistake, dict[str, Any]]] | None:
-        """The mistakes as other words of the block, each with the block that it makes; each was compiled once."""
+        """Mistakes with the edited block of each; every block compiles."""
         if not self.case.block:
             return None
         try:
@@ -183,11 +183,11 @@ class MistakeFamilies:
 
     @functools.cached_property
     def outer_mistakes(self) -> list[Mistake]:
-        """The mistakes as changes around the adapter."""
+        """Mistakes that change observations or actions."""
         return list(catalogue.io_mistakes(self.case))
 
     def action_family(self, answers: Mapping[int, Sequence[Any]], explains_all: ExplainsAll) -> MistakeFamily:
-        """Return changes of answers that are known."""
+        """Return changes of actions, applied to known answers."""
         mistakes = [one for one in self.outer_mistakes if one.change_observations is None]
         adapter = PerturbedAdapter(self._replay, answers)
         return MistakeFamily(mistakes, self.answer_function(adapter, mistakes, explains_all))
@@ -195,7 +195,7 @@ class MistakeFamilies:
     def answer_function(
         self, adapter: PerturbedAdapter, candidates: Sequence[Mistake], explains_all: ExplainsAll
     ) -> AnswerFunction:
-        """Return what asks under changes around an adapter, until what is less likely need not be tried."""
+        """Return a function that yields answers under changes of observations or actions, until one explains all."""
 
         def ask(chosen: Sequence[int], questions: Sequence[int]) -> Iterator[MistakeAnswers]:
             explained_rank: int | None = None
@@ -213,14 +213,14 @@ class MistakeFamilies:
     # -- encoded inputs ------------------------------------------------------------------------------------------------
 
     def input_family(self) -> MistakeFamily:
-        """Return changes of what the adapter's own `encode` makes."""
+        """Return changes of the inputs that the adapter's `encode` returns."""
         return self._family_of_inputs(list(catalogue.input_mistakes(self.case)))
 
     def _family_of_inputs(
         self, candidates: Sequence[Mistake], numbers: Sequence[tuple[int, int]] = ()
     ) -> MistakeFamily:
         def ask(chosen: Sequence[int], questions: Sequence[int]) -> Iterator[MistakeAnswers]:
-            # The last family needs time, too; but those that are left of many are near the mistake.
+            # The last family needs time, too; the few that are left are likely to hold the mistake.
             share = _MANY if len(chosen) == len(candidates) else _FEW
             yield from self.loaded.answers_by_input_change(
                 [candidates[number] for number in chosen], questions, share * self.seconds_left

@@ -1,4 +1,4 @@
-"""An adapter's answers where what it is shown, or what it commands, is changed around it."""
+"""A served adapter whose observations or actions are perturbed."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 
 class PerturbedAdapter:
-    """Plays mistakes on a served adapter. Mistakes that show the same share one play.
+    """Replays a session under mistakes. Mistakes with the same change of observations share one replay.
 
     Args:
-        course: the questions.
-        given: the adapter's own answers to all of them.
-        connect: yields a client of a model that was just built; None where nothing is to be shown.
-        once: connect once, since a reset makes the model forget.
-        together: play as the whole session does, all environments together and each episode in its turn; else each
-            episode of an environment by itself.
+        replay: the session.
+        answers: the adapter's own answers to all questions.
+        connect: yields a client of a model that was just built; None where observations are not changed.
+        once: whether to connect only once, since a reset makes the model forget.
+        together: whether all environments run together, as in the session; else each episode of an environment runs
+            alone.
     """
 
     def __init__(
@@ -57,9 +57,9 @@ class PerturbedAdapter:
         self._exit_stack.close()
 
     def answers(self, mistake: Mistake, question_numbers: Sequence[int]) -> dict[int, list[Any]] | None:
-        """Return the answers to some questions, and those before them, with a change; None if it is refused.
+        """Return the answers under a mistake to some questions and the earlier ones; None if the adapter refuses.
 
-        A step that the change cannot tell is None.
+        Steps that the change does not determine are None.
         """
         numbers = self._replay.with_earlier(question_numbers)
         answers = self._answers_to_changed_observations(mistake, numbers)
@@ -94,7 +94,7 @@ class PerturbedAdapter:
         return self._results[key]
 
     def _connected(self) -> Client:
-        """Return the client for one play."""
+        """Return a client for one replay."""
         assert self._connect is not None  # noqa: S101 - see who asks
         if self._client is None or not self._once:
             self._exit_stack.close()
@@ -102,7 +102,7 @@ class PerturbedAdapter:
         return self._client
 
     def _replay_together(self, client: Client, mistake: Mistake, numbers: Sequence[int]) -> dict[int, Chunk]:
-        """Play all episodes in their order, each with its environments together."""
+        """Replay all episodes in order, with all environments together."""
         assert mistake.change_observations is not None  # noqa: S101 - see who asks
         session = self._replay.session
         changed: dict[tuple[int, int], Observation] = {}
@@ -137,7 +137,7 @@ class PerturbedAdapter:
     def _run_episode(
         self, client: Client, observations: Sequence[Observation], questions: Mapping[int, PairQuestion]
     ) -> dict[int, Chunk]:
-        """Play one episode, and return its answers by the numbers of the questions."""
+        """Run one episode, and return its answers by question number."""
         client.reset()
         answers = {}
         for step, observation in enumerate(observations):

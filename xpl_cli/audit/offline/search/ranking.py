@@ -1,7 +1,7 @@
-"""Mistakes tried one against the other: on few questions first, the good ones on more, the best on all.
+"""Ranking of mistakes: all are tried on few questions, the good ones on more, the best on all.
 
-What is good a ruler says: golden pairs by what is left of a difference, demonstrations by how near predicted actions
-come to those that were done.
+A scorer decides which are good: golden pairs by the remaining difference, demonstrations by the distance of predicted
+actions from demonstrated ones.
 """
 
 from __future__ import annotations
@@ -16,20 +16,19 @@ if TYPE_CHECKING:
     from xpl_cli.audit.offline.search.loaded_adapter import MistakeAnswers
 
 AnswerFunction = Callable[[Sequence[int], Sequence[int]], Iterator["MistakeAnswers"]]
-"""Yields the answers under mistakes by their numbers, the first, to questions by theirs, the second, as far as the time
-reaches."""
+"""Takes numbers of mistakes and of questions; yields the answers under each mistake until the time is over."""
 
 
 @dataclass(frozen=True)
 class MistakeFamily:
-    """Mistakes whose answers are had in one way.
+    """Mistakes whose answers are obtained in the same way.
 
     Attributes:
         mistakes: the likeliest first.
-        ask: yields answers under them.
-        both: of pairs of mistakes by their numbers, the family in which both of each are undone; None where they cannot
-            be undone together. It has the pairs that fit, `numbers`.
-        numbers: of such a family, the pairs of its mistakes.
+        answers: yields answers under them.
+        combine: takes pairs of mistakes by their numbers; returns the family in which both of each pair are undone, or
+            None where they cannot be undone together. Its `pairs` are those that fit.
+        pairs: of such a family, the pairs of its mistakes.
     """
 
     mistakes: Sequence[Mistake]
@@ -39,7 +38,7 @@ class MistakeFamily:
 
 
 class Scorer(ABC):
-    """Says how good the answers under a mistake are.
+    """Scores the answers under a mistake.
 
     Attributes:
         all_questions: the numbers of all questions.
@@ -50,11 +49,11 @@ class Scorer(ABC):
     @property
     @abstractmethod
     def rounds(self) -> Sequence[Sequence[int]]:
-        """Questions on which mistakes are tried, round by round, before those that are left are tried on all."""
+        """Questions of each round, before the remaining mistakes are tried on all questions."""
 
     @abstractmethod
     def select(self, results: Sequence[MistakeAnswers], questions: Sequence[int], round_number: int) -> list[int]:
-        """Return the places of those that are worth the next round, sorted.
+        """Return the indices of the results that enter the next round, sorted.
 
         Args:
             results: under each mistake.
@@ -65,11 +64,11 @@ class Scorer(ABC):
 
 @dataclass(frozen=True)
 class RankingResult:
-    """What became of a family.
+    """Results of a family.
 
     Attributes:
-        first: what was answered in the first round, mistake by mistake.
-        last: numbers of the mistakes that were tried on all questions, and what was answered.
+        first_round: answers of the first round, mistake by mistake.
+        final_round: numbers of the mistakes that were tried on all questions, with the answers.
     """
 
     first_round: Sequence[MistakeAnswers]

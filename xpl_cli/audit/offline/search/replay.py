@@ -1,4 +1,4 @@
-"""Plays the questions of golden pairs to a served adapter."""
+"""Replays sessions on a served adapter, to get its actions for their questions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Observation = Mapping[str, Any]
 
 
 class QuestionRefusedError(Exception):
-    """The adapter answers a question by an error, or by what is no chunk."""
+    """The adapter answers a question with an error, or with something that is not an action chunk."""
 
     def __init__(self, question: PairQuestion, answer: object) -> None:
         super().__init__(str(answer))
@@ -38,9 +38,9 @@ def overrides(session: PairSession, settings: Mapping[str, object]) -> dict[str,
 
 
 def replay_session(client: Client, session: PairSession) -> list[list[Chunk]]:
-    """Return the answers to all questions of a session, as many takes of each as it has.
+    """Return the answers to all questions of a session, with as many takes as the session has.
 
-    One environment is shown and asked about as a client of one environment does it, several as a batch.
+    One environment uses `update_obs` and `get_action`, several use the batch methods, as clients do.
 
     Raises:
         RefusedError: if an answer is an error or no chunk.
@@ -59,10 +59,10 @@ def replay_calls(
 
     Args:
         client: of the adapter.
-        session: that they are of.
-        calls: some of the session's.
-        asked: the questions of these calls, in their order.
-        observation: of a recipe, what is shown.
+        session: of the calls.
+        calls: some calls of the session.
+        asked: the questions of these calls, in order.
+        observation: returns the observation of an environment and an index.
 
     Raises:
         RefusedError: if an answer is an error or no chunk.
@@ -95,7 +95,7 @@ def replay_by_question(
     questions: Sequence[PairQuestion],
     observation: Callable[[int, int], Observation],
 ) -> dict[int, Chunk]:
-    """Return what `replay` does of the first takes, by the numbers of the questions."""
+    """Return the first takes of `replay_calls` by question number."""
     answers = replay_calls(client, session, calls, questions, observation)
     return {question.number: takes[0] for question, takes in zip(questions, answers, strict=True)}
 
@@ -110,7 +110,7 @@ def _get_chunks(client: Client, session: PairSession, questions: Sequence[PairQu
 
 
 def check_answer(chunk: Answer, question: PairQuestion, session: PairSession) -> Chunk:
-    """Return a chunk that is one.
+    """Return an answer as a list of action steps.
 
     Raises:
         RefusedError: if it is none.

@@ -1,4 +1,4 @@
-"""Parts of a session: some of its questions, with what has to happen before them."""
+"""Replay of a part of a session: some questions, and the observations and resets that come before them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _observation_name(env: int, index: int) -> str:
 
 
 class SessionReplay:
-    """A session whose questions are asked again, some at a time. Observations are made once.
+    """A session of which some questions are asked again. Observations are cached.
 
     Args:
         session: the session.
@@ -45,25 +45,25 @@ class SessionReplay:
         return self._made[key]
 
     def observations_of(self, question: PairQuestion) -> list[ObservationDict]:
-        """Return what was shown in a question's episode up to it."""
+        """Return the observations of a question's episode up to the question."""
         return [self.observation(env, index) for env, index in question.recipes]
 
     def group_by_episode(self, numbers: Iterable[int]) -> list[list[int]]:
-        """Return questions by their episodes, each in its order."""
+        """Group questions by episode, in order."""
         episodes: dict[EpisodeKey, list[int]] = {}
         for number in sorted(numbers):
             episodes.setdefault(self._key(number), []).append(number)
         return list(episodes.values())
 
     def with_earlier(self, numbers: Iterable[int]) -> list[int]:
-        """Return questions with those that are asked before them in their episodes: an adapter may remember them."""
+        """Add the earlier questions of the same episodes, which an adapter may remember."""
         last = self._last(numbers)
         return [number for number in self.all_questions if number <= last.get(self._key(number), -1)]
 
     def calls_for(self, numbers: Sequence[int]) -> list[Call]:
-        """Return the calls that ask some questions, and those before them, as the whole session does.
+        """Return the calls that ask some questions, and the calls before them, as in the whole session.
 
-        Of an episode that is only passed something is shown: what is drawn in the next one depends on its number.
+        An episode that is skipped still gets one observation: random numbers of the next one depend on its number.
         """
         questions = self.session.questions
         until = {key: questions[number].call for key, number in self._last(numbers).items()}
@@ -80,11 +80,11 @@ class SessionReplay:
         return calls
 
     def worker_request(self, calls: Sequence[Call], sent: set[str]) -> dict[str, Any]:
-        """Return calls as a process in the adapter's interpreter takes them (`xpl.worker.changes`).
+        """Return calls as a request to `xpl.worker.changes`, a process in the adapter's interpreter.
 
         Args:
             calls: of this session.
-            sent: names of the observations that the process has; those that are sent are added.
+            sent: names of the observations that the process already has; the new ones are added.
         """
         new = {
             _observation_name(*recipe): recipe
