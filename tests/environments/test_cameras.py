@@ -77,8 +77,8 @@ def test_a_known_point_lands_on_its_pixel(renderer: str) -> None:
     matrix, rng = camera.extrinsics(data), np.random.default_rng(0)
     for _ in range(20):
         pixel, depth = rng.uniform([20, 20], [300, 220]), rng.uniform(0.3, 0.9)
-        seen = depth * (np.linalg.inv(camera.intrinsics) @ [*pixel, 1.0])
-        data.mocap_pos[0] = matrix[:3, :3].T @ (seen - matrix[:3, 3])
+        ray = depth * (np.linalg.inv(camera.intrinsics) @ [*pixel, 1.0])
+        data.mocap_pos[0] = matrix[:3, :3].T @ (ray - matrix[:3, 3])
         if data.mocap_pos[0, 2] < 2 * radius:
             continue  # in the floor
         mujoco.mj_forward(model, data)
@@ -221,8 +221,8 @@ def test_segmentation_names_what_is_seen() -> None:
     env.reset([0])
     truth = env.get_obs()["privileged"]
     assert list(truth["segmentation"]) == list(spec.CAMERAS[2])
-    seen = {truth["bodies"][index] for image in truth["segmentation"].values() for index in np.unique(image)}
-    assert {"world", "cube", "left_link6"} <= seen
+    names = {truth["bodies"][index] for image in truth["segmentation"].values() for index in np.unique(image)}
+    assert {"world", "cube", "left_link6"} <= names
     assert truth["segmentation"]["cam_head"].dtype == np.int16
     env.reset([0], {"cameras": False})
     assert "segmentation" not in env.get_obs()["privileged"]

@@ -100,12 +100,12 @@ def test_render_writes_what_a_camera_sees(tmp_path: Path) -> None:
     for file, seed in zip(files, ("5", "5", "6"), strict=True):
         answer = _run("render", "mujoco", str(file), *LIFT, "--seed", seed, "--camera", "cam_head", "--json")
         assert answer.exit_code == 0, answer.output
-        shown = json.loads(answer.stdout)
+        picture = json.loads(answer.stdout)
     first, again, other = (file.read_bytes() for file in files)
     assert first == again != other
     entry = FACTS["cameras"]["cam_head"]
-    assert (shown["height"], shown["width"]) == (entry["height"], entry["width"])
-    assert shown["instruction"] == FACTS["tasks"]["lift_cube"]["instruction"]
+    assert (picture["height"], picture["width"]) == (entry["height"], entry["width"])
+    assert picture["instruction"] == FACTS["tasks"]["lift_cube"]["instruction"]
     with Image.open(files[0]) as image:
         assert image.size == (entry["width"], entry["height"])
         assert np.asarray(image).std() > 10
@@ -115,10 +115,10 @@ def test_sheet_shows_every_task_that_is_offered(tmp_path: Path) -> None:
     out = tmp_path / "sheet.png"
     answer = _run("sheet", "mujoco", str(out), "--embodiment", "franka_single", "--json")
     assert answer.exit_code == 0, answer.output
-    shown = json.loads(answer.stdout)
-    assert shown["task"] == [task for task, entry in FACTS["tasks"].items() if 1 in entry["arms"]]
+    picture = json.loads(answer.stdout)
+    assert picture["task"] == [task for task, entry in FACTS["tasks"].items() if 1 in entry["arms"]]
     with Image.open(out) as image:
-        assert image.size == (shown["width"], shown["height"])
+        assert image.size == (picture["width"], picture["height"])
 
 
 def test_play_writes_a_film_that_moves(tmp_path: Path) -> None:

@@ -22,8 +22,8 @@ SOURCES = {"obs": {"pose": np.array([1.0, 2.0, 3.0]), "deep": {"x": 5}}, "info":
 
 
 def _value(entry: Any) -> list[float]:
-    found: list[float] = MODULE.Value.read(entry, "state.x").numbers(SOURCES).tolist()
-    return found
+    numbers: list[float] = MODULE.Value.read(entry, "state.x").numbers(SOURCES).tolist()
+    return numbers
 
 
 @pytest.mark.parametrize("file", MAPPINGS, ids=lambda file: file.stem)

@@ -154,10 +154,10 @@ def _played() -> str:
     hold = _hold(env.get_obs(), "ee", "piper")
     for _ in range(15):
         env.take_action({key: value + rng.normal(0, 0.01, value.shape) for key, value in hold.items()})
-    seen = hashlib.sha256()
+    digest = hashlib.sha256()
     for view in env.get_obs()["vision"].values():
-        seen.update(view["color"].tobytes() + view["depth"].tobytes())
-    return f"{env.results()[0]['digest']} {seen.hexdigest()}"
+        digest.update(view["color"].tobytes() + view["depth"].tobytes())
+    return f"{env.results()[0]['digest']} {digest.hexdigest()}"
 
 
 def test_two_processes_give_the_same_trajectory_and_pixels() -> None:

@@ -105,18 +105,18 @@ def test_stages_come_in_order_and_success_must_hold(task: str) -> None:
     """The expert earns one after the other; the last when the goal has held for ten steps in a row, at rest."""
     what = Scenario("mujoco", task, "arx_x5", "clean")
     earned: list[str] = []
-    held = [0]
+    steps_held = [0]
     with closing(rollout.make(what)) as env:
 
         def watch() -> None:
             earned.extend(name for name, done in env.results()[0]["stages"].items() if done and name not in earned)
             judge, physics = env.episodes[0]._task, env.episodes[0].physics
-            held.append(held[-1] + 1 if judge.solved(physics) and judge._at_rest(physics) else 0)
+            steps_held.append(steps_held[-1] + 1 if judge.solved(physics) and judge._at_rest(physics) else 0)
 
         result = rollout.run_episode(env, rollout.expert(what), 100003, watch)
     assert earned == list(FACTS["tasks"][task]["stages"])
     assert result["score"] == 1.0
-    assert held[-1] == FACTS["success"]["hold_steps"] > max(held[:-1])
+    assert steps_held[-1] == FACTS["success"]["hold_steps"] > max(steps_held[:-1])
 
 
 @pytest.mark.sampled(1)
@@ -143,8 +143,8 @@ def test_the_expert_plays_in_poses_too() -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_randomized_changes_looks_and_words_and_not_the_layout(task: str) -> None:
     """The same seed: the task's own objects stay where they are on the table, which is another one."""
-    seen = {setting: _started(task, setting, 11) for setting in SETTINGS}
-    clean, varied = (seen[setting].get_obs() for setting in SETTINGS)
+    observations = {setting: _started(task, setting, 11) for setting in SETTINGS}
+    clean, varied = (observations[setting].get_obs() for setting in SETTINGS)
     assert varied["instruction"] != clean["instruction"]
     assert "{" not in clean["instruction"] + varied["instruction"]
     lower = clean["privileged"]["table_top"] - varied["privileged"]["table_top"]
@@ -152,7 +152,7 @@ def test_randomized_changes_looks_and_words_and_not_the_layout(task: str) -> Non
     for name, entry in clean["privileged"]["objects"].items():
         other = varied["privileged"]["objects"][name]
         assert np.allclose(entry["pose"] - other["pose"], [0, 0, lower, 0, 0, 0, 0], atol=1e-3)
-    looks = [env.render(0, "cam_head").astype(int) for env in seen.values()]
+    looks = [env.render(0, "cam_head").astype(int) for env in observations.values()]
     assert np.abs(looks[0] - looks[1]).mean() > 3.0
 
 
@@ -176,9 +176,9 @@ def test_nothing_stands_in_the_way_and_all_is_to_be_seen(task: str, seed: int) -
             colors.append(model.geom_rgba[index][:3])
     assert added["clutter"]
     assert added["distractors"]
-    for kind, places in added.items():
+    for kind, positions in added.items():
         apart = FACTS["randomized"][kind]["apart"] - 0.005  # they settle a little
-        assert min(np.hypot(*(place - need)) for place in places for need in needs) >= apart, kind
+        assert min(np.hypot(*(position - need)) for position in positions for need in needs) >= apart, kind
     table = model.geom("table").rgba[:3]
     assert min(np.linalg.norm(table - color) for color in colors) >= FACTS["randomized"]["table_contrast"] - 1e-6
 
@@ -288,7 +288,7 @@ def test_memory_needs_what_is_seen_no_more() -> None:
     with closing(rollout.make(what)) as env:
 
         def misled(obs: Any) -> Any:
-            wrong = next(f"cover_{place}" for place in (1, 2, 3) if f"cover_{place}" != obs["privileged"]["target"])
+            wrong = next(f"cover_{index}" for index in (1, 2, 3) if f"cover_{index}" != obs["privileged"]["target"])
             return expert({**obs, "privileged": {**obs["privileged"], "target": wrong}})
 
         assert not rollout.run_episode(env, misled, 100000)["success"]

@@ -54,7 +54,7 @@ def inspect(unpacked: SubmissionBundle, progress: Progress) -> tuple[tuple[Bundl
     try:
         runs += [records.read(unpacked.folder / claim.folder) for claim in unpacked.manifest.runs]
         for run in runs:  # what comes next reads manifests that name its robot
-            robots.meet(run.plan.policy.config, f"run {run.plan.run[:12]}")
+            robots.register_recorded(run.plan.policy.config, f"run {run.plan.run[:12]}")
     except UserError as error:
         return (files, BundleCheck("records", (_relative_paths(str(error), unpacked),))), []
     checks = [files]

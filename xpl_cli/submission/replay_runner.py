@@ -106,7 +106,7 @@ class ReplayRunner:
                 f"{adapter.path} does not have the files of the run: it cannot replace the bundle's adapter"
             )
         config = plan.policy.config
-        robots.meet(config, f"run {plan.run[:12]}")
+        robots.register_recorded(config, f"run {plan.run[:12]}")
         self._require_checkpoint(config, plan.policy.checkpoint)
         folder = claims.environment_folder(run)
         facts = environments.manifest(folder)

@@ -48,7 +48,7 @@ def _moved(env: Any, arm: str, axis: np.ndarray) -> list[float]:
 
 def _openings(env: Any) -> dict[str, list[float]]:
     env.reset([0])
-    found: dict[str, list[float]] = {arm: [] for arm in ARMS}
+    openings_by_arm: dict[str, list[float]] = {arm: [] for arm in ARMS}
     for opening in (1.0, 0.0):  # an episode begins with fingers nearly shut
         action = _command(env.get_obs())
         for arm in ARMS:
@@ -56,8 +56,8 @@ def _openings(env: Any) -> dict[str, list[float]]:
         for _ in range(2 * looking.STEPS):
             env.take_action(action)
         for arm in ARMS:
-            found[arm].append(float(env.get_obs()["state"][f"{arm}_ee_joint_state"][0]))
-    return found
+            openings_by_arm[arm].append(float(env.get_obs()["state"][f"{arm}_ee_joint_state"][0]))
+    return openings_by_arm
 
 
 def _still() -> dict[str, Any]:
@@ -65,9 +65,11 @@ def _still() -> dict[str, Any]:
     axes = {
         sign + "xyz"[place]: (far * np.eye(3)[place]) for sign, far in (("+", 0.04), ("-", -0.04)) for place in range(3)
     }
-    found: dict[str, Any] = {"axes": {arm: {way: _moved(env, arm, axis) for way, axis in axes.items()} for arm in ARMS}}
-    found["openings"] = _openings(env)
-    found["state"], found["bases"] = looking.listed(env.get_obs()["state"]), looking.listed(_bases(env))
+    results: dict[str, Any] = {
+        "axes": {arm: {way: _moved(env, arm, axis) for way, axis in axes.items()} for arm in ARMS}
+    }
+    results["openings"] = _openings(env)
+    results["state"], results["bases"] = looking.listed(env.get_obs()["state"]), looking.listed(_bases(env))
     rng, solved = np.random.default_rng(1), 0
     for seed in range(2):
         env.reset([seed])
@@ -75,22 +77,22 @@ def _still() -> dict[str, Any]:
         while not env.is_episode_end():
             env.take_action({key: value + np.float32(rng.normal(0, 0.05, value.shape)) for key, value in first.items()})
         solved += env.results()[0]["success"]
-    found["rewards"] = _rewards(env)
+    results["rewards"] = _rewards(env)
     env.close()
-    return {**found, "guessed": solved}
+    return {**results, "guessed": solved}
 
 
 def _rewards(env: Any) -> list[list[int]]:
     """Return the rewards of the expert's episode as they come, once each, ours and those that gym-aloha computes."""
     env.reset([0])
-    episode, found = env._envs[0]._episode, []
+    episode, rewards = env._envs[0]._episode, []
     while not env.is_episode_end():
         obs = env.get_obs()
         env.take_action({key: value.astype(np.float32) for key, value in obs["privileged"]["expert"].items()})
-        told = [int(episode._reward), int(type(episode._task).get_reward(episode._task, episode._physics))]
-        if told not in found:
-            found.append(told)
-    return found
+        pair = [int(episode._reward), int(type(episode._task).get_reward(episode._task, episode._physics))]
+        if pair not in rewards:
+            rewards.append(pair)
+    return rewards
 
 
 def _seen() -> dict[str, Any]:
@@ -111,26 +113,26 @@ def _seen() -> dict[str, Any]:
         different += int((theirs["agent_pos"] != env.simulated().observation["agent_pos"]).any())
         different += int((theirs["pixels"]["top"] != obs["vision"]["cam_head"]["color"]).any())
     physics = env._envs[0]._episode._physics
-    found: dict[str, Any] = {"different": different, "box": {"cam_head": _color_of_the_box(obs, "cam_head")}}
+    results: dict[str, Any] = {"different": different, "box": {"cam_head": _color_of_the_box(obs, "cam_head")}}
     for side, arm in (("left", "vx300s_right"), ("right", "vx300s_left")):
-        seen, point = obs["vision"][f"cam_{side}_wrist"], physics.named.data.xpos[f"{arm}/shoulder_link"]
-        column, row = (round(value - 0.5) for value in looking.projected(seen, point))
-        shown = physics.render(480, 640, camera_id=f"{side}_wrist", segmentation=True)[..., 0]
-        places = [int(shown[row, column]), int(shown[479 - row, column])]
-        found[side] = [place >= 0 and physics.model.id2name(place, "geom").startswith(arm) for place in places]
+        view, point = obs["vision"][f"cam_{side}_wrist"], physics.named.data.xpos[f"{arm}/shoulder_link"]
+        column, row = (round(value - 0.5) for value in looking.projected(view, point))
+        bodies = physics.render(480, 640, camera_id=f"{side}_wrist", segmentation=True)[..., 0]
+        pixels = [int(bodies[row, column]), int(bodies[479 - row, column])]
+        results[side] = [pixel >= 0 and physics.model.id2name(pixel, "geom").startswith(arm) for pixel in pixels]
     for setting in ("angle", "front_close", "left_pillar", "right_pillar"):
         env.reset([3], {"setting": setting})
         obs = env.get_obs()
-        found[setting] = list(obs["vision"])
+        results[setting] = list(obs["vision"])
         if setting != "front_close":  # which does not see it
-            found["box"][setting] = _color_of_the_box(obs, "cam_third_view")
+            results["box"][setting] = _color_of_the_box(obs, "cam_third_view")
     env.close()
-    return found
+    return results
 
 
 def _color_of_the_box(obs: dict[str, Any], camera: str) -> list[float]:
-    seen = obs["vision"][camera]
-    return looking.colored(seen["color"], looking.projected(seen, obs["privileged"]["box"][:3]))
+    view = obs["vision"][camera]
+    return looking.colored(view["color"], looking.projected(view, obs["privileged"]["box"][:3]))
 
 
 if __name__ == "__main__":

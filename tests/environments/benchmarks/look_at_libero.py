@@ -18,42 +18,45 @@ STEPS = 25
 def _moved() -> dict[str, Any]:
     """Where the tool goes and turns, what the fingers do, what joints and poses say; and LIBERO plays it again."""
     env = make("libero", **KNOWN)
-    found: dict[str, Any] = {"replayed": _replayed(env), "axes": looking.along_axes(env, 0.05, steps=STEPS)}
-    found["openings"], found["turns"] = looking.openings(env, steps=STEPS), looking.turns(env, steps=STEPS)
-    found["range"] = env._envs[0]._episode._env.robots[0].controller.output_max.tolist()
-    found |= {**_told(env), "guessed": looking.guessed(env, episodes=3, max_steps=100)}
+    results: dict[str, Any] = {"replayed": _replayed(env), "axes": looking.along_axes(env, 0.05, steps=STEPS)}
+    results["openings"], results["turns"] = looking.openings(env, steps=STEPS), looking.turns(env, steps=STEPS)
+    results["range"] = env._envs[0]._episode._env.robots[0].controller.output_max.tolist()
+    results |= {**_told(env), "guessed": looking.guessed(env, episodes=3, max_steps=100)}
     env.close()
-    return found
+    return results
 
 
 def _told(env: Any) -> dict[str, Any]:
     """What joints and poses say now, here and in LIBERO's own words, and where the arm stands."""
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     episode = env._envs[0]._episode
     obs = env.get_obs()
     base = episode._env.sim.data
     body = episode._env.sim.model.body_name2id("robot0_base")
-    found["base"] = [base.body_xpos[body].tolist(), base.body_xquat[body].tolist()]
-    found["state"] = looking.listed(obs["state"])
-    found["theirs"] = looking.listed({name: obs["privileged"][f"robot0_eef_{name}"] for name in ("pos", "quat")})
-    return found
+    results["base"] = [base.body_xpos[body].tolist(), base.body_xquat[body].tolist()]
+    results["state"] = looking.listed(obs["state"])
+    results["theirs"] = looking.listed({name: obs["privileged"][f"robot0_eef_{name}"] for name in ("pos", "quat")})
+    return results
 
 
 def _glimpsed(steps: int = 8) -> dict[str, Any]:
     """What one scene shows that is loaded once: the arm is sent along +x and its fingers close; then one picture."""
     env = make("libero", **KNOWN)
-    found: dict[str, Any] = {"travelled": looking.travelled(env, (0.05, 0, 0), opening=0.0, steps=steps), **_told(env)}
+    results: dict[str, Any] = {
+        "travelled": looking.travelled(env, (0.05, 0, 0), opening=0.0, steps=steps),
+        **_told(env),
+    }
     episode = env._envs[0]._episode
-    found["states"] = len(episode._states)
-    found["result"] = env.results()[0]
+    results["states"] = len(episode._states)
+    results["result"] = env.results()[0]
     try:
-        found["seen"] = _shown(env, episode._cameras_renderer.seen(episode._env.env, episode._obs)["cam_head"])
+        results["seen"] = _shown(env, episode._cameras_renderer.seen(episode._env.env, episode._obs)["cam_head"])
     except Exception as error:
         if type(error).__name__ != "RendererMissingError":
             raise
-        found["not_drawn"] = str(error)
+        results["not_drawn"] = str(error)
     env.close()
-    return found
+    return results
 
 
 def _replayed(env: Any) -> dict[str, int]:
@@ -82,12 +85,12 @@ def _seen() -> dict[str, Any]:
     """What a picture shows that LIBERO drew for a policy."""
     env = make("libero", **KNOWN, cameras=[128, 128])
     env.reset([0])
-    found = _shown(env, env.get_obs()["vision"]["cam_head"])
-    found["observed"] = bool(
+    results = _shown(env, env.get_obs()["vision"]["cam_head"])
+    results["observed"] = bool(
         (env.get_obs()["vision"]["cam_head"]["color"] == env.simulated().observation["agentview_image"][::-1]).all()
     )
     env.close()
-    return found
+    return results
 
 
 def _shown(env: Any, head: dict[str, Any]) -> dict[str, Any]:
@@ -95,22 +98,22 @@ def _shown(env: Any, head: dict[str, Any]) -> dict[str, Any]:
     sim, truth = env._envs[0]._episode._env.sim, env.get_obs()["privileged"]
     height, width = head["color"].shape[:2]
     drawn = {"camera_name": "agentview", "height": height, "width": width}
-    shown = sim.render(**drawn, segmentation=True)[::-1]
+    bodies = sim.render(**drawn, segmentation=True)[::-1]
     apart = head["color"].astype(np.int16) - sim.render(**drawn)[::-1]  # the second drawing of a scene rounds otherwise
-    found: dict[str, Any] = {"raw": bool(np.abs(apart).max() <= 1)}
+    results: dict[str, Any] = {"raw": bool(np.abs(apart).max() <= 1)}
     for name in ("plate_1", "cookies_1", "akita_black_bowl_1"):
         column, row = (round(value - 0.5) for value in looking.projected(head, truth[f"{name}_pos"]))
-        body = sim.model.geom_bodyid[shown[row, column, 1]]
-        upside_down = sim.model.geom_bodyid[shown[height - 1 - row, column, 1]]
-        found[name] = [sim.model.body_id2name(each).startswith(name) for each in (body, upside_down)]
-    return found
+        body = sim.model.geom_bodyid[bodies[row, column, 1]]
+        upside_down = sim.model.geom_bodyid[bodies[height - 1 - row, column, 1]]
+        results[name] = [sim.model.body_id2name(each).startswith(name) for each in (body, upside_down)]
+    return results
 
 
 def _deltas() -> list[list[float]]:
     env = make("libero", **KNOWN, setting="delta")
-    found = looking.changes(env, (0.025, -0.025, 0.0125))
+    results = looking.changes(env, (0.025, -0.025, 0.0125))
     env.close()
-    return found
+    return results
 
 
 if __name__ == "__main__":

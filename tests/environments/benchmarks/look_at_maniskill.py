@@ -30,12 +30,12 @@ def _kinematics(env: Any) -> dict[str, Any]:
 def _by_poses() -> dict[str, Any]:
     """A Panda that is told poses: where its tool goes and turns, what its fingers do."""
     env = make("maniskill", task="PickCube", embodiment=PANDA)
-    found = {"axes": looking.along_axes(env, 0.05, steps=STEPS), "openings": looking.openings(env, steps=STEPS)}
-    found["turns"] = looking.turns(env, steps=STEPS)
-    found["kinematics"] = _kinematics(env)
-    found["again"] = _played_twice(env)
+    results = {"axes": looking.along_axes(env, 0.05, steps=STEPS), "openings": looking.openings(env, steps=STEPS)}
+    results["turns"] = looking.turns(env, steps=STEPS)
+    results["kinematics"] = _kinematics(env)
+    results["again"] = _played_twice(env)
     env.close()
-    return found
+    return results
 
 
 def _played_twice(env: Any) -> int:
@@ -52,15 +52,15 @@ def _played_twice(env: Any) -> int:
 def _by_changes() -> dict[str, Any]:
     """A Panda that is told changes of poses, which a policy adds up: what ManiSkill is told, where its tool goes."""
     env = make("maniskill", task="PickCube", embodiment=PANDA, setting="delta")
-    found: dict[str, Any] = {"told": looking.changes(env, (0.05, -0.05, 0.025), steps=3)}
-    found["moved"] = [_added_up(env, np.append(0.01 * axis, np.zeros(3)))["moved"] for axis in np.eye(3)]
+    results: dict[str, Any] = {"told": looking.changes(env, (0.05, -0.05, 0.025), steps=3)}
+    results["moved"] = [_added_up(env, np.append(0.01 * axis, np.zeros(3)))["moved"] for axis in np.eye(3)]
     turns = [_added_up(env, np.append(np.zeros(3), 0.02 * axis)) for axis in np.eye(3)]
-    found["turned"], found["turns_told"] = [turn["turned"] for turn in turns], [turn["told"] for turn in turns]
+    results["turned"], results["turns_told"] = [turn["turned"] for turn in turns], [turn["told"] for turn in turns]
     arm = _episode(env)._arms[0].agent.controller.controllers
-    found["range"] = [arm["arm"].config.pos_upper, arm["arm"].config.rot_lower]
-    found["fingers"] = [arm["gripper"].config.lower, arm["gripper"].config.upper]
+    results["range"] = [arm["arm"].config.pos_upper, arm["arm"].config.rot_lower]
+    results["fingers"] = [arm["gripper"].config.lower, arm["gripper"].config.upper]
     env.close()
-    return found
+    return results
 
 
 def _added_up(env: Any, change: np.ndarray, steps: int = 12) -> dict[str, list[float]]:
@@ -68,15 +68,15 @@ def _added_up(env: Any, change: np.ndarray, steps: int = 12) -> dict[str, list[f
     env.reset([0])
     before = env.get_obs()["state"]["tcp_pose"]
     action = looking.command(env.get_obs(), opening=1.0)
-    pose, told = action["ee_pose"].astype(np.float64), []
+    pose, commands = action["ee_pose"].astype(np.float64), []
     for _ in range(steps):
         pose[:3] += change[:3]
         pose[3:] = rotation.multiply(rotation.from_axis_angle(change[3:]), pose[3:])
         env.take_action({**action, "ee_pose": pose.astype(np.float32)})
-        told.append(looking.told(env).tolist())
+        commands.append(looking.told(env).tolist())
     after = env.get_obs()["state"]["tcp_pose"]
     turn = rotation.to_axis_angle(rotation.multiply(after[3:], rotation.conjugate(before[3:])))
-    return {"moved": (after - before)[:3].tolist(), "turned": turn.tolist(), "told": told[0]}
+    return {"moved": (after - before)[:3].tolist(), "turned": turn.tolist(), "told": commands[0]}
 
 
 def _by_angles(task: str, robot: str, setting: str = "clean") -> dict[str, Any]:
@@ -86,21 +86,21 @@ def _by_angles(task: str, robot: str, setting: str = "clean") -> dict[str, Any]:
     first = env.get_obs()["state"]
     moved = np.float32([0.1, -0.05, 0.05, 0.1, -0.1, 0.05, 0.1][: len(first["arm_joint_state"])])
     angles = first["arm_joint_state"].copy()
-    told = []
+    commands = []
     for step in range(STEPS):
         if setting == "clean" or step < 4:
             angles = angles + moved / 4 if step < 4 else angles
         env.take_action({"arm_joint_state": angles, "ee_joint_state": np.float32([1.0])})
-        told.append(looking.told(env).tolist())
+        commands.append(looking.told(env).tolist())
     after = env.get_obs()["state"]
-    found = {
+    results = {
         "wanted": moved.tolist(),
         "moved": (after["arm_joint_state"] - first["arm_joint_state"]).tolist(),
-        "told": told[0],
+        "told": commands[0],
         "kinematics": _kinematics(env),
     }
     env.close()
-    return found
+    return results
 
 
 def _jaw() -> list[float]:
@@ -120,22 +120,22 @@ def _jaw() -> list[float]:
 def _solved() -> dict[str, Any]:
     """An SO-100 that is told poses: where its flange goes, up and ahead."""
     env = make("maniskill", task="PickCubeSO100", embodiment=SO100)
-    found = {}
+    results = {}
     for name, moved in {"up": (0, 0, 0.02), "ahead": (0.02, 0, 0)}.items():
         env.reset([0])
         first = env.get_obs()
         action = looking.command(first, moved)
         for _ in range(STEPS):
             env.take_action(action)
-        found[name] = (env.get_obs()["state"]["ee_pose"] - first["state"]["ee_pose"])[:3].tolist()
+        results[name] = (env.get_obs()["state"]["ee_pose"] - first["state"]["ee_pose"])[:3].tolist()
     env.close()
-    return found
+    return results
 
 
 def _pair() -> dict[str, Any]:
     """Two Pandas: how far each tool goes when only one is told to move, and where they stand."""
     env = make("maniskill", task="TwoRobotPickCube", embodiment=PAIR)
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for side in ("left", "right"):
         env.reset([0])
         first = env.get_obs()["state"]
@@ -144,12 +144,12 @@ def _pair() -> dict[str, Any]:
         for _ in range(STEPS):
             env.take_action(action)
         after = env.get_obs()["state"]
-        found[side] = {
+        results[side] = {
             other: (after[f"{other}_tcp_pose"] - first[f"{other}_tcp_pose"])[:3].tolist() for other in ("left", "right")
         }
-    found["bases"] = {arm.prefix: arm.base.tolist() for arm in _episode(env)._arms}
+    results["bases"] = {arm.prefix: arm.base.tolist() for arm in _episode(env)._arms}
     env.close()
-    return found
+    return results
 
 
 def _seen() -> dict[str, Any]:
@@ -158,19 +158,23 @@ def _seen() -> dict[str, Any]:
     env.reset([0])
     obs = env.get_obs()
     cubes = {name: obs["privileged"]["observation"]["extra"][f"cube{name}_pose"][:3] for name in "AB"}
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for camera, view in obs["vision"].items():
-        places = {name: looking.projected(view, place) for name, place in cubes.items()}
-        inside = {name: place for name, place in places.items() if max(map(abs, place)) < SIZE - 1 and min(place) > 0}
-        found[camera] = {name: looking.colored(view["color"], place) for name, place in inside.items()}
+        pixels = {name: looking.projected(view, position) for name, position in cubes.items()}
+        inside = {
+            name: position
+            for name, position in pixels.items()
+            if max(map(abs, position)) < SIZE - 1 and min(position) > 0
+        }
+        results[camera] = {name: looking.colored(view["color"], position) for name, position in inside.items()}
     head = obs["vision"]["cam_head"]
-    found["above"] = [looking.projected(head, cubes["A"] + [0, 0, lift])[1] for lift in (0.0, 0.1)]
+    results["above"] = [looking.projected(head, cubes["A"] + [0, 0, lift])[1] for lift in (0.0, 0.1)]
     simulation = _episode(env)._env
     theirs = simulation._get_obs_sensor_data()["base_camera"]["rgb"][0].numpy()
-    found["apart"] = float(np.abs(theirs.astype(int) - head["color"].astype(int)).max())
+    results["apart"] = float(np.abs(theirs.astype(int) - head["color"].astype(int)).max())
     env.close()
-    found["goal"] = [_green(setting) for setting in ("clean", "goal")]
-    return found
+    results["goal"] = [_green(setting) for setting in ("clean", "goal")]
+    return results
 
 
 def _green(setting: str) -> float:
@@ -188,17 +192,17 @@ def _green(setting: str) -> float:
 
 def _refused() -> dict[str, str]:
     """What is said for a task whose assets are missing, and for changes of poses of an SO-100."""
-    found = {}
+    errors = {}
     for name, config in {
         "assets": {"task": "PickSingleYCB", "embodiment": PANDA},
         "changes": {"task": "PickCubeSO100", "embodiment": SO100, "setting": "delta"},
     }.items():
         try:
             make("maniskill", **config).reset([0])
-            found[name] = ""
+            errors[name] = ""
         except Exception as error:  # noqa: BLE001 - what it says is judged
-            found[name] = f"{type(error).__name__}: {error}"
-    return found
+            errors[name] = f"{type(error).__name__}: {error}"
+    return errors
 
 
 def _without_driver() -> str:
@@ -216,7 +220,7 @@ def _every_task() -> dict[str, str]:
     from xpl.environment import read_manifest
 
     manifest = read_manifest(looking.ROOT / "envs" / "maniskill").data
-    found = {}
+    errors = {}
     for task, facts in manifest["tasks"].items():
         robots = [robot for robot in manifest["embodiments"] if robot not in facts["unsupported"]]
         if not robots or "assets" in facts:
@@ -226,11 +230,11 @@ def _every_task() -> dict[str, str]:
             env.reset([0])
             state = env.get_obs()["state"]
             env.take_action({name: value for name, value in state.items() if "joint_state" in name})
-            found[task] = ""
+            errors[task] = ""
             env.close()
         except Exception as error:  # noqa: BLE001 - what it says is judged
-            found[task] = f"{type(error).__name__}: {error}"
-    return found
+            errors[task] = f"{type(error).__name__}: {error}"
+    return errors
 
 
 PARTS = {

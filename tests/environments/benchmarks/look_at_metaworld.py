@@ -13,19 +13,19 @@ ROBOT = "sawyer"
 
 def _moved() -> dict[str, Any]:
     env = make("metaworld", task="reach", embodiment=ROBOT)
-    found: dict[str, Any] = {"axes": looking.along_axes(env, 0.05), "openings": looking.openings(env)}
-    found["state"] = looking.listed(env.get_obs()["state"])
-    found["hand"] = env._envs[0]._episode._env.data.body("hand").xpos.tolist()
+    results: dict[str, Any] = {"axes": looking.along_axes(env, 0.05), "openings": looking.openings(env)}
+    results["state"] = looking.listed(env.get_obs()["state"])
+    results["hand"] = env._envs[0]._episode._env.data.body("hand").xpos.tolist()
     env.close()
-    return found
+    return results
 
 
 def _deltas() -> list[list[float]]:
     """What Meta-World is told where a policy adds up its own changes of half an action."""
     env = make("metaworld", task="reach", setting="delta", embodiment=ROBOT)
-    found = looking.changes(env, (0.005, -0.005, 0.0025))
+    results = looking.changes(env, (0.005, -0.005, 0.0025))
     env.close()
-    return found
+    return results
 
 
 def _touched() -> dict[str, int]:
@@ -33,15 +33,15 @@ def _touched() -> dict[str, int]:
     env = make("metaworld", task="pick-place", embodiment=ROBOT)
     env.reset([0])
     theirs = env._envs[0]._episode._env
-    puck, found = theirs._get_id_main_object(), {"steps": 0, "pressed": 0, "different": 0}
+    puck, counts = theirs._get_id_main_object(), {"steps": 0, "pressed": 0, "different": 0}
     while not env.is_episode_end():
         env.take_action(env.get_obs()["privileged"]["expert"])
         pressed = bool(type(theirs).touching_object(theirs, puck))
-        found["steps"] += 1
-        found["pressed"] += pressed
-        found["different"] += pressed != theirs.touching_main_object
+        counts["steps"] += 1
+        counts["pressed"] += pressed
+        counts["different"] += pressed != theirs.touching_main_object
     env.close()
-    return found
+    return counts
 
 
 def _seen() -> dict[str, Any]:
@@ -56,13 +56,13 @@ def _seen() -> dict[str, Any]:
 
     theirs = MujocoRenderer(simulator.model, simulator.data, width=240, height=240, camera_name="corner2")
     own = theirs.render("rgb_array")[::-1, ::-1].astype(int)
-    found = {
+    results = {
         "rows": [looking.projected(head, np.add(puck, [0, 0, lift]))[1] for lift in (0.0, 0.1)],
         "colors": [looking.colored(view["color"], looking.projected(view, puck)) for view in (head, wrist)],
         "apart": float(np.abs(head["color"].astype(int) - own).mean()),
     }
     env.close()
-    return found
+    return results
 
 
 if __name__ == "__main__":

@@ -18,26 +18,26 @@ KNOWN = {"task": "Lift", "embodiment": ONE}
 def _played(setting: str) -> dict[str, Any]:
     """Where the tool goes and turns for commands in one setting."""
     env = make("robosuite", **KNOWN, setting=setting)
-    found: dict[str, Any] = {"axes": looking.along_axes(env, FAR, steps=STEPS)}
-    found["turns"] = looking.turns(env, steps=3 * STEPS)  # a turn takes longer to settle than a move
+    results: dict[str, Any] = {"axes": looking.along_axes(env, FAR, steps=STEPS)}
+    results["turns"] = looking.turns(env, steps=3 * STEPS)  # a turn takes longer to settle than a move
     env.close()
-    return found
+    return results
 
 
 def _still() -> dict[str, Any]:
     """What one arm says of itself."""
     env = make("robosuite", **KNOWN)
-    found: dict[str, Any] = {"openings": looking.openings(env, steps=STEPS)}
+    results: dict[str, Any] = {"openings": looking.openings(env, steps=STEPS)}
     obs, episode = env.get_obs(), env._envs[0]._episode
     sim = episode._env.sim
     body = sim.model.body_name2id("robot0_base")
-    found["base"] = [sim.data.body_xpos[body].tolist(), sim.data.body_xquat[body].tolist()]
-    found["state"] = looking.listed(obs["state"])
-    found["theirs"] = obs["privileged"]["robot0_eef_quat"].tolist()
-    found["range"] = episode._env.robots[0].part_controllers["right"].output_max.tolist()
-    found |= {"replayed": _replayed(env), "guessed": looking.guessed(env, episodes=2, max_steps=40)}
+    results["base"] = [sim.data.body_xpos[body].tolist(), sim.data.body_xquat[body].tolist()]
+    results["state"] = looking.listed(obs["state"])
+    results["theirs"] = obs["privileged"]["robot0_eef_quat"].tolist()
+    results["range"] = episode._env.robots[0].part_controllers["right"].output_max.tolist()
+    results |= {"replayed": _replayed(env), "guessed": looking.guessed(env, episodes=2, max_steps=40)}
     env.close()
-    return found
+    return results
 
 
 def _state(env: Any) -> np.ndarray:
@@ -64,28 +64,28 @@ def _replayed(env: Any) -> dict[str, int]:
 def _two() -> dict[str, Any]:
     """Where both tools go while one arm is commanded, in a task with two arms, whose bases are turned."""
     env = make("robosuite", task="TwoArmLift", embodiment=TWO)
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for arm in ("left", "right"):
-        for place, way in enumerate("xyz"):
+        for index, way in enumerate("xyz"):
             env.reset([0])
             first = env.get_obs()["state"]
             action = {key: value.copy() for key, value in first.items() if key.endswith(("ee_pose", "ee_joint_state"))}
-            action[f"{arm}_ee_pose"][place] += FAR
+            action[f"{arm}_ee_pose"][index] += FAR
             for _ in range(STEPS):
                 env.take_action(action)
             last = env.get_obs()["state"]
             moved = {side: last[f"{side}_tcp_pose"][:3] - first[f"{side}_tcp_pose"][:3] for side in ("left", "right")}
-            found[f"{arm} {way}"] = {side: value.tolist() for side, value in moved.items()}
-    found["sides"] = [float(last[f"{side}_ee_pose"][1]) for side in ("left", "right")]
+            results[f"{arm} {way}"] = {side: value.tolist() for side, value in moved.items()}
+    results["sides"] = [float(last[f"{side}_ee_pose"][1]) for side in ("left", "right")]
     env.close()
-    return found
+    return results
 
 
 def _deltas() -> list[list[float]]:
     env = make("robosuite", **KNOWN, setting="delta")
-    found = looking.changes(env, (0.025, -0.025, 0.0125))
+    results = looking.changes(env, (0.025, -0.025, 0.0125))
     env.close()
-    return found
+    return results
 
 
 def _seen() -> dict[str, Any]:
@@ -93,20 +93,20 @@ def _seen() -> dict[str, Any]:
     env = make("robosuite", **KNOWN, cameras=[128, 128])
     env.reset([0])
     obs = env.get_obs()
-    sim, found = env._envs[0]._episode._env.sim, {}
+    sim, results = env._envs[0]._episode._env.sim, {}
     cube = obs["privileged"]["cube_pos"]
     for name, source in (("cam_head", "agentview"), ("cam_wrist", "robot0_eye_in_hand")):
-        shown = sim.render(camera_name=source, height=128, width=128, segmentation=True)[::-1]
+        bodies = sim.render(camera_name=source, height=128, width=128, segmentation=True)[::-1]
         column, row = (round(value - 0.5) for value in looking.projected(obs["vision"][name], cube))
-        geoms = [shown[row, column, 1], shown[127 - row, column, 1]]
-        found[name] = [(sim.model.geom_id2name(int(geom)) or "").startswith("cube") for geom in geoms]
+        geoms = [bodies[row, column, 1], bodies[127 - row, column, 1]]
+        results[name] = [(sim.model.geom_id2name(int(geom)) or "").startswith("cube") for geom in geoms]
     env.close()
-    return found
+    return results
 
 
 def _every() -> dict[str, Any]:
     """Begin an episode of each task twice, with another between, and play two steps."""
-    found = {}
+    results = {}
     for task in read_manifest(looking.ROOT / "envs" / "robosuite").tasks:
         env = make("robosuite", task=task, embodiment=TWO if task.startswith("TwoArm") else ONE)
         states = []
@@ -118,9 +118,9 @@ def _every() -> dict[str, Any]:
         for _ in range(2):
             env.take_action({key: first[key] for key in keys})
         again, other = bool((states[0] == states[2]).all()), bool((states[0] == states[1]).all())
-        found[task] = [again, other, env.results()[0]["steps"]]
+        results[task] = [again, other, env.results()[0]["steps"]]
         env.close()
-    return found
+    return results
 
 
 PARTS = {

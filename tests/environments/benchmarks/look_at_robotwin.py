@@ -17,14 +17,14 @@ SIDES = ("left", "right")
 
 
 def _env(task: str = "stack_blocks_two", **config: Any) -> Any:
-    known = {
+    defaults = {
         "task": task,
         "embodiment": "aloha_agilex",
         "setting": SETTING,
         "action_type": "joint",
         "privileged": False,
     }
-    return looking.make("robotwin", **{**known, **config})
+    return looking.make("robotwin", **{**defaults, **config})
 
 
 def _task(env: Any) -> Any:
@@ -51,36 +51,36 @@ def _fingers(task: Any) -> list[float]:
 
 def _joints() -> dict[str, Any]:
     """What is observed of a scene, and what commands of angles and grippers do to the arms."""
-    env, found = _env(cameras=True), {}
+    env, results = _env(cameras=True), {}
     env.reset([SEED])
     task, first = _task(env), env.get_obs()
-    found["observed"] = {name: list(np.asarray(view["color"]).shape) for name, view in first["vision"].items()}
-    found["seen"] = _seen(first, task)
+    results["observed"] = {name: list(np.asarray(view["color"]).shape) for name, view in first["vision"].items()}
+    results["seen"] = _seen(first, task)
     theirs = env.simulated().observation
-    found["same"] = bool((theirs["observation"]["head_camera"]["rgb"] == first["vision"][HEAD]["color"]).all())
-    found["moved"] = [_one_joint(env, arm, joint) for arm, joint in [(0, 0), (0, 1), (0, 3), (1, 2), (1, 4), (1, 5)]]
-    found["lag"] = _lag(env)
-    found["kinematics"] = _kinematics(env)
-    found["fingers"] = []
+    results["same"] = bool((theirs["observation"]["head_camera"]["rgb"] == first["vision"][HEAD]["color"]).all())
+    results["moved"] = [_one_joint(env, arm, joint) for arm, joint in [(0, 0), (0, 1), (0, 3), (1, 2), (1, 4), (1, 5)]]
+    results["lag"] = _lag(env)
+    results["kinematics"] = _kinematics(env)
+    results["fingers"] = []
     for opening in (0.0, 1.0):
         action = {**_hold(env.get_obs()), **{f"{side}_ee_joint_state": np.float32([opening]) for side in SIDES}}
         for _ in range(STILL):
             env.take_action(action)
-        told = [float(env.get_obs()["state"][f"{side}_ee_joint_state"][0]) for side in SIDES]
-        found["fingers"].append({"measured": _fingers(task), "told": told})
+        openings = [float(env.get_obs()["state"][f"{side}_ee_joint_state"][0]) for side in SIDES]
+        results["fingers"].append({"measured": _fingers(task), "told": openings})
     env.close()
-    return found
+    return results
 
 
 def _seen(obs: Mapping[str, Any], task: Any) -> dict[str, Any]:
     """The colors at the tops of the blocks in the head's picture, and the row of a point and of one above it."""
-    view, found = obs["vision"][HEAD], {}
+    view, results = obs["vision"][HEAD], {}
     for name, block in (("red", task.block1), ("green", task.block2)):
         top = np.add(block.get_pose().p, [0, 0, 0.02])
-        found[name] = looking.colored(np.asarray(view["color"]), looking.projected(view, top))
-    found["rows"] = [looking.projected(view, [0.0, 0.0, 0.741 + lift])[1] for lift in (0.0, 0.1)]
-    found["columns"] = [looking.projected(view, [beside, 0.0, 0.741])[0] for beside in (-0.1, 0.1)]
-    return found
+        results[name] = looking.colored(np.asarray(view["color"]), looking.projected(view, top))
+    results["rows"] = [looking.projected(view, [0.0, 0.0, 0.741 + lift])[1] for lift in (0.0, 0.1)]
+    results["columns"] = [looking.projected(view, [beside, 0.0, 0.741])[0] for beside in (-0.1, 0.1)]
+    return results
 
 
 def _one_joint(env: Any, arm: int, joint: int) -> dict[str, Any]:
@@ -90,11 +90,11 @@ def _one_joint(env: Any, arm: int, joint: int) -> dict[str, Any]:
     action[f"{SIDES[arm]}_arm_joint_state"][joint] += np.float32(0.15)
     for _ in range(STILL):
         env.take_action(action)
-    told = np.concatenate([env.get_obs()["state"][f"{side}_arm_joint_state"] for side in SIDES])
-    wanted = np.concatenate([obs["state"][f"{side}_arm_joint_state"] for side in SIDES])
+    measured = np.concatenate([env.get_obs()["state"][f"{side}_arm_joint_state"] for side in SIDES])
+    target = np.concatenate([obs["state"][f"{side}_arm_joint_state"] for side in SIDES])
     return {
         "place": 6 * arm + joint,
-        "told": (told - wanted).tolist(),
+        "told": (measured - target).tolist(),
         "measured": (np.array(_measured(task)) - before).tolist(),
     }
 
@@ -104,10 +104,10 @@ def _lag(env: Any) -> dict[str, float]:
     action = _hold(env.get_obs())
     action["left_arm_joint_state"][1] += np.float32(0.1)
     env.take_action(action)
-    wanted, told = (float(state["left_arm_joint_state"][1]) for state in (action, env.get_obs()["state"]))
+    commanded, measured = (float(state["left_arm_joint_state"][1]) for state in (action, env.get_obs()["state"]))
     for _ in range(STILL):
         env.take_action(action)
-    return {"told": abs(told - wanted), "measured_later": abs(_measured(_task(env))[1] - wanted)}
+    return {"told": abs(measured - commanded), "measured_later": abs(_measured(_task(env))[1] - commanded)}
 
 
 def _kinematics(env: Any) -> dict[str, Any]:
@@ -122,7 +122,7 @@ def _kinematics(env: Any) -> dict[str, Any]:
 
 def _poses() -> dict[str, Any]:
     """Where tools go that are sent along an axis, and what is said of a place that no arm reaches."""
-    env, found = _env(action_type="ee"), {"axes": []}
+    env, results = _env(action_type="ee"), {"axes": []}
     env.reset([SEED])
     for axis in np.eye(3):
         before = env.get_obs()
@@ -132,17 +132,17 @@ def _poses() -> dict[str, Any]:
             report = env.take_action(action)
         after = env.get_obs()["state"]
         moved = [(after[f"{side}_tcp_pose"] - before["state"][f"{side}_tcp_pose"])[:3].tolist() for side in SIDES]
-        found["axes"].append({"wanted": (0.04 * axis).tolist(), "moved": moved, "corrections": report["corrections"]})
+        results["axes"].append({"wanted": (0.04 * axis).tolist(), "moved": moved, "corrections": report["corrections"]})
     action = _hold(env.get_obs(), "ee_pose")
     for _ in range(20):  # as fast as limits let it
         action["right_ee_pose"][2] = np.float32(2.5)
         report = env.take_action(action)
         if "unreached" in report["corrections"].get("right_", {}):
             break
-    found["unreached"] = report["corrections"]
-    found["again"] = [_both_arms(env) for _ in range(2)]
+    results["unreached"] = report["corrections"]
+    results["again"] = [_both_arms(env) for _ in range(2)]
     env.close()
-    return found
+    return results
 
 
 def _both_arms(env: Any) -> str:
@@ -164,24 +164,24 @@ def _won() -> dict[str, Any]:
     env.reset([SEED])
     task, action = _task(env), _hold(env.get_obs())
     env.take_action(action)
-    found: dict[str, Any] = {"before": [bool(task.check_success()), env.is_episode_end()]}
+    results: dict[str, Any] = {"before": [bool(task.check_success()), env.is_episode_end()]}
     below = task.block1.get_pose()
     task.block2.actor.set_pose(sapien.Pose([*below.p[:2], below.p[2] + 0.0502], below.q))
     env.take_action(action)
-    found["won"] = env.results()[0]
+    results["won"] = env.results()[0]
     env.reset([SEED])
     for _ in range(4):
         env.take_action(action)
-    found["limit"] = env.results()[0]
+    results["limit"] = env.results()[0]
     env.close()
-    return found
+    return results
 
 
 def _tasks() -> dict[str, Any]:
     """How each task that can be played begins, twice, and with another seed; and what is refused."""
     from xpl.environment import read_manifest
 
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for task in read_manifest(FOLDER).data["stand_ins"][SETTING]["tasks"]:
         env, begun = _env(task), []
         for seed in (SEED, SEED + 1, SEED):
@@ -191,13 +191,13 @@ def _tasks() -> dict[str, Any]:
             begun.append({"things": things, "instruction": obs["instruction"]})
             if seed == SEED:
                 env.take_action(_hold(obs))
-        found[task] = begun
+        results[task] = begun
         env.close()
     try:
         _env("stack_bowls_two").reset([SEED])
     except ValueError as error:
-        found["refused"] = str(error)
-    return found
+        results["refused"] = str(error)
+    return results
 
 
 class _ByHand:

@@ -23,8 +23,8 @@ STEPS = 40
 
 def make(name: str, **config: Any) -> Any:
     """Return an environment package's environment, in this process, with its poses commanded."""
-    known = {"action_type": "ee", "cameras": False, "privileged": True}
-    return load_module(ROOT / "envs" / name / "client.py").make({**known, **config})
+    defaults = {"action_type": "ee", "cameras": False, "privileged": True}
+    return load_module(ROOT / "envs" / name / "client.py").make({**defaults, **config})
 
 
 def command(obs: Mapping[str, Any], moved: Any = (0, 0, 0), opening: float | None = None) -> dict[str, Any]:
@@ -57,7 +57,7 @@ _WAYS = [(sign, axis) for axis in "xyz" for sign in "+-"]
 
 def turns(env: Any, steps: int = STEPS) -> list[list[float]]:
     """Return, for each axis of the world, the rotation vector of the tool after a command of 0.3 rad."""
-    found = []
+    rotations = []
     for axis in np.eye(3):
         env.reset([0])
         first = env.get_obs()
@@ -66,8 +66,8 @@ def turns(env: Any, steps: int = STEPS) -> list[list[float]]:
         for _ in range(steps):
             env.take_action(action)
         after = env.get_obs()["state"]["tcp_pose"][3:]
-        found.append(rotation.to_axis_angle(rotation.multiply(after, rotation.conjugate(before))).tolist())
-    return found
+        rotations.append(rotation.to_axis_angle(rotation.multiply(after, rotation.conjugate(before))).tolist())
+    return rotations
 
 
 def guessed(env: Any, episodes: int, max_steps: int) -> int:
@@ -84,25 +84,25 @@ def guessed(env: Any, episodes: int, max_steps: int) -> int:
 def openings(env: Any, steps: int = STEPS) -> list[float]:
     """Return the opening of the gripper after it was closed, and after it was opened again."""
     env.reset([0])
-    found = []
+    values = []
     for opening in (0.0, 1.0):
         action = command(env.get_obs(), opening=opening)
         for _ in range(steps):
             env.take_action(action)
-        found.append(float(env.get_obs()["state"]["ee_joint_state"][0]))
-    return found
+        values.append(float(env.get_obs()["state"]["ee_joint_state"][0]))
+    return values
 
 
 def projected(camera: Mapping[str, Any], point: Any) -> tuple[float, float]:
     """Return column and row of a point of the world in a picture."""
-    seen = np.asarray(camera["extrinsics_matrix"]) @ np.append(np.asarray(point, dtype=np.float64), 1.0)
-    column, row, depth = np.asarray(camera["intrinsic_matrix"]) @ seen[:3]
+    camera_point = np.asarray(camera["extrinsics_matrix"]) @ np.append(np.asarray(point, dtype=np.float64), 1.0)
+    column, row, depth = np.asarray(camera["intrinsic_matrix"]) @ camera_point[:3]
     return float(column / depth), float(row / depth)
 
 
-def colored(picture: np.ndarray, place: tuple[float, float], reach: int = 1) -> list[float]:
+def colored(picture: np.ndarray, pixel: tuple[float, float], reach: int = 1) -> list[float]:
     """Return the mean color around a place of a picture."""
-    column, row = (round(value - 0.5) for value in place)
+    column, row = (round(value - 0.5) for value in pixel)
     around = picture[max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1]
     return around.reshape(-1, 3).mean(axis=0).tolist()
 
@@ -131,12 +131,12 @@ def different(states: list[np.ndarray], again: list[np.ndarray]) -> int:
 def changes(env: Any, moved: Any, steps: int = 5) -> list[list[float]]:
     """Add a delta to the command in each step, from the first observation on; return the simulator's commands."""
     env.reset([0])
-    action, found = command(env.get_obs(), opening=0.25), []
+    action, commands = command(env.get_obs(), opening=0.25), []
     for _ in range(steps):
         action["ee_pose"] = action["ee_pose"] + np.append(np.asarray(moved), np.zeros(4)).astype(np.float32)
         env.take_action(action)
-        found.append(told(env).tolist())
-    return found
+        commands.append(told(env).tolist())
+    return commands
 
 
 def listed(state: Mapping[str, Any]) -> dict[str, Any]:
@@ -147,5 +147,5 @@ def listed(state: Mapping[str, Any]) -> dict[str, Any]:
 def show(parts: Mapping[str, Callable[[], Any]]) -> None:
     """Print the parts that the command line names, as JSON; simulators print, too."""
     with contextlib.redirect_stdout(io.StringIO()):
-        found = {name: parts[name]() for name in sys.argv[1:]}
-    print(json.dumps(found))  # noqa: T201
+        results = {name: parts[name]() for name in sys.argv[1:]}
+    print(json.dumps(results))  # noqa: T201

@@ -74,12 +74,12 @@ class Benchmark:
         assert done.returncode == ExitCode.CLEAN, json.loads(done.stdout)
 
 
-def move_along_axes(seen: dict[str, list[float]], far: float, within: float) -> bool:
+def move_along_axes(distances: dict[str, list[float]], far: float, within: float) -> bool:
     """Return whether the tool moved along each axis of the world, both ways, by the commanded distance, m."""
     ways = {"+": far, "-": -far}
-    wanted = {sign + "xyz"[place]: way * np.eye(3)[place] for sign, way in ways.items() for place in range(3)}
-    assert seen.keys() == wanted.keys()
-    return all(np.abs(np.array(moved) - wanted[way]).max() < within for way, moved in seen.items())
+    expected = {sign + "xyz"[axis]: way * np.eye(3)[axis] for sign, way in ways.items() for axis in range(3)}
+    assert distances.keys() == expected.keys()
+    return all(np.abs(np.array(moved) - expected[way]).max() < within for way, moved in distances.items())
 
 
 def same_pose(one: Any, other: Any, metres: float = 1e-3, radians: float = 1e-3) -> bool:

@@ -53,11 +53,11 @@ def test_rewards_are_gym_alohas_own_all_the_way_to_success(looked: Any) -> None:
 
 def test_gym_aloha_plays_and_draws_the_same_and_pictures_are_upright() -> None:
     """Joints and pixels bit by bit; the red cube and the other arm are where their projections say."""
-    seen = ALOHA.look("seen")["seen"]
-    assert seen["different"] == 0
-    assert all(peers.is_colored(color, 0) for color in seen["box"].values())
-    assert seen["left"] == seen["right"] == [True, False]
-    assert seen["angle"] == seen["front_close"] == ["cam_head", "cam_third_view"]
+    observed = ALOHA.look("seen")["seen"]
+    assert observed["different"] == 0
+    assert all(peers.is_colored(color, 0) for color in observed["box"].values())
+    assert observed["left"] == observed["right"] == [True, False]
+    assert observed["angle"] == observed["front_close"] == ["cam_head", "cam_third_view"]
 
 
 @pytest.mark.parametrize("task", ALOHA.manifest["tasks"])

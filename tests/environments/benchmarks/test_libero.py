@@ -41,8 +41,15 @@ def test_one_task_is_played(glimpsed: Any) -> None:
     assert np.abs(aside).max() < 0.005
     assert glimpsed["state"]["ee_joint_state"][0] < 0.5
     assert glimpsed["states"] == 50
-    known = {"task": "libero_spatial_0", "seed": 0, "steps": 8, "success": False, "end_reason": None, "corrections": {}}
-    assert {name: glimpsed["result"][name] for name in known} == known
+    expected = {
+        "task": "libero_spatial_0",
+        "seed": 0,
+        "steps": 8,
+        "success": False,
+        "end_reason": None,
+        "corrections": {},
+    }
+    assert {name: glimpsed["result"][name] for name in expected} == expected
 
 
 @LIBERO.needed
@@ -88,14 +95,14 @@ def test_joints_and_flange_agree_by_kinematics(looked: Any) -> None:
     _agree(looked["moved"], within=1e-6)
 
 
-def _agree(seen: Any, within: float) -> None:
+def _agree(poses: Any, within: float) -> None:
     """Quaternions are [w, x, y, z]; LIBERO's own, of the hand, are [x, y, z, w]."""
-    state = seen["state"]
+    state = poses["state"]
     flange = Chain.from_embodiment(get_embodiment(LIBERO.robots[0]).data).flange(state["arm_joint_state"])
-    assert peers.same_pose(compose(np.concatenate(seen["base"]), flange), state["ee_pose"])
-    x, y, z, w = seen["theirs"]["quat"]
+    assert peers.same_pose(compose(np.concatenate(poses["base"]), flange), state["ee_pose"])
+    x, y, z, w = poses["theirs"]["quat"]
     assert rotation.angle_between([w, x, y, z], state["tcp_pose"][3:]) < 1e-3
-    assert np.abs(np.array(seen["theirs"]["pos"]) - state["tcp_pose"][:3]).max() < within
+    assert np.abs(np.array(poses["theirs"]["pos"]) - state["tcp_pose"][:3]).max() < within
 
 
 @LIBERO.needed
@@ -110,15 +117,15 @@ def test_changes_that_a_policy_adds_up_arrive_as_it_said_them(looked: Any) -> No
 @pytest.mark.slow
 def test_pictures_are_upright() -> None:
     """Those that LIBERO draws for policies."""
-    seen = LIBERO.look("seen")["seen"]
-    assert seen.pop("observed")
-    _is_upright(seen)
+    observed = LIBERO.look("seen")["seen"]
+    assert observed.pop("observed")
+    _is_upright(observed)
 
 
-def _is_upright(seen: Any) -> None:
+def _is_upright(observed: Any) -> None:
     """Three objects are in the pixels where their projection says, and none where it would be upside down."""
-    assert seen.pop("raw")
-    assert seen == {name: [True, False] for name in ("plate_1", "cookies_1", "akita_black_bowl_1")}
+    assert observed.pop("raw")
+    assert observed == {name: [True, False] for name in ("plate_1", "cookies_1", "akita_black_bowl_1")}
 
 
 @LIBERO.needed

@@ -49,8 +49,8 @@ def played() -> None:
 @pytest.fixture(scope="module")
 def looked(played: None) -> Any:
     """Return what was seen of each robot, and what is refused."""
-    told = ("angles", "angle_changes", "stick", "so100", "jaw", "solved", "pair", "refused", "tasks")
-    return MANISKILL.look("poses", "changes", *told)
+    parts = ("angles", "angle_changes", "stick", "so100", "jaw", "solved", "pair", "refused", "tasks")
+    return MANISKILL.look("poses", "changes", *parts)
 
 
 def _offered(task: str) -> list[str]:
@@ -108,18 +108,18 @@ def test_commands_move_and_turn_the_tool_and_the_fingers(looked: Any) -> None:
 @pytest.mark.slow
 def test_changes_that_a_policy_adds_up_arrive_as_it_said_them(looked: Any) -> None:
     """5 cm are half of what an action of 1 moves, by the controller's own range, 0.02 rad a fifth, turned round."""
-    seen = looked["changes"]
-    assert (seen["range"], seen["fingers"]) == ([0.1, -0.1], [-0.01, 0.04])
-    assert np.abs(np.array(seen["told"]) - [0.5, -0.5, 0.25, 0, 0, 0, -0.5]).max() < 1e-4
-    assert np.abs(np.array(seen["turns_told"])[:, 3:6] + 0.2 * np.eye(3)).max() < 1e-4
+    changes = looked["changes"]
+    assert (changes["range"], changes["fingers"]) == ([0.1, -0.1], [-0.01, 0.04])
+    assert np.abs(np.array(changes["told"]) - [0.5, -0.5, 0.25, 0, 0, 0, -0.5]).max() < 1e-4
+    assert np.abs(np.array(changes["turns_told"])[:, 3:6] + 0.2 * np.eye(3)).max() < 1e-4
 
 
 @pytest.mark.slow
 def test_changes_move_and_turn_the_tool_the_way_they_say(looked: Any) -> None:
     """ManiSkill counts them from where the arm is, which lags behind, so that less comes of them."""
-    for found in (np.array(looked["changes"][name]) for name in ("moved", "turned")):
-        assert np.diag(found).min() > 0.03
-        assert np.abs(found - np.diag(np.diag(found))).max() < 0.002
+    for motion in (np.array(looked["changes"][name]) for name in ("moved", "turned")):
+        assert np.diag(motion).min() > 0.03
+        assert np.abs(motion - np.diag(np.diag(motion))).max() < 0.002
 
 
 @pytest.mark.slow
@@ -131,22 +131,22 @@ def test_an_episode_played_again_is_the_same(looked: Any) -> None:
 @pytest.mark.parametrize(("part", "robot"), [("angles", PANDA), ("stick", STICK), ("so100", SO100)])
 def test_angles_are_met_and_joints_and_poses_agree_by_kinematics(looked: Any, part: str, robot: str) -> None:
     """The standard's robots stand in ManiSkill, wherever their base is; quaternions are [w, x, y, z] in both."""
-    seen = looked[part]
-    assert np.abs(np.array(seen["moved"]) - seen["wanted"]).max() < 0.005
-    state, base = seen["kinematics"]["state"], np.array(seen["kinematics"]["robot"])
+    observed = looked[part]
+    assert np.abs(np.array(observed["moved"]) - observed["wanted"]).max() < 0.005
+    state, base = observed["kinematics"]["state"], np.array(observed["kinematics"]["robot"])
     chain = Chain.from_embodiment(get_embodiment(robot).data)
     flange = compose(base, chain.flange(state["arm_joint_state"]))
     assert peers.same_pose(flange, state["ee_pose"])
     if robot != SO100:  # whose point between the jaws moves with them
-        assert peers.same_pose(chain.tcp_from_flange(flange), seen["kinematics"]["tcp"])
+        assert peers.same_pose(chain.tcp_from_flange(flange), observed["kinematics"]["tcp"])
 
 
 @pytest.mark.slow
 def test_changes_of_angles_arrive_as_they_were_said(looked: Any) -> None:
     """0.025 rad are a quarter of what an action of 1 moves."""
-    seen = looked["angle_changes"]
-    assert np.abs(np.array(seen["told"][:7]) - np.array(seen["wanted"]) * 2.5).max() < 1e-4
-    assert (np.array(seen["moved"]) * np.array(seen["wanted"]) > 0).all()
+    observed = looked["angle_changes"]
+    assert np.abs(np.array(observed["told"][:7]) - np.array(observed["wanted"]) * 2.5).max() < 1e-4
+    assert (np.array(observed["moved"]) * np.array(observed["wanted"]) > 0).all()
 
 
 @pytest.mark.slow
@@ -183,29 +183,29 @@ def test_what_cannot_be_played_says_so_in_one_sentence(looked: Any) -> None:
 @pytest.mark.slow
 def test_without_a_vulkan_driver_one_sentence_says_where_to_get_one(played: None) -> None:
     """Also without images; audits call it not run."""
-    said = MANISKILL.look("driver")["driver"]
-    assert said.startswith("RendererMissingError: ManiSkill needs a Vulkan device even without cameras")
-    assert "mesa.sh" in said
+    message = MANISKILL.look("driver")["driver"]
+    assert message.startswith("RendererMissingError: ManiSkill needs a Vulkan device even without cameras")
+    assert "mesa.sh" in message
 
 
 @pytest.mark.slow
 def test_every_task_that_is_offered_without_a_download_plays(looked: Any) -> None:
-    found = looked["tasks"]
-    assert (len(found), {task: error for task, error in found.items() if error}) == (19, {})
+    errors = looked["tasks"]
+    assert (len(errors), {task: error for task, error in errors.items() if error}) == (19, {})
 
 
 @pytest.mark.slow
 def test_pictures_are_upright_and_maniskills_own(played: None) -> None:
     """A red and a green cube are where their projection says, in both cameras; a goal is rendered in `goal` alone."""
-    seen = MANISKILL.look("seen")["seen"]
-    assert peers.is_colored(seen["cam_head"]["A"], 0)
-    assert peers.is_colored(seen["cam_head"]["B"], 1)
-    assert peers.is_colored(seen["cam_wrist"]["B"], 1)
-    on, above = seen["above"]
+    observed = MANISKILL.look("seen")["seen"]
+    assert peers.is_colored(observed["cam_head"]["A"], 0)
+    assert peers.is_colored(observed["cam_head"]["B"], 1)
+    assert peers.is_colored(observed["cam_wrist"]["B"], 1)
+    on, above = observed["above"]
     assert above < on - 4
-    assert seen["apart"] == 0.0
-    hidden, shown = seen["goal"]
-    assert (hidden < 50, shown > 100) == (True, True)
+    assert observed["apart"] == 0.0
+    hidden, visible = observed["goal"]
+    assert (hidden < 50, visible > 100) == (True, True)
 
 
 @pytest.mark.slow

@@ -54,11 +54,11 @@ def test_fingers_press_when_meta_world_says_so(looked: Any) -> None:
 @pytest.mark.slow
 def test_pictures_are_upright_and_meta_worlds_own() -> None:
     """The red puck is where its projection says, what is above it is above it, and no pixel differs but by the turn."""
-    seen = METAWORLD.look("seen")["seen"]
-    assert all(peers.is_colored(color, 0) for color in seen["colors"])
-    on, above = seen["rows"]
+    observed = METAWORLD.look("seen")["seen"]
+    assert all(peers.is_colored(color, 0) for color in observed["colors"])
+    on, above = observed["rows"]
     assert above < on - 5
-    assert seen["apart"] == 0.0
+    assert observed["apart"] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -42,29 +42,29 @@ def looked() -> Any:
 def test_pictures_are_upright_and_robotwins_own(looked: Any) -> None:
     """Blocks are where their projection says, in RGB; what is higher is further up, and +x is to the right."""
     assert looked["joints"]["observed"] == {name: [240, 320, 3] for name in ROBOTWIN.manifest["cameras"]}
-    for place, name in enumerate(("red", "green")):
+    for index, name in enumerate(("red", "green")):
         color = looked["joints"]["seen"][name]
-        assert peers.is_colored(color, place)
+        assert peers.is_colored(color, index)
     (on, above), (left, right) = looked["joints"]["seen"]["rows"], looked["joints"]["seen"]["columns"]
     assert (above < on - 10, left < right - 50, looked["joints"]["same"]) == (True, True, True)
 
 
 def test_joints_and_poses_agree_by_kinematics(looked: Any) -> None:
     """Quaternions are [w, x, y, z], poses are in RoboTwin's world, ee_pose is the flange and 0.12 m behind the tool."""
-    chain, found = Chain.from_embodiment(ROBOT.data), looked["joints"]["kinematics"]
-    for place, side in enumerate(("left", "right")):
-        flange = compose(found["bases"][place], chain.flange(found["measured"][6 * place :][:6]))
+    chain, poses = Chain.from_embodiment(ROBOT.data), looked["joints"]["kinematics"]
+    for index, side in enumerate(("left", "right")):
+        flange = compose(poses["bases"][index], chain.flange(poses["measured"][6 * index :][:6]))
         for name, ahead in (("ee_pose", 0.0), ("tcp_pose", 0.12)):
-            wanted = compose(flange, [ahead, 0, 0, 1, 0, 0, 0])
-            assert peers.same_pose(found["poses"][f"{side}_{name}"], wanted, metres=1e-4)
+            expected = compose(flange, [ahead, 0, 0, 1, 0, 0, 0])
+            assert peers.same_pose(poses["poses"][f"{side}_{name}"], expected, metres=1e-4)
 
 
 def test_a_command_moves_the_joint_that_it_names_and_no_other(looked: Any) -> None:
     """By the commanded angle: the command at once, the measurement a little later."""
     for move in looked["joints"]["moved"]:
-        wanted = 0.15 * np.eye(12)[move["place"]]
-        assert np.abs(np.subtract(move["told"], wanted)).max() < 1e-6
-        assert np.abs(np.subtract(move["measured"], wanted)).max() < 0.01
+        expected = 0.15 * np.eye(12)[move["place"]]
+        assert np.abs(np.subtract(move["told"], expected)).max() < 1e-6
+        assert np.abs(np.subtract(move["measured"], expected)).max() < 0.01
 
 
 def test_the_observed_angle_is_the_drives_target(looked: Any) -> None:
@@ -110,27 +110,27 @@ def test_the_limit_of_steps_ends_an_episode(looked: Any) -> None:
 
 def test_robotwins_loop_skips_an_unstable_seed_and_ends_with_a_plain_rate(looked: Any) -> None:
     """Seeds from 100000 on; the expert of another robot solves none, and is not required."""
-    told = looked["loop"]
-    assert told["skipped"] == {"100000": "unstable"}
-    ((episode,), rate) = told["episodes"], told["rate"]
+    result = looked["loop"]
+    assert result["skipped"] == {"100000": "unstable"}
+    ((episode,), rate) = result["episodes"], result["rate"]
     assert (episode["seed"], episode["success"], episode["steps"], episode["error"]) == (100001, True, 2, None)
     assert (type(rate), rate) == (float, 1.0)
-    assert told["names"][:2] == ["prepare_case", "reset"]
-    assert told["names"][-1] == "trial_end"
+    assert result["names"][:2] == ["prepare_case", "reset"]
+    assert result["names"][-1] == "trial_end"
 
 
 def test_each_task_begins_by_its_seed_alone(looked: Any) -> None:
     """Objects are elsewhere for another seed, and in the same places for the same one; so is the wording."""
-    found = dict(looked["tasks"])
-    assert "only RoboTwin's assets have" in found.pop("refused")
-    assert list(found) == ROBOTWIN.manifest["stand_ins"][SETTING]["tasks"]
-    for begun in found.values():
+    results = dict(looked["tasks"])
+    assert "only RoboTwin's assets have" in results.pop("refused")
+    assert list(results) == ROBOTWIN.manifest["stand_ins"][SETTING]["tasks"]
+    for begun in results.values():
         first, other, again = begun
         assert first["things"] != other["things"]
         assert (first["things"], first["instruction"]) == (again["things"], again["instruction"])
         assert "{" not in first["instruction"]
-    assert "red block" in found["stack_blocks_two"][0]["instruction"]
-    assert len({begun[0]["instruction"] for begun in found.values()}) == len(found)
+    assert "red block" in results["stack_blocks_two"][0]["instruction"]
+    assert len({begun[0]["instruction"] for begun in results.values()}) == len(results)
 
 
 def test_the_environment_passes_its_audit(tmp_path: Path) -> None:
@@ -147,9 +147,9 @@ def test_an_episode_over_the_wire_is_recorded_and_never_taken_for_robotwins(tmp_
     )
     run = str(tmp_path / "run")
     chosen = ("--env", str(env), "--setting", SETTING, "--task", "stack_blocks_two", "--out", run)
-    found = ROBOTWIN.play("demo_policy", *chosen, "--set", "env_cfg_type=aloha_agilex")
-    assert (found["overall"]["judged"], found["overall"]["mean_steps"]) == (1, STEPS)
-    assert "replaces a part of robotwin by a mock" in found["notes"][0]
+    ended = ROBOTWIN.play("demo_policy", *chosen, "--set", "env_cfg_type=aloha_agilex")
+    assert (ended["overall"]["judged"], ended["overall"]["mean_steps"]) == (1, STEPS)
+    assert "replaces a part of robotwin by a mock" in ended["notes"][0]
     ranked = xpl("leaderboard", run, "--robotwin", str(tmp_path / "out"), cwd=build.ROOT)
     assert ranked.returncode == ExitCode.NOT_RUN
     assert "no results of robotwin" in ranked.stderr

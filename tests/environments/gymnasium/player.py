@@ -57,9 +57,9 @@ def _push(truth: Mapping[str, Any], state: Mapping[str, Any]) -> np.ndarray:
     """Go round the T to the side away from its outline, and push it there by its middle; it may turn."""
     middle, goal = _middle(truth["block_pose"]), _middle(truth["goal_pose"])
     at = np.array([state[spec.State.EE_POSE][0], 0.512 - state[spec.State.EE_POSE][1]]) * 1000  # pixels
-    away, wanted = at - middle, middle - goal
-    gap = (np.arctan2(*wanted[::-1]) - np.arctan2(*away[::-1]) + np.pi) % (2 * np.pi) - np.pi
-    if np.linalg.norm(wanted) < 8:
+    away, direction = at - middle, middle - goal
+    gap = (np.arctan2(*direction[::-1]) - np.arctan2(*away[::-1]) + np.pi) % (2 * np.pi) - np.pi
+    if np.linalg.norm(direction) < 8:
         target = at
     elif abs(gap) < 0.25:
         target = at - 8 * away / np.linalg.norm(away)

@@ -87,12 +87,12 @@ def test_an_observation_is_nobody_elses() -> None:
     """A change of one changes no other, and not the environment."""
     env = made()
     env.reset([0])
-    one, kept = env.get_obs(), env.get_obs()
+    one, second = env.get_obs(), env.get_obs()
     one["state"]["left_arm_joint_state"][:] = 9
     one["vision"]["cam_head"]["color"][:] = 0
     again = env.get_obs()
-    assert np.array_equal(again["state"]["left_arm_joint_state"], kept["state"]["left_arm_joint_state"])
-    assert np.array_equal(again["vision"]["cam_head"]["color"], kept["vision"]["cam_head"]["color"])
+    assert np.array_equal(again["state"]["left_arm_joint_state"], second["state"]["left_arm_joint_state"])
+    assert np.array_equal(again["vision"]["cam_head"]["color"], second["vision"]["cam_head"]["color"])
 
 
 # -- actions -----------------------------------------------------------------------------------------------------------
@@ -142,13 +142,13 @@ def test_what_robodojo_takes_is_executed() -> None:
 @cache
 def _original() -> Any:
     """Return RoboDojo's own checks, taken from a checkout; None where none is named."""
-    place = os.environ.get("XPL_ROBODOJO_CHECKOUT")
-    file = Path(place or ".") / "src" / "eval_client" / "eval_env.py"
-    if not place or not file.is_file():
+    checkout = os.environ.get("XPL_ROBODOJO_CHECKOUT")
+    file = Path(checkout or ".") / "src" / "eval_client" / "eval_env.py"
+    if not checkout or not file.is_file():
         return None
-    wanted = ("validate_action_dict", "get_action_type")
+    names = ("validate_action_dict", "get_action_type")
     text = file.read_text(encoding="utf-8")
-    nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef) and node.name in wanted]
+    nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef) and node.name in names]
     space: dict[str, Any] = {"np": np, "deepcopy": deepcopy}
     for node in nodes:
         source = textwrap.dedent(ast.get_source_segment(text, node, padded=True) or "")
@@ -156,7 +156,7 @@ def _original() -> Any:
     arms = [SimpleNamespace(type="target", arm_name=f"{side}_arm") for side in ("left", "right")]
     robots = SimpleNamespace(robot_list=arms, process_name=lambda name: f"{name}_joint_state")
     dims = {"arm_dim": [6, 6], "ee_dim": [1, 1]}
-    return SimpleNamespace(robot_manager=robots, robot_action_dim_info=dims), *(space[name] for name in wanted)
+    return SimpleNamespace(robot_manager=robots, robot_action_dim_info=dims), *(space[name] for name in names)
 
 
 _KEYS = st.sampled_from([*ACTIONS.dimensions(ROBOT), "arm_joint_state", "noise"])
@@ -207,9 +207,9 @@ def test_the_running_list_shrinks_and_the_end_comes_with_the_last() -> None:
     assert set(lengths) == {1, 2, 3}
     assert count == 16
     assert env.get_running_env_idx_list() == []
-    told = env.results()
-    assert [result["end_reason"] for result in told] == ["scripted_end", "max_steps", "scripted_end"]
-    assert all(result["success"] is None and result["score"] is None for result in told)
+    results = env.results()
+    assert [result["end_reason"] for result in results] == ["scripted_end", "max_steps", "scripted_end"]
+    assert all(result["success"] is None and result["score"] is None for result in results)
 
 
 def test_an_environment_that_has_ended_is_left_out_of_a_step() -> None:
@@ -268,9 +268,9 @@ def test_an_adapters_own_deploy_plays_as_robodojo_calls_it() -> None:
         for count in (1, 3):
             with Client(server.url) as client:
                 noted = Noted(client)
-                told = LOOP.evaluate(made(num_envs=count), load_module(POLICY / "deploy.py"), noted, range(4))
-            assert [result["seed"] for result in told] == [0, 1, 2, 3]
-            assert [result["steps"] for result in told] == [16, 6, 16, 10]
+                results = LOOP.evaluate(made(num_envs=count), load_module(POLICY / "deploy.py"), noted, range(4))
+            assert [result["seed"] for result in results] == [0, 1, 2, 3]
+            assert [result["steps"] for result in results] == [16, 6, 16, 10]
             assert noted.asked.count("reset") == 2 * -(-4 // count)
             assert noted.asked[:2] == ["reset", "reset"]
             assert ("update_obs_batch" in noted.asked) == (count > 1)

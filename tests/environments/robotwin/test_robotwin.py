@@ -113,11 +113,11 @@ def test_an_observation_becomes_the_standards() -> None:
     assert (ours["instruction"], ours["instructions"]) == ("stack them", ["stack them"])
     assert (ours["env_idx"], ours["additional_info"]) == (0, {"frequency": 30})
     for name, facts in CAMERAS.items():
-        camera, seen = ours["vision"][name], theirs["observation"][facts["source"]]
-        assert np.array_equal(camera["color"], seen["rgb"])
+        camera, source_camera = ours["vision"][name], theirs["observation"][facts["source"]]
+        assert np.array_equal(camera["color"], source_camera["rgb"])
         assert camera["shape"].tolist() == list(SMALL)
-        assert np.array_equal(camera["intrinsic_matrix"], seen["intrinsic_cv"])
-        assert np.array_equal(camera["extrinsics_matrix"][:3], seen["extrinsic_cv"])
+        assert np.array_equal(camera["intrinsic_matrix"], source_camera["intrinsic_cv"])
+        assert np.array_equal(camera["extrinsics_matrix"][:3], source_camera["extrinsic_cv"])
         assert camera["extrinsics_matrix"][3].tolist() == [0, 0, 0, 1]
     state = ours["state"]
     assert state["left_ee_joint_state"].tolist() == [1.0]  # an episode begins with open grippers
@@ -141,8 +141,8 @@ def test_an_action_becomes_robotwins_flat_vector(action_type: str, word: str, si
     values = np.linspace(0.1, 0.9, size).astype(np.float32)
     names = ROBOT.dims(action_type)
     parts = np.split(values, np.cumsum(list(names.values()))[:-1])
-    for given in (dict(zip(names, parts, strict=True)), values):
-        vector, kind = CONVERT.command(given, ROBOT, action_type)
+    for action in (dict(zip(names, parts, strict=True)), values):
+        vector, kind = CONVERT.command(action, ROBOT, action_type)
         assert kind == word
         assert vector.tolist() == values.tolist()
         one = task()
@@ -166,7 +166,7 @@ def test_what_is_no_action_is_refused(action: Any) -> None:
 def test_an_episode_goes_as_in_robotwin() -> None:
     """Case, reset with what it is of, an observation for each step, the end with its outcome."""
     client = Chunks()
-    told = played(client)
+    result = played(client)
     middle = ["update_obs", "get_action", *["update_obs"] * 3, "update_obs", "get_action", "update_obs"]
     assert client.names == ["prepare_case", "reset", *middle, "trial_end"]
     case = {
@@ -177,17 +177,17 @@ def test_an_episode_goes_as_in_robotwin() -> None:
     }
     assert client.asked[0][1] == client.asked[1][1] == case
     assert client.asked[-1][1] == {"task_name": "stack_blocks_two", "seed": 100000, "success": False}
-    assert told.episodes[0]["steps"] == 6
-    assert told.rate == 0
+    assert result.episodes[0]["steps"] == 6
+    assert result.rate == 0
 
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_seeds_begin_where_robotwins_do_and_unfit_ones_are_skipped(seed: int) -> None:
     """Unstable ones, and those that the expert does not solve; they count for nothing."""
-    told = played(Chunks(), seed=seed, test_num=5)
+    result = played(Chunks(), seed=seed, test_num=5)
     first = 100000 * (1 + seed)
-    assert [one["seed"] - first for one in told.episodes] == [0, 1, 2, 5, 6]
-    assert {key - first: value for key, value in told.skipped.items()} == {3: "unstable", 4: "expert_failed"}
+    assert [one["seed"] - first for one in result.episodes] == [0, 1, 2, 5, 6]
+    assert {key - first: value for key, value in result.skipped.items()} == {3: "unstable", 4: "expert_failed"}
 
 
 def test_the_expert_is_judged_before_its_task_is_closed() -> None:
@@ -197,8 +197,8 @@ def test_the_expert_is_judged_before_its_task_is_closed() -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(task, "close_env", lambda one, clear_cache=False: setattr(one, "closed", True))
         patch.setattr(task, "check_success", lambda one: not getattr(one, "closed", False))
-        told = LOOP.evaluate(unsolved, Chunks(), LOOP.EvalOptions("stack_blocks_two", test_num=1), ROBOT, CAMERAS)
-    assert told.skipped == {}
+        result = LOOP.evaluate(unsolved, Chunks(), LOOP.EvalOptions("stack_blocks_two", test_num=1), ROBOT, CAMERAS)
+    assert result.skipped == {}
 
 
 def test_an_expert_that_cannot_solve_only_tells_what_things_are_called() -> None:
@@ -207,16 +207,16 @@ def test_an_expert_that_cannot_solve_only_tells_what_things_are_called() -> None
     made.has_expert = False
     one = made.make("stack_blocks_two")
     one.setup_demo(seed=100004, is_test=True)  # which the expert does not solve
-    seen = []
-    one.play_once = lambda: seen.append(one.plan_success) or {"info": {"{A}": "it"}}
+    calls = []
+    one.play_once = lambda: calls.append(one.plan_success) or {"info": {"{A}": "it"}}
     assert LOOP.ask_expert(made, one) == ({"{A}": "it"}, True)
-    assert (seen, one.plan_success) == ([False], True)
+    assert (calls, one.plan_success) == ([False], True)
 
 
 def test_a_success_ends_the_episode_inside_its_chunk() -> None:
     client = Chunks()
-    told = played(client, succeeds_at=2)
-    assert (told.episodes[0]["success"], told.episodes[0]["steps"], told.rate) == (True, 2, 1.0)
+    result = played(client, succeeds_at=2)
+    assert (result.episodes[0]["success"], result.episodes[0]["steps"], result.rate) == (True, 2, 1.0)
     assert client.names[2:] == ["update_obs", "get_action", "update_obs", "trial_end"]
     assert client.asked[-1][1]["success"] is True
 
@@ -227,9 +227,9 @@ def test_wordings_that_were_not_seen_are_another_list() -> None:
 
 def test_what_the_policy_raises_fails_its_episode_and_is_told() -> None:
     """RoboTwin counts it as a failure, too; a lost connection is not the policy's failure."""
-    told = played(Chunks(length=0), test_num=2)
-    assert [one["success"] for one in told.episodes] == [False, False]
-    assert all("empty chunk" in one["error"] for one in told.episodes)
+    result = played(Chunks(length=0), test_num=2)
+    assert [one["success"] for one in result.episodes] == [False, False]
+    assert all("empty chunk" in one["error"] for one in result.episodes)
     lost = RequestTimeoutError("no answer within 120 s")
     assert lost.is_infrastructure_error
     with pytest.raises(RequestTimeoutError):
@@ -250,8 +250,8 @@ def test_the_loop_plays_a_real_server() -> None:
         running_server(POLICY, {"env_cfg_type": "aloha_agilex", "action_type": "joint"}) as server,
         Client(server.url, trial_id="t", action_case_id="c") as client,
     ):
-        told = played(client, test_num=2)
-    assert [(one["steps"], one["error"]) for one in told.episodes] == [(6, None), (6, None)]
+        result = played(client, test_num=2)
+    assert [(one["steps"], one["error"]) for one in result.episodes] == [(6, None), (6, None)]
 
 
 # -- the robot that stands in ------------------------------------------------------------------------------------------
@@ -266,15 +266,15 @@ def test_the_robot_that_stands_in_has_the_standards_kinematics() -> None:
         frame = STAND_IN_ROBOT.base(side)
         for number, angle in enumerate(angles, 1):
             joint = joints[f"{name}_joint{number}"]
-            place, turn, axis = (
+            position, turn, axis = (
                 np.array(joint.find(part).attrib[key].split(), float)  # type: ignore[union-attr]
                 for part, key in (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz"))
             )
-            frame = compose(frame, pose(place, rotation.from_rpy(turn)))
+            frame = compose(frame, pose(position, rotation.from_rpy(turn)))
             frame = compose(frame, pose([0, 0, 0], rotation.from_axis_angle(angle * axis)))
-        wanted = compose(STAND_IN_ROBOT.base(side), Chain.from_embodiment(ROBOT.data).flange(angles))
-        assert np.abs(frame[:3] - wanted[:3]).max() < 1e-9
-        assert rotation.angle_between(frame[3:], wanted[3:]) < 1e-6
+        expected = compose(STAND_IN_ROBOT.base(side), Chain.from_embodiment(ROBOT.data).flange(angles))
+        assert np.abs(frame[:3] - expected[:3]).max() < 1e-9
+        assert rotation.angle_between(frame[3:], expected[3:]) < 1e-6
 
 
 def test_the_robot_that_stands_in_is_what_robotwin_reads(tmp_path: Path) -> None:
@@ -361,8 +361,8 @@ def test_robotwins_own_loop_asks_the_same(settings: dict[str, Any]) -> None:
         test_num=5,
         instruction_type="seen",
     )
-    told = played(ours, test_num=5, **settings)
-    assert won == sum(one["success"] for one in told.episodes)
+    result = played(ours, test_num=5, **settings)
+    assert won == sum(one["success"] for one in result.episodes)
     assert theirs.names == ours.names
     for (name, their_obs), (_, our_obs) in zip(theirs.asked, ours.asked, strict=True):
         if name == "update_obs":

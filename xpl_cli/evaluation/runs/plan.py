@@ -87,7 +87,9 @@ def make_plan(
     settings = _names("setting", plan_request.settings, facts.settings)
     cells = [_cell(folder, facts, task, setting, plan_request) for task in tasks for setting in settings]
     plan = RunPlan(
-        policy=_planned_policy(package, spec.VERSION, {**config, **robots.described(robot)}, manner or RunMode()),
+        policy=_planned_policy(
+            package, spec.VERSION, {**config, **robots.recorded_description(robot)}, manner or RunMode()
+        ),
         environment=PlannedEnvironment(facts.name, spec.VERSION, package_digest(folder)),
         embodiment=robot,
         action_type=config[sdk.Deploy.ACTION_TYPE],
