@@ -1,6 +1,6 @@
 """Facts of an adapter or a checkpoint: values with their sources, and unknown values with the reason.
 
-They form trees of maps and lists as in a manifest. A leaf is a `Fact` or an `UnknownValue`; any other value is a
+They form trees of maps and lists as in a manifest. A leaf is a `Fact` or an `UnknownFact`; any other value is a
 literal, such as a keyword that a neighbouring fact implies.
 """
 
@@ -72,7 +72,7 @@ class Fact:
 
 
 @dataclass(frozen=True)
-class UnknownValue:
+class UnknownFact:
     """A value that no source states.
 
     Attributes:
@@ -113,7 +113,7 @@ def assumed(value: object, why: str) -> Fact:
 
 def plain(tree: Tree) -> Any:
     """Return a tree as manifest values, without sources."""
-    if isinstance(tree, (Fact, UnknownValue)):
+    if isinstance(tree, (Fact, UnknownFact)):
         return tree.value
     if isinstance(tree, dict):
         return {key: plain(value) for key, value in tree.items()}
@@ -122,9 +122,9 @@ def plain(tree: Tree) -> Any:
     return tree
 
 
-def leaves(tree: Tree, key: str) -> Iterator[tuple[str, Fact | UnknownValue]]:
+def leaves(tree: Tree, key: str) -> Iterator[tuple[str, Fact | UnknownFact]]:
     """Yield every leaf with its dotted key, in the order of the tree."""
-    if isinstance(tree, (Fact, UnknownValue)):
+    if isinstance(tree, (Fact, UnknownFact)):
         yield key, tree
     elif isinstance(tree, dict):
         for name, value in tree.items():
@@ -139,7 +139,7 @@ class ManifestFacts:
     """The facts and unknown values of a manifest, by dotted key."""
 
     facts: Mapping[str, Fact]
-    unknown: Mapping[str, UnknownValue]
+    unknown: Mapping[str, UnknownFact]
 
     @classmethod
     def of(cls, sections: Mapping[str, Tree]) -> Self:
@@ -147,7 +147,7 @@ class ManifestFacts:
         entries = [entry for key, tree in sections.items() for entry in leaves(tree, key)]
         return cls(
             {key: leaf for key, leaf in entries if isinstance(leaf, Fact)},
-            {key: leaf for key, leaf in entries if isinstance(leaf, UnknownValue)},
+            {key: leaf for key, leaf in entries if isinstance(leaf, UnknownFact)},
         )
 
     @property

@@ -10,7 +10,7 @@ import yaml
 
 from xpl import _spec as sdk
 from xpl import robots
-from xpl_cli.adopt.facts import Evidence, Tree, UnknownValue, certain, likely
+from xpl_cli.adopt.facts import Evidence, Tree, UnknownFact, certain, likely
 from xpl_cli.basics import files as bounded
 from xpl_cli.packages import documented
 from xpl_cli.standard import spec
@@ -104,11 +104,11 @@ def _environment(folder: Path) -> dict[str, Tree]:
             version = {"python": certain(python[1], where)} if python else {}
             if (conda := _CONDA.search(line)) is not None:
                 name = (_NAMED if conda[1] == "create" else _FIRST).search(conda[2])
-                called = certain(name[1], where) if name else UnknownValue("name of the conda environment", (where,))
+                called = certain(name[1], where) if name else UnknownFact("name of the conda environment", (where,))
                 return {"manager": certain("conda", where), "name": called, **version}
             if _UV.search(line) or _VENV.search(line):
                 kind = certain("uv" if _UV.search(line) else "venv", where)
-                lies = UnknownValue(
+                lies = UnknownFact(
                     "folder of the virtual environment, relative to the package; default: .venv", (where,)
                 )
                 return {"manager": kind, **({"name": lies} if _changes_folder(lines) else {}), **version}

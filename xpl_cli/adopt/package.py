@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl import _spec as sdk
 from xpl_cli.adopt import files, zoo_facts
 from xpl_cli.adopt.checkpoints import adopted, yaml_writer
-from xpl_cli.adopt.facts import Evidence, Fact, ManifestFacts, Tree, UnknownValue, certain, leaves, plain
+from xpl_cli.adopt.facts import Evidence, Fact, ManifestFacts, Tree, UnknownFact, certain, leaves, plain
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import UserError
 from xpl_cli.packages import manifests, package
@@ -148,7 +148,7 @@ def _sections(
     for key, fact in zoo_facts.facts(policy) if policy is not None else ():
         _set_default(sections, key, fact)
     for key, meaning in _required():
-        _set_default(sections, key, UnknownValue(meaning))
+        _set_default(sections, key, UnknownFact(meaning))
     sections[_VERSION] = spec.VERSION
     schema = spec.schema(_SCHEMA)["properties"]
     return {key: _ordered(sections[key], schema[key]) for key in schema if key in sections}, notes

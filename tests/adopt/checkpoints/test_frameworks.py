@@ -101,7 +101,7 @@ def test_groot_says_groups_horizon_and_tags(tmp_path: Path) -> None:
     assert plain(found.chunk) == 16
     assert [plain(view["cameras"]) for view in tree["images"]] == [["cam_head"], ["cam_left_wrist"]]
     assert plain(tree["instruction"])["input"] == "annotation.human.task_description"
-    assert "small letters" in plain(tree["code"])[0]
+    assert "lower-cases" in plain(tree["code"])[0]
     assert opened(tree) == []
     assert source(tree, "images.0.input").startswith("processor_config.json:")
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli.adopt.checkpoints import cameras, layout
-from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, certain, likely, plain
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact, certain, likely, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -75,11 +75,11 @@ def temporal(trained: TrainedModel) -> Tree:
         kind = "single_step" if isinstance(chunk, Fact) and chunk.value == 1 else "chunk"
     tree: dict[str, Tree] = {
         "kind": kind,
-        "chunk": replace(chunk, placeholder=1) if isinstance(chunk, UnknownValue) else chunk,
+        "chunk": replace(chunk, placeholder=1) if isinstance(chunk, UnknownFact) else chunk,
     }
     if history is not None:
         length = history["length"]
-        tree["history"] = replace(length, placeholder=1) if isinstance(length, UnknownValue) else length
+        tree["history"] = replace(length, placeholder=1) if isinstance(length, UnknownFact) else length
     if trained.ensembling is not None:
         tree["ensembling"] = trained.ensembling
     return tree
@@ -129,7 +129,7 @@ def _set_part_references(parts: list[Tree], robot: Embodiment, trained: TrainedM
         exempt = set(trained.exempt[offset : offset + width])
         offset += width
         if len(exempt) > 1:
-            how["reference"] = UnknownValue("some of its numbers are deltas, and some are not")
+            how["reference"] = UnknownFact("some of its numbers are deltas, and some are not")
         elif exempt == {True} and kind == "joints":
             how["reference"] = "absolute"
         elif exempt == {False} and kind == "gripper":
@@ -145,8 +145,8 @@ def _as_list(tree: Tree) -> list[Any]:
 def _views(trained: TrainedModel, robot: Embodiment | None, choices: UserChoices) -> list[Tree]:
     flat = [(name, view) for view in trained.views for name in view.names]
     if robot is None:
-        camera_facts: list[Fact | UnknownValue] = [
-            UnknownValue(f"which camera {name!r} is: the robot is not known") for name, _ in flat
+        camera_facts: list[Fact | UnknownFact] = [
+            UnknownFact(f"which camera {name!r} is: the robot is not known") for name, _ in flat
         ]
     else:
         arms = len(robot.arms)
@@ -156,7 +156,7 @@ def _views(trained: TrainedModel, robot: Embodiment | None, choices: UserChoices
     result: list[Tree] = []
     for view in trained.views:
         own = [next(by_name) for _ in view.names]
-        if view.optional and any(isinstance(camera, UnknownValue) for camera in own):
+        if view.optional and any(isinstance(camera, UnknownFact) for camera in own):
             continue
         entry: dict[str, Tree] = {"input": view.input, "cameras": _merge_cameras(own)}
         if view.steps:
@@ -165,7 +165,7 @@ def _views(trained: TrainedModel, robot: Embodiment | None, choices: UserChoices
     return result
 
 
-def _camera_of(name: str, view: ImageSpec, arms: int, choices: UserChoices) -> Fact | UnknownValue:
+def _camera_of(name: str, view: ImageSpec, arms: int, choices: UserChoices) -> Fact | UnknownFact:
     model = plain(view.input)
     for alias in (name, name.rpartition(".")[2], name.rpartition("/")[2], *([model] if len(view.names) == 1 else [])):
         if alias in choices.cameras:
@@ -173,9 +173,9 @@ def _camera_of(name: str, view: ImageSpec, arms: int, choices: UserChoices) -> F
     return cameras.standard_camera(name, arms, view.evidence)
 
 
-def _merge_cameras(own: list[Fact | UnknownValue]) -> Fact | UnknownValue:
-    if unknown := [camera for camera in own if isinstance(camera, UnknownValue)]:
-        return UnknownValue(
+def _merge_cameras(own: list[Fact | UnknownFact]) -> Fact | UnknownFact:
+    if unknown := [camera for camera in own if isinstance(camera, UnknownFact)]:
+        return UnknownFact(
             "; ".join(camera.reason for camera in unknown),
             tuple(seen for camera in unknown for seen in camera.evidence),
         )
@@ -192,7 +192,7 @@ def _vector(vector: VectorSpec, robot: Embodiment | None, choices: UserChoices) 
         entry["parts"] = layout.parts(vector.numbers, robot, choices.gripper)
     elif callable(vector.parts):
         entry["parts"] = (
-            UnknownValue("the robot is not known") if robot is None else vector.parts(robot, choices.gripper)
+            UnknownFact("the robot is not known") if robot is None else vector.parts(robot, choices.gripper)
         )
     else:
         entry["parts"] = vector.parts

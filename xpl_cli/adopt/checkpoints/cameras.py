@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.adopt.facts import Fact, UnknownValue, certain, likely
+from xpl_cli.adopt.facts import Fact, UnknownFact, certain, likely
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -27,7 +27,7 @@ _SIDES: Final = {"left": "left", "l": "left", "right": "right", "r": "right"}
 _NOISE: Final = re.compile("observation|images?|video|cam|camera|rgb|color|obs|view")
 
 
-def standard_camera(name: str, arms: int, evidence: Evidence) -> Fact | UnknownValue:
+def standard_camera(name: str, arms: int, evidence: Evidence) -> Fact | UnknownFact:
     """Return the standard's camera for a name, as a list of one.
 
     Args:
@@ -52,7 +52,7 @@ def standard_camera(name: str, arms: int, evidence: Evidence) -> Fact | UnknownV
         return likely([third], evidence)
     elif hints & _HEAD or not hints:
         return likely([head], evidence)
-    return UnknownValue(f"which camera {name!r} is: its name gives no hint; one of {', '.join(own)}", (evidence,))
+    return UnknownFact(f"which camera {name!r} is: its name gives no hint; one of {', '.join(own)}", (evidence,))
 
 
 def standard_cameras(arms: int) -> tuple[str, ...]:
@@ -63,14 +63,14 @@ def standard_cameras(arms: int) -> tuple[str, ...]:
     return (*cameras["by_arms"][arms], *cameras["optional"])
 
 
-def without_duplicates(cameras: Sequence[Fact | UnknownValue], names: Iterable[str]) -> list[Fact | UnknownValue]:
+def without_duplicates(cameras: Sequence[Fact | UnknownFact], names: Iterable[str]) -> list[Fact | UnknownFact]:
     """Return the cameras without duplicates: where two names match one camera, the later one is unknown."""
     used: set[str] = set()
-    result: list[Fact | UnknownValue] = []
+    result: list[Fact | UnknownFact] = []
     for camera, name in zip(cameras, names, strict=True):
         if isinstance(camera, Fact) and camera.value[0] in used:
             reason = f"which camera {name!r} is: {camera.value[0]} is taken by another one"
-            result.append(UnknownValue(reason, camera.evidence))
+            result.append(UnknownFact(reason, camera.evidence))
             continue
         if isinstance(camera, Fact):
             used.add(camera.value[0])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, assumed, likely
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact, assumed, likely
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -102,7 +102,7 @@ def parts(numbers: VectorNumbers, robot: Embodiment | None, gripper: tuple[float
         gripper: values of the closed and the open gripper, if the user gave them.
     """
     if robot is None:
-        return UnknownValue(f"what its {numbers.width} numbers are: the robot is not known", (numbers.evidence,))
+        return UnknownFact(f"what its {numbers.width} numbers are: the robot is not known", (numbers.evidence,))
     if numbers.names_evidence is not None and len(numbers.names) == numbers.width:
         named_parts = _by_names(numbers, numbers.names_evidence, robot, gripper)
         if named_parts is not None:
@@ -115,7 +115,7 @@ def parts(numbers: VectorNumbers, robot: Embodiment | None, gripper: tuple[float
         for side, arm in zip(sides(robot), robot.arms, strict=True)
     )
     evidence = (numbers.evidence, *([numbers.names_evidence] if numbers.names_evidence else []))
-    return UnknownValue(f"what its {numbers.width} numbers are ({robot.name} has {expected})", evidence)
+    return UnknownFact(f"what its {numbers.width} numbers are ({robot.name} has {expected})", evidence)
 
 
 def sides(robot: Embodiment) -> list[str]:
@@ -207,11 +207,11 @@ def _pose(members: list[_NumberName], side_fact: Fact, where: Evidence) -> Tree 
         form = {"form": likely("axis_angle", where)}
     elif kind == "euler" and sorted(axes := "".join(_AXES[word] for word in words)) == ["x", "y", "z"]:
         reason = f"about fixed axes ({axes}, as URDF's roll, pitch, yaw) or moving ones ({axes.upper()})"
-        form = {"form": likely("euler", where), "euler": UnknownValue(reason, (where,))}
+        form = {"form": likely("euler", where), "euler": UnknownFact(reason, (where,))}
     elif kind == "quaternion" and (order := "".join(words)) in ("wxyz", "xyzw"):
         form = {"form": likely(f"quaternion_{order}", where)}
     elif kind == "rot6d" and len(words) == 6:
-        form = {"form": UnknownValue("rot6d_rows or rot6d_columns: both are written with six numbers", (where,))}
+        form = {"form": UnknownFact("rot6d_rows or rot6d_columns: both are written with six numbers", (where,))}
     else:
         return None
     return {"rotation": {"arm": side_fact, **form, **_point()}}
@@ -220,8 +220,8 @@ def _pose(members: list[_NumberName], side_fact: Fact, where: Evidence) -> Tree 
 def _point() -> dict[str, Tree]:
     why = "names of numbers do not state it"
     return {
-        "point": UnknownValue(f"flange or tcp: {why}; ask the author of the dataset"),
-        "frame": UnknownValue(f"world or base: {why}; ask the author of the dataset"),
+        "point": UnknownFact(f"flange or tcp: {why}; ask the author of the dataset"),
+        "frame": UnknownFact(f"world or base: {why}; ask the author of the dataset"),
     }
 
 
@@ -265,12 +265,12 @@ def _gripper_ends(of: _Slice, count: int) -> dict[str, Tree]:
     evidence = () if of.numbers.range is None else (of.numbers.range.of(of.place, count),)
     why = "a range has no direction; --gripper CLOSED,OPEN says both"
     return {
-        "closed": UnknownValue(f"the model's value of a closed gripper: {why}", evidence),
-        "open": UnknownValue("as closed"),
+        "closed": UnknownFact(f"the model's value of a closed gripper: {why}", evidence),
+        "open": UnknownFact("as closed"),
     }
 
 
-def _unit(numbers: VectorNumbers, offset: int, arm: Arm) -> Fact | UnknownValue:
+def _unit(numbers: VectorNumbers, offset: int, arm: Arm) -> Fact | UnknownFact:
     """Return the angle unit of one arm, by the range of the data."""
     if numbers.range is None:
         return assumed("rad", "nothing says degrees")
@@ -281,7 +281,7 @@ def _unit(numbers: VectorNumbers, offset: int, arm: Arm) -> Fact | UnknownValue:
     if largest > _FULL_TURN + _SLACK:
         if largest > 100.0 + _SLACK:
             return likely("deg", evidence)
-        return UnknownValue(
+        return UnknownFact(
             "deg, or rescaled to -100..100 as LeRobot's SO-100 and SO-101 are: angles are beyond a turn", (evidence,)
         )
     if arm.lower is not None and arm.upper is not None:

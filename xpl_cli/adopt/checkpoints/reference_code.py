@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl_cli.adopt.checkpoints import layout
 from xpl_cli.adopt.checkpoints.frameworks.lerobot.types import CODE
-from xpl_cli.adopt.facts import Confidence, Fact, Tree, UnknownValue, leaves, plain
+from xpl_cli.adopt.facts import Confidence, Fact, Tree, UnknownFact, leaves, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -40,7 +40,7 @@ def context(trained: TrainedModel, block: Mapping[str, Tree], robot: Embodiment,
     openings = [
         key
         for key, leaf in leaves({key: block[key] for key in ("images", "state", "action") if key in block}, "model_io")
-        if isinstance(leaf, UnknownValue)
+        if isinstance(leaf, UnknownFact)
     ]
     if openings:
         raise UnknownFactError(f"{len(openings)} values are unknown: {', '.join(openings)}")

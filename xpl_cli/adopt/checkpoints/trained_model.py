@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from xpl_cli.adopt.checkpoints.layout import VectorNumbers
-    from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue
+    from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact
 
 
 @dataclass(frozen=True)
@@ -91,9 +91,9 @@ class TrainedModel:
     about: str
     family: Fact
     action: VectorSpec
-    reference: Fact | UnknownValue
-    chunk: Fact | UnknownValue
-    sampling: Fact | UnknownValue
+    reference: Fact | UnknownFact
+    chunk: Fact | UnknownFact
+    sampling: Fact | UnknownFact
     views: Sequence[ImageSpec] = ()
     states: Sequence[VectorSpec] = ()
     instruction: dict[str, Tree] | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl_cli.adopt.facts import Fact, Tree, UnknownValue, plain
+from xpl_cli.adopt.facts import Fact, Tree, UnknownFact, plain
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def _commented(line: str, indent: str, tree: Tree) -> Iterator[str]:
 def _comment(tree: Tree) -> str:
     if isinstance(tree, Fact):
         return _one_line(tree.comment)
-    if not isinstance(tree, UnknownValue):
+    if not isinstance(tree, UnknownFact):
         return ""
     marked = [] if tree.placeholder is None else [f"{spec.data('package')['placeholder']}: {tree.reason}"]
     sources = [f"see {'; '.join(map(str, tree.evidence))}"] if tree.evidence else []
@@ -98,9 +98,9 @@ def _one_line(text: str) -> str:
 
 def _has_sources(tree: Tree) -> bool:
     if isinstance(tree, dict):
-        return any(isinstance(value, (Fact, UnknownValue)) or _has_sources(value) for value in tree.values())
+        return any(isinstance(value, (Fact, UnknownFact)) or _has_sources(value) for value in tree.values())
     if isinstance(tree, list):
-        return any(isinstance(value, (Fact, UnknownValue)) or _has_sources(value) for value in tree)
+        return any(isinstance(value, (Fact, UnknownFact)) or _has_sources(value) for value in tree)
     return False
 
 

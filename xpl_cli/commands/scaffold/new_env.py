@@ -31,7 +31,7 @@ def new_env(
     from xpl_cli.packages import robots
     from xpl_cli.scaffold import environment
 
-    embodiment = robots.named(embodiment, parent / name)
+    embodiment = robots.canonical_name(embodiment, parent / name)
     chosen = {
         question: answer for question, answer in {"embodiment": embodiment, "task": task}.items() if answer is not None
     }

@@ -61,7 +61,7 @@ def new_policy(
     from xpl_cli.packages import robots
     from xpl_cli.scaffold import adapter
 
-    embodiment = robots.named(embodiment, parent / name)
+    embodiment = robots.canonical_name(embodiment, parent / name)
     if sources:
         adapter.check_name(name)
         given = _given(

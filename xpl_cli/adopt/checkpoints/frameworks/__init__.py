@@ -1,1 +1,1 @@
-"""One module for each maker of checkpoints: how its files are recognised, and what they say."""
+"""One module for each framework that writes checkpoints: recognition and reading of its files."""

@@ -1,4 +1,4 @@
-"""Diffusion Policy (real-stanford): the configuration that hydra writes beside the checkpoints.
+"""Diffusion Policy (real-stanford): the Hydra configuration beside the checkpoints.
 
 Source: real-stanford/diffusion_policy diffusion_policy/workspace/base_workspace.py (payload), diffusion_policy/policy/
 (predict_action), diffusion_policy/config/. The model's inputs are those of `policy.predict_action`, which normalises
@@ -14,7 +14,7 @@ from xpl_cli.adopt.checkpoints import names
 from xpl_cli.adopt.checkpoints.layout import VectorNumbers
 from xpl_cli.adopt.checkpoints.reading import ConfigDocument
 from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
-from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, certain, likely
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _ROTATIONS: Final = {"rotation_6d": 6, "axis_angle": 3, "quaternion": 4}
 
 
 def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
-    """Return the folder of a run, which holds .hydra; None if it is none."""
+    """Return the folder of a run, which contains .hydra; None if it is none."""
     if not folder.has(_CONFIG):
         return None
     config = folder.yaml(_CONFIG)
@@ -36,10 +36,10 @@ def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
 
 
 def read(folder: CheckpointFolder) -> TrainedModel:
-    """Return what a run says.
+    """Read a training run.
 
     Raises:
-        UserError: if the configuration is not what it should be.
+        UserError: the configuration is invalid.
     """
     raw = folder.yaml(_CONFIG)
     config = ConfigDocument(raw.file, _resolve(raw.value, raw.value, 0), "", folder.path / _CONFIG)
@@ -74,7 +74,7 @@ def read(folder: CheckpointFolder) -> TrainedModel:
 
 
 def _resolve(value: object, root: object, depth: int) -> Any:
-    """Return a configuration with `${a.b}` replaced by what stands there; `${eval:...}` stays, for it is code."""
+    """Return a configuration with `${a.b}` replaced by the value there; `${eval:...}` is kept, because it is code."""
     if depth > 20:
         return value
     if isinstance(value, dict):
@@ -90,7 +90,7 @@ def _resolve(value: object, root: object, depth: int) -> Any:
 
 def _view(name: str, size: tuple[int, int], where: Evidence) -> ImageSpec:
     eye = Evidence(f"{CODE}/dataset", None, "images are float32 in 0..1, channel first")
-    filter_ = UnknownValue("how images of another size are brought to it: the environment's own runner knows", (where,))
+    filter_ = UnknownFact("resize filter for images of another size: see the environment's runner", (where,))
     return ImageSpec(
         input=certain(name, where),
         names=[name],
@@ -135,18 +135,18 @@ def _inside() -> Fact:
     return likely(None, Evidence(f"{CODE}/policy", None, "predict_action normalises by the policy's own normalizer"))
 
 
-def _reference(absolute: object) -> Fact | UnknownValue:
+def _reference(absolute: object) -> Fact | UnknownFact:
     where = Evidence(_CONFIG, None, f"task/abs_action: {absolute}")
     if absolute is True:
         return certain("absolute", where)
-    return UnknownValue("absolute, or steps of the authors' controller (deltas of robosuite are cumulative)", (where,))
+    return UnknownFact("absolute, or deltas of the authors' controller (robosuite's are cumulative)", (where,))
 
 
-def _count(config: ConfigDocument, name: str, reason: str) -> Fact | UnknownValue:
+def _count(config: ConfigDocument, name: str, reason: str) -> Fact | UnknownFact:
     value = config.at(name)
     if isinstance(value, int) and not isinstance(value, bool) and value > 0:
         return certain(value, Evidence(_CONFIG, None, f"{name}: {value}"))
-    return UnknownValue(f"{reason}: {name} is {value!r}")
+    return UnknownFact(f"{reason}: {name} is {value!r}")
 
 
 def _history(config: ConfigDocument) -> dict[str, Tree] | None:

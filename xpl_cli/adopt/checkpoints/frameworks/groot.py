@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from xpl_cli.adopt.checkpoints import names
 from xpl_cli.adopt.checkpoints.layout import DataRange, VectorNumbers
 from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
-from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, assumed, certain, likely
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact, assumed, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
@@ -38,14 +38,14 @@ def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
 
 
 def read(folder: CheckpointFolder, key: str | None = None) -> TrainedModel:
-    """Return what a checkpoint says.
+    """Read a checkpoint.
 
     Args:
-        folder: which holds its files.
-        key: embodiment tag, where the checkpoint has several.
+        folder: with its files.
+        key: embodiment tag, if the checkpoint has several.
 
     Raises:
-        UserError: if a file is not what it should be, or several tags leave a choice.
+        UserError: a file is invalid, or the checkpoint has several tags and `key` is None.
     """
     return _read_processor_config(folder, key) if folder.has(_NEWER) else _read_metadata(folder, key)
 
@@ -78,7 +78,7 @@ def _read_processor_config(folder: CheckpointFolder, key: str | None) -> Trained
             len(steps), config.evidence_of(*path, tag, "action", "delta_indices", what=f"{len(steps)} delta_indices")
         )
         if steps
-        else UnknownValue("how many steps an answer has: the action has no delta_indices"),
+        else UnknownFact("number of actions in a chunk: the action has no delta_indices"),
         sampling=likely("seeded", Evidence(f"{CODE}/model", None, "the action head draws noise (flow matching)")),
         instruction=_instruction(groups["language"], config.evidence_of(*path, tag, "language", "modality_keys")),
         history=_history(video_indices, config.evidence_of(*path, tag, "video", "delta_indices")),
@@ -116,17 +116,15 @@ def _read_metadata(folder: CheckpointFolder, key: str | None) -> TrainedModel:
         action=statistics.answer(groups["action"], where),
         reference=certain("absolute", where)
         if absolute and all(absolute)
-        else UnknownValue("what actions are counted from: not all groups are absolute", (where,)),
+        else UnknownFact("what actions are relative to: not all groups are absolute", (where,)),
         chunk=certain(steps, config.evidence_of(*(head if config.at(*head) else ("action_horizon",))))
         if config and steps
-        else UnknownValue("how many steps an answer has: config.json names no action_horizon"),
+        else UnknownFact("number of actions in a chunk: config.json names no action_horizon"),
         sampling=likely("seeded", Evidence(f"{CODE}/model/action_head", None, "flow matching draws noise")),
         instruction={"input": assumed("annotation.human.task_description", "the data config names it; often this")},
         robot=certain(tag, meta.evidence_of(tag, what=f"embodiment tag {tag}")),
         upstream=upstream("NVIDIA/Isaac-GR00T", "Apache-2.0"),
-        notes=[
-            "the data config (order of the groups, history, normalisation) is chosen by name when the policy is loaded"
-        ],
+        notes=["the data config (order of the groups, history, normalisation) is selected by name when it is loaded"],
     )
 
 
@@ -141,9 +139,9 @@ class _EmbodimentStatistics:
     """Statistics of one embodiment, by kind and group.
 
     Attributes:
-        file: where they are; None where there are none.
-        path: what leads to them.
-        own: what says that the policy's class uses them itself.
+        file: the statistics file; None if there is none.
+        path: keys of the statistics in it.
+        own: evidence that the policy's class normalises itself.
     """
 
     file: ConfigDocument | None
@@ -155,10 +153,10 @@ class _EmbodimentStatistics:
         return VectorSpec(self._numbers([group], "state", where), certain(f"state.{group}", where), self._normal())
 
     def answer(self, groups: list[str], where: Evidence) -> VectorSpec:
-        """Return all groups of an action, one after the other.
+        """Return all groups of an action, concatenated.
 
         Raises:
-            UserError: there are none.
+            UserError: there are no groups.
         """
         if not groups:
             raise UserError(f"{where.file}: expected the groups of an action, got none")
@@ -186,14 +184,14 @@ class _EmbodimentStatistics:
         return VectorNumbers(width, width_evidence, names.names_of_groups(counted), where, within)
 
 
-def _reference(config: ConfigDocument, path: tuple[str, ...]) -> Fact | UnknownValue:
+def _reference(config: ConfigDocument, path: tuple[str, ...]) -> Fact | UnknownFact:
     configs = config.get(list, *path, default=[])
     kinds = {str(entry.get("rep")) for entry in configs if isinstance(entry, dict)}
     where = config.evidence_of(*path, what=f"rep: {', '.join(sorted(kinds)) or 'nothing'}")
     if kinds and kinds <= {"ABSOLUTE", "RELATIVE"}:
-        # What is relative to the state Gr00tPolicy makes absolute again (unapply_action).
+        # Gr00tPolicy converts relative actions to absolute ones (unapply_action).
         return likely("absolute", where)
-    return UnknownValue("what actions are counted from", (where,))
+    return UnknownFact("what actions are relative to", (where,))
 
 
 def _instruction(keys: list[str], where: Evidence) -> dict[str, Tree] | None:
@@ -207,7 +205,7 @@ def _history(indices: list[object], where: Evidence) -> dict[str, Tree] | None:
     strides = {b - a for a, b in pairwise(steps)}
     stride = strides.pop() if len(strides) == 1 else 0
     if stride < 1:
-        return {"length": UnknownValue("video delta_indices are not evenly spaced", (where,))}
+        return {"length": UnknownFact("video delta_indices are not evenly spaced", (where,))}
     return {"length": certain(len(steps), where), "stride": certain(stride, where), "of": ["images"]}
 
 
@@ -215,4 +213,4 @@ def _code(formal: bool, config: ConfigDocument) -> list[Fact]:  # noqa: FBT001 -
     if not formal:
         return []
     where = config.evidence_of("processor_kwargs", "formalize_language")
-    return [certain("the processor writes the instruction in small letters, without punctuation", where)]
+    return [certain("the processor lower-cases the instruction and removes punctuation", where)]

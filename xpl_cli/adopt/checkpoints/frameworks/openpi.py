@@ -2,7 +2,7 @@
 
 Source: Physical-Intelligence/openpi src/openpi/shared/normalize.py, src/openpi/training/checkpoints.py (assets/<asset
 id>/norm_stats.json beside params/), src/openpi/transforms.py, src/openpi/models/model.py (IMAGE_KEYS, Observation) and
-examples/convert_jax_model_to_pytorch.py (config.json). A data config is Python: `config.py` is read as a syntax tree.
+examples/convert_jax_model_to_pytorch.py (config.json). A data config is Python: `config.py` is parsed, not run.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.adopt.checkpoints.layout import DataRange, VectorNumbers
 from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
-from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, certain, likely
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
@@ -46,15 +46,15 @@ def _files(folder: CheckpointFolder) -> list[str]:
 
 
 def read(folder: CheckpointFolder, key: str | None = None, code: CheckpointFolder | None = None) -> TrainedModel:
-    """Return what a checkpoint says.
+    """Read a checkpoint.
 
     Args:
-        folder: which holds `assets/`.
-        key: the asset id, where there are several.
-        code: a checkout of openpi, whose training config says the rest.
+        folder: with `assets/`.
+        key: the asset id, if there are several.
+        code: a checkout of openpi, for its training config.
 
     Raises:
-        UserError: if a file is not what it should be, or several assets leave a choice.
+        UserError: a file is invalid, or there are several assets and `key` is None.
     """
     return _OpenpiReader(folder, key, code).trained()
 
@@ -75,7 +75,7 @@ class _OpenpiReader:
         if self.source is None:
             self.notes.append(
                 f"cameras, joints and deltas are in openpi's training config{f' {self.name}' if self.name else ''}: "
-                "give a checkout of openpi with a second --from"
+                "pass a checkout of openpi with a second --from"
             )
         return TrainedModel(
             framework=NAME,
@@ -93,7 +93,7 @@ class _OpenpiReader:
             upstream=upstream("Physical-Intelligence/openpi", "Apache-2.0"),
             code=[
                 likely(
-                    "the tokenizer strips the prompt and makes spaces of _ and line ends",
+                    "the tokenizer strips the prompt and replaces _ and line breaks by spaces",
                     Evidence(f"{CODE}/models/tokenizer.py:23", None, "tokenize"),
                 )
             ],
@@ -104,12 +104,12 @@ class _OpenpiReader:
         path = ("norm_stats", name)
         mean, std = self.stats.numbers(*path, "mean"), self.stats.numbers(*path, "std")
         if not mean or not std or len(mean) != len(std):
-            raise UserError(f"{self.stats.location(*path)}: expected mean and std of {name}, as many of each")
+            raise UserError(f"{self.stats.location(*path)}: expected mean and std of {name}, of equal length")
         moved = max((index + 1 for index, (a, b) in enumerate(zip(mean, std, strict=True)) if a or b), default=0)
         width = moved or len(mean)
         where = Evidence(self.file, self.stats.line(*path), f"{name}: {width} of {len(mean)} numbers are not zero")
         within = DataRange.read(self.stats, path, "q01", "q99")
-        if within is not None:  # what does not move fills the vector up
+        if within is not None:  # constant dimensions are padding
             is_complete = len(within.low) == len(mean)
             within = replace(within, low=within.low[:width], high=within.high[:width]) if is_complete else None
         return VectorNumbers(width, where, range=within)
@@ -128,8 +128,9 @@ class _OpenpiReader:
         if kind:
             names = {"low": "q01", "high": "q99"}
             return {"rule": likely("quantiles", use), **common, "names": names, "epsilon": epsilon}
-        return UnknownValue(
-            "mean_std for pi0, quantiles for pi05 and pi0-FAST: no name says which the checkpoint is", (there,)
+        return UnknownFact(
+            "mean_std for pi0, quantiles for pi05 and pi0-FAST: the checkpoint's name does not tell which it is",
+            (there,),
         )
 
     def _pad(self) -> Tree:
@@ -142,14 +143,14 @@ class _OpenpiReader:
             return None
         return likely(_WIDTH, Evidence(f"{CODE}/models/pi0_config.py:25", None, "action_dim: int = 32"))
 
-    def _chunk(self) -> Fact | UnknownValue:
+    def _chunk(self) -> Fact | UnknownFact:
         if self.config and (steps := self.config.get(int, "action_horizon", default=0)):
             return certain(steps, self.config.evidence_of("action_horizon"))
         if self.source and (horizon := self.source.model.get("action_horizon")):
             return certain(*horizon)
         if self.source:
             return likely(50, Evidence(f"{CODE}/models/pi0_config.py:26", None, "action_horizon: int = 50"))
-        return UnknownValue("action_horizon of the training config, 50 by default")
+        return UnknownFact("action_horizon of the training config, 50 by default")
 
     def _view(self, name: str) -> ImageSpec:
         where = Evidence(f"{CODE}/models/model.py:39", None, f"IMAGE_KEYS: {name}")
@@ -174,19 +175,19 @@ class _OpenpiReader:
             optional=name != _IMAGES[0],
         )
 
-    def _reference(self) -> Fact | UnknownValue:
+    def _reference(self) -> Fact | UnknownFact:
         if self.source is None:
-            return UnknownValue("delta_state where the data config has DeltaActions, else as recorded")
+            return UnknownFact("delta_state where the data config has DeltaActions, else as recorded")
         return self.source.reference()
 
-    def _sampling(self, kind: str) -> Fact | UnknownValue:
+    def _sampling(self, kind: str) -> Fact | UnknownFact:
         where = Evidence(f"{CODE}/models/pi0.py:231", None, "sample_actions draws noise")
         sampling = dict(_FAMILIES).get(kind)
-        return likely(sampling, where) if sampling else UnknownValue("seeded for pi0 and pi05, none for pi0-FAST")
+        return likely(sampling, where) if sampling else UnknownFact("seeded for pi0 and pi05, none for pi0-FAST")
 
 
 class _TrainConfig:
-    """One `TrainConfig(...)` of openpi's config.py, as far as it is written with literals."""
+    """One `TrainConfig(...)` of openpi's config.py, as far as it has literals."""
 
     def __init__(self, name: str, call: ast.Call) -> None:
         self.name = name
@@ -200,7 +201,7 @@ class _TrainConfig:
 
     @classmethod
     def of(cls, code: CheckpointFolder, name: str) -> _TrainConfig | None:
-        """Return the config of a name; None if there is none, or the file is no Python."""
+        """Return the config of a name; None if there is none, or the file does not parse."""
         try:
             tree = ast.parse(code.text(CONFIGS))
         except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -223,7 +224,7 @@ class _TrainConfig:
         return Evidence(CONFIGS, node.lineno, f"{self.name}: {ast.unparse(node)[:60]}")
 
     def _cameras(self, data: ast.expr) -> Any:
-        """Yield the model's images with the data's names, where a RepackTransform lists them."""
+        """Yield the dataset's names of the model's images, if a RepackTransform lists them."""
         meant = {"cam_high": _IMAGES[0], "cam_left_wrist": _IMAGES[1], "cam_right_wrist": _IMAGES[2]}
         for node in ast.walk(data):
             if isinstance(node, ast.Dict):
@@ -231,15 +232,15 @@ class _TrainConfig:
                     if isinstance(key, ast.Constant) and isinstance(value, ast.Constant) and key.value in meant:
                         yield meant[key.value], (str(value.value), self._at(value))
 
-    def reference(self) -> Fact | UnknownValue:
-        """Return what actions are counted from, by the factory of the data config."""
+    def reference(self) -> Fact | UnknownFact:
+        """Return what actions are relative to, by the data config's factory."""
         where = Evidence(CONFIGS, self.line, f"{self.name}: {self.factory}")
         flags = {
             "LeRobotAlohaDataConfig": ("use_delta_joint_actions", True),
             "LeRobotLiberoDataConfig": ("extra_delta_transform", False),
         }
         if self.factory not in flags:
-            return UnknownValue(f"delta_state where {self.factory or 'its data config'} has DeltaActions", (where,))
+            return UnknownFact(f"delta_state where {self.factory or 'its data config'} has DeltaActions", (where,))
         flag, usual = flags[self.factory]
         value, evidence = self.data.get(flag, (usual, where))
         if value:

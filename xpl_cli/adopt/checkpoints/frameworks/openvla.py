@@ -1,8 +1,8 @@
-"""OpenVLA and OpenVLA-OFT: `dataset_statistics.json`, or `norm_stats` in config.json, and the heads beside the weights.
+"""OpenVLA and OpenVLA-OFT: `dataset_statistics.json`, or `norm_stats` in config.json, and the heads' weights.
 
 Source: openvla/openvla prismatic/extern/hf/modeling_prismatic.py (predict_action), prismatic/extern/hf/
 configuration_prismatic.py; moojink/openvla-oft experiments/robot/openvla_utils.py and prismatic/vla/constants.py. The
-model's images are what its processor gets: 224 x 224 bytes.
+model's images are the inputs of its processor: 224 x 224 uint8.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.layout import DataRange, VectorNumbers
 from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
-from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, assumed, certain, likely
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact, assumed, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
@@ -23,9 +23,9 @@ OFT: Final = "moojink/openvla-oft@213c5ff"
 _CONFIG: Final = "config.json"
 _STATISTICS: Final = "dataset_statistics.json"
 _POSE: Final = ("x", "y", "z", "roll", "pitch", "yaw", "gripper")
-"""What seven numbers of an action of the Open X-Embodiment data are (EEF_POS): deltas, and the gripper."""
+"""The seven numbers of an action in Open X-Embodiment data (EEF_POS): deltas, and the gripper."""
 _CHUNKS: Final = {"libero": 8, "aloha": 25, "bridge": 5}
-"""NUM_ACTIONS_CHUNK of openvla-oft by the platform in the name of the data (prismatic/vla/constants.py)."""
+"""NUM_ACTIONS_CHUNK of openvla-oft by the platform in the dataset's name (prismatic/vla/constants.py)."""
 _ALOHA: Final = 14
 
 
@@ -37,14 +37,14 @@ def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
 
 
 def read(folder: CheckpointFolder, key: str | None = None) -> TrainedModel:
-    """Return what a checkpoint says.
+    """Read a checkpoint.
 
     Args:
-        folder: which holds config.json.
-        key: unnorm_key, where the statistics are those of several data sets.
+        folder: with config.json.
+        key: unnorm_key, if the statistics are of several datasets.
 
     Raises:
-        UserError: if a file is not what it should be, or several data sets leave a choice.
+        UserError: a file is invalid, or there are several datasets and `key` is None.
     """
     config = folder.json(_CONFIG)
     own = folder.has(_STATISTICS)
@@ -81,7 +81,7 @@ def read(folder: CheckpointFolder, key: str | None = None) -> TrainedModel:
         upstream=upstream("moojink/openvla-oft" if heads else "openvla/openvla", "MIT"),
         code=[
             likely(
-                "images pass through JPEG; then a centre of 0.9 of their area is cut out between pixels",
+                "images pass through JPEG; then a subpixel centre crop of 0.9 of their area",
                 Evidence(
                     f"{OFT}:experiments/robot/openvla_utils.py", None, "resize_image_for_policy, center_crop_image"
                 ),
@@ -94,7 +94,7 @@ def read(folder: CheckpointFolder, key: str | None = None) -> TrainedModel:
 def _numbers(stats: ConfigDocument, path: tuple[str, ...]) -> VectorNumbers:
     within = DataRange.read(stats, path, "q01", "q99")
     if within is None:
-        raise UserError(f"{stats.location(*path)}: expected q01 and q99 of {path[-1]}, as many of each")
+        raise UserError(f"{stats.location(*path)}: expected q01 and q99 of {path[-1]}, of equal length")
     width = len(within.low)
     where = stats.evidence_of(*path, what=f"{path[-1]}: {width} numbers")
     if width == len(_POSE):
@@ -141,8 +141,10 @@ def _view(config: ConfigDocument, *, wrist: bool, oft: bool) -> ImageSpec:
         "layout": "hwc",
         "dtype": "uint8",
     }
-    if wrist and oft:  # with proprioception OFT reads wrists too; how many is an option of the run
-        rest["stack"] = UnknownValue("num_images_in_input of the run: one image, or the wrists' too (stack: views)")
+    if wrist and oft:  # with proprioception OFT also reads wrist cameras; their number is an option of the run
+        rest["stack"] = UnknownFact(
+            "num_images_in_input of the run: one image, or also the wrist cameras (stack: views)"
+        )
     where = Evidence(f"{OFT}:experiments/robot/openvla_utils.py", None, 'obs["full_image"]')
     return ImageSpec(likely("full_image", where), ["primary"], where, (size[0], size[1]), steps, rest)
 
@@ -152,28 +154,26 @@ def _state(stats: ConfigDocument, path: tuple[str, ...]) -> VectorSpec:
     return VectorSpec(_numbers(stats, path), likely("state", where), _rule(stats, path, oft=True, is_action=False))
 
 
-def _reference(action: VectorNumbers) -> Fact | UnknownValue:
+def _reference(action: VectorNumbers) -> Fact | UnknownFact:
     if action.width != len(_POSE):
-        return UnknownValue(
-            "what actions are counted from: absolute joints in ALOHA data, deltas in others", (action.evidence,)
+        return UnknownFact(
+            "what actions are relative to: absolute joints in ALOHA data, deltas in others", (action.evidence,)
         )
     where = Evidence(f"{CODE}/vla/datasets/rlds/oxe/configs.py", None, "EEF_POS: delta XYZ, delta rotation")
     return likely("cumulative", where)
 
 
-def _chunk(dataset: str, heads: list[str]) -> Fact | UnknownValue:
+def _chunk(dataset: str, heads: list[str]) -> Fact | UnknownFact:
     if not heads:
         return likely(1, Evidence(f"{CODE}/extern/hf/modeling_prismatic.py", None, "predict_action returns one action"))
     platform = next((name for name in _CHUNKS if name in dataset.lower()), None)
     where = Evidence(f"{OFT}:prismatic/vla/constants.py", None, f"NUM_ACTIONS_CHUNK of {platform}")
     return (
-        likely(_CHUNKS[platform], where)
-        if platform
-        else UnknownValue("NUM_ACTIONS_CHUNK of prismatic/vla/constants.py")
+        likely(_CHUNKS[platform], where) if platform else UnknownFact("NUM_ACTIONS_CHUNK of prismatic/vla/constants.py")
     )
 
 
-def _sampling(heads: list[str]) -> Fact | UnknownValue:
+def _sampling(heads: list[str]) -> Fact | UnknownFact:
     if any(name.startswith("noisy") for name in heads):
         return likely("seeded", Evidence(heads[0], None, "diffusion draws noise (torch.randn)"))
     return assumed("none", "do_sample is False in predict_action")

@@ -1,6 +1,6 @@
-"""RDT-1B and its fine-tunings: `config.json` of RDTRunner, whose vectors have one place for each quantity.
+"""RDT-1B and its fine-tunings: `config.json` of RDTRunner, whose vectors have one index per quantity.
 
-Source: thu-ml/RoboticsDiffusionTransformer models/rdt_runner.py, models/hub_mixin.py, configs/state_vec.py (places),
+Source: thu-ml/RoboticsDiffusionTransformer models/rdt_runner.py, models/hub_mixin.py, configs/state_vec.py (indices),
 scripts/agilex_model.py (images, grippers).
 """
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl_cli.adopt.checkpoints import layout
 from xpl_cli.adopt.checkpoints.layout import VectorNumbers
 from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
-from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, assumed, certain, likely
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact, assumed, certain, likely
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
@@ -22,7 +22,7 @@ CODE: Final = "thu-ml/RoboticsDiffusionTransformer@deb71d8"
 _CONFIG: Final = "config.json"
 _VECTOR: Final = Evidence(f"{CODE}:configs/state_vec.py", None, "STATE_VEC_IDX_MAPPING")
 _STARTS: Final = {"right": (0, 10), "left": (50, 60)}
-"""First place of an arm's joints and of its gripper. A single arm has the right one's places."""
+"""First index of an arm's joints and of its gripper. A single arm has the indices of the right one."""
 _SIGLIP: Final = 384
 _GREY: Final = 127
 _CAMERAS: Final = ("exterior", "right_wrist", "left_wrist")
@@ -37,10 +37,10 @@ def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
 
 
 def read(folder: CheckpointFolder) -> TrainedModel:
-    """Return what a checkpoint says.
+    """Read a checkpoint.
 
     Raises:
-        UserError: if config.json is not what it should be.
+        UserError: config.json is invalid.
     """
     config = folder.json(_CONFIG)
     width = config.get(int, "state_token_dim")
@@ -63,13 +63,13 @@ def read(folder: CheckpointFolder) -> TrainedModel:
         upstream=upstream("thu-ml/RoboticsDiffusionTransformer", "MIT"),
         code=[
             likely("the instruction is embedded by T5-XXL", step),
-            likely("action_mask names the places that the robot has, and ctrl_freqs its rate", step),
+            likely("action_mask marks the indices that the robot has, ctrl_freqs is its rate", step),
         ],
     )
 
 
 def _plain() -> Fact:
-    return likely(None, Evidence(f"{CODE}:README.md", None, "RDT normalises nothing but the gripper, to 0..1"))
+    return likely(None, Evidence(f"{CODE}:README.md", None, "RDT normalises only the gripper, to 0..1"))
 
 
 def _history(config: ConfigDocument) -> dict[str, Tree] | None:
@@ -102,13 +102,13 @@ def _view(step: Evidence) -> ImageSpec:
 
 
 class _StateVectorParts:
-    """Makes the parts of a vector of RDT for a robot: joints and grippers at their places, nothing elsewhere."""
+    """Returns the parts of an RDT vector for a robot: joints and grippers at their indices, fill elsewhere."""
 
     def __init__(self, width: int) -> None:
         self.width = width
 
     def __call__(self, robot: Embodiment, gripper: tuple[float, float] | None) -> Tree:
-        """Return the parts; a gripper is 0..1, open at 1 (right_gripper_open), unless the user says otherwise."""
+        """Return the parts; a gripper is 0..1, open at 1 (right_gripper_open), unless the user gives other values."""
         parts: list[Any] = []
         offset = 0
         arms = dict(zip(layout.sides(robot), robot.arms, strict=True))
@@ -120,7 +120,7 @@ class _StateVectorParts:
                 continue
             arm = arms[name]
             if not layout.is_gripper(arm):
-                return UnknownValue("RDT has no places for hands with several fingers", (_VECTOR,))
+                return UnknownFact("RDT has no indices for hands with several fingers", (_VECTOR,))
             offset = _fill_until(parts, offset, joints)
             parts.append({"joints": {"arm": likely(name, _VECTOR), "unit": likely("rad", _VECTOR)}})
             offset = _fill_until(parts, offset + arm.dof, hand)

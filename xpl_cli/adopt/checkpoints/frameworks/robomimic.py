@@ -1,7 +1,7 @@
-"""robomimic: the `config.json` of a run; the `.pth` beside it is a pickle, and is not opened.
+"""robomimic: the `config.json` of a run; the `.pth` beside it is a pickle and is not opened.
 
 Source: ARISE-Initiative/robomimic robomimic/scripts/train.py (config.json), robomimic/utils/train_utils.py
-(save_model), robomimic/utils/file_utils.py (what a checkpoint holds: shape_metadata, normalisation statistics).
+(save_model), robomimic/utils/file_utils.py (content of a checkpoint: shape_metadata, normalisation statistics).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.layout import VectorNumbers
 from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
-from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, certain, likely
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact, certain, likely
 
 if TYPE_CHECKING:
     from xpl_cli.adopt.checkpoints.reading import CheckpointFolder, ConfigDocument
@@ -25,12 +25,12 @@ _NAMES: Final = {
     "eef_quat": ("qx", "qy", "qz", "qw"),
     "gripper_qpos": ("gripper_0", "gripper_1"),
 }
-"""Observations of robosuite with one arm: what they hold."""
+"""Observations of robosuite with one arm, with the names of their numbers."""
 _STOCHASTIC: Final = ("gaussian", "gmm", "vae")
 
 
 def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
-    """Return the folder of a run of robomimic, which holds config.json; None if it is none."""
+    """Return the folder of a run of robomimic; None if it is none."""
     if not folder.has(_CONFIG):
         return None
     config = folder.json(_CONFIG)
@@ -39,10 +39,10 @@ def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
 
 
 def read(folder: CheckpointFolder) -> TrainedModel:
-    """Return what a run says.
+    """Read a training run.
 
     Raises:
-        UserError: if config.json is not what it should be.
+        UserError: config.json is invalid.
     """
     config = folder.json(_CONFIG)
     algorithm = config.get(str, "algo_name")
@@ -54,7 +54,7 @@ def read(folder: CheckpointFolder) -> TrainedModel:
         "dtype": likely("float32", eye),
     }
     rgb, low = config.texts(*modalities, "rgb") or [], config.texts(*modalities, "low_dim") or []
-    size = UnknownValue("height and width: the data set's own, which the pickled shape_metadata holds")
+    size = UnknownFact("height and width: those of the dataset, in the pickled shape_metadata")
     return TrainedModel(
         framework=NAME,
         about=f"{algorithm} of robomimic",
@@ -64,7 +64,7 @@ def read(folder: CheckpointFolder) -> TrainedModel:
                 certain(name, config.evidence_of(*modalities, "rgb", what=name)),
                 [name],
                 config.evidence_of(*modalities, "rgb", what=name),
-                steps=[{"resize": {"to": size, "filter": UnknownValue("the filter")}}],
+                steps=[{"resize": {"to": size, "filter": UnknownFact("the filter")}}],
                 rest=rest,
             )
             for name in rgb
@@ -73,35 +73,33 @@ def read(folder: CheckpointFolder) -> TrainedModel:
         action=VectorSpec(
             VectorNumbers(0, config.evidence_of("train", "action_keys")), None, _actions(config), parts=_unknown_width()
         ),
-        reference=UnknownValue(
-            "deltas of robosuite's controller (cumulative), or absolute: the data set's env_args say it"
-        ),
+        reference=UnknownFact("deltas of robosuite's controller (cumulative), or absolute: see the dataset's env_args"),
         chunk=_chunk(config, algorithm),
         sampling=_sampling(config, algorithm),
         recurrent=_recurrent(config),
         history=_history(config, algorithm),
         upstream=upstream("ARISE-Initiative/robomimic", "MIT"),
-        notes=[f"{folder.pickles('models/*.pth')}; widths and statistics are in it"],
+        notes=[f"{folder.pickles('models/*.pth')}; it contains widths and statistics"],
     )
 
 
-def _unknown_width() -> UnknownValue:
-    return UnknownValue("how many numbers an action has: shape_metadata/ac_dim is in the pickled checkpoint")
+def _unknown_width() -> UnknownFact:
+    return UnknownFact("width of an action: shape_metadata/ac_dim is in the pickled checkpoint")
 
 
 def _state(name: str, config: ConfigDocument, where: Evidence) -> VectorSpec:
     quantity = re.sub(r"^robot\d_", "", name)
     width = _WIDTHS.get(quantity, 0)
     if config.at("train", "hdf5_normalize_obs") is True:
-        rule: Tree = UnknownValue(
+        rule: Tree = UnknownFact(
             "mean_std: its numbers (obs_normalization_stats) are in the pickled checkpoint", (where,)
         )
     else:
         rule = certain(None, config.evidence_of("train", "hdf5_normalize_obs"))
     if not width:
-        parts = UnknownValue(f"what {name} holds: its width is in the pickled checkpoint", (where,))
+        parts = UnknownFact(f"meaning of {name}: its width is in the pickled checkpoint", (where,))
         return VectorSpec(VectorNumbers(0, where), certain(name, where), rule, parts=parts)
-    names_evidence = Evidence(where.file, where.line, f"{name}, as robosuite has it")
+    names_evidence = Evidence(where.file, where.line, f"{name}, as in robosuite")
     return VectorSpec(VectorNumbers(width, where, _NAMES[quantity], names_evidence), certain(name, where), rule)
 
 
@@ -110,19 +108,19 @@ def _actions(config: ConfigDocument) -> Tree:
     rules = {str(entry.get("normalization")) for entry in entries.values() if isinstance(entry, dict)}
     if rules <= {"None"}:
         return certain(None, config.evidence_of("train", "action_config", what="normalization: null"))
-    return UnknownValue(
+    return UnknownFact(
         f"{', '.join(sorted(rules))}: its numbers are in the pickled checkpoint",
         (config.evidence_of("train", "action_config"),),
     )
 
 
-def _chunk(config: ConfigDocument, algorithm: str) -> Fact | UnknownValue:
+def _chunk(config: ConfigDocument, algorithm: str) -> Fact | UnknownFact:
     if "diffusion" in algorithm:
         steps = config.get(int, "algo", "horizon", "action_horizon", default=0)
         return (
             certain(steps, config.evidence_of("algo", "horizon", "action_horizon"))
             if steps
-            else UnknownValue("algo.horizon.action_horizon")
+            else UnknownFact("algo.horizon.action_horizon")
         )
     return likely(1, Evidence(f"{CODE}/algo/bc.py", None, "get_action returns one action"))
 
@@ -138,7 +136,7 @@ def _history(config: ConfigDocument, algorithm: str) -> dict[str, Tree] | None:
     return {"length": certain(length, config.evidence_of(*path))} if length > 1 else None
 
 
-def _sampling(config: ConfigDocument, algorithm: str) -> Fact | UnknownValue:
+def _sampling(config: ConfigDocument, algorithm: str) -> Fact | UnknownFact:
     stochastic = [name for name in _STOCHASTIC if config.at("algo", name, "enabled") is True]
     if stochastic or "diffusion" in algorithm:
         where = config.evidence_of("algo", stochastic[0], "enabled") if stochastic else config.evidence_of("algo_name")

@@ -1,7 +1,7 @@
 """StarVLA: `config.yaml` and `dataset_statistics.json` of a run, two folders above its `.pt`.
 
 Source: starVLA/starVLA starVLA/model/framework/share_tools.py (read_mode_config), deployment/model_server/
-policy_norm_processor.py. Weights are pickles, which are not opened.
+policy_norm_processor.py. Weights are pickles and are not opened.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.layout import DataRange, VectorNumbers
 from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
-from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, certain, likely
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
@@ -37,14 +37,14 @@ def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
 
 
 def read(folder: CheckpointFolder, key: str | None = None) -> TrainedModel:
-    """Return what a run says.
+    """Read a training run.
 
     Args:
-        folder: which holds config.yaml.
-        key: which entry of the statistics counts, where there are several.
+        folder: with config.yaml.
+        key: entry of the statistics, if there are several.
 
     Raises:
-        UserError: if a file is not what it should be, or several entries leave a choice.
+        UserError: a file is invalid, or there are several entries and `key` is None.
     """
     config, stats = folder.yaml(_CONFIG), folder.json(_STATISTICS)
     entry = stats.choose_entry(stats.get(dict), key)
@@ -63,7 +63,7 @@ def read(folder: CheckpointFolder, key: str | None = None) -> TrainedModel:
         action=_vector(stats, entry, "action", None),
         reference=_reference(config),
         chunk=_chunk(config),
-        sampling=UnknownValue("none, seeded or free: it depends on the framework's action head", (where,)),
+        sampling=UnknownFact("none, seeded or free: it depends on the framework's action head", (where,)),
         instruction={
             "input": likely("lang", Evidence(f"{CODE}:deployment/model_server", None, "examples have a lang"))
         },
@@ -86,7 +86,7 @@ def _view(config: ConfigDocument) -> ImageSpec:
             {
                 "resize": {
                     "to": certain([int(one) for one in size], where),
-                    "filter": UnknownValue("the filter", (code,)),
+                    "filter": UnknownFact("the filter", (code,)),
                 }
             }
         )
@@ -96,7 +96,7 @@ def _view(config: ConfigDocument) -> ImageSpec:
         "dtype": "uint8",
     }
     views = Evidence(_CONFIG, None, "a list of views, in the order of the data config's video keys")
-    rest["stack"] = UnknownValue("how many views, and how they are put together", (views,))
+    rest["stack"] = UnknownFact("number of views, and how they are concatenated", (views,))
     size_known = (int(size[0]), int(size[1])) if size and len(size) == 2 else None
     return ImageSpec(likely("image", views), ["of the data config"], views, size_known, steps, rest)
 
@@ -105,30 +105,30 @@ def _vector(stats: ConfigDocument, entry: str, kind: str, name: Fact | None) -> 
     path = (entry, kind)
     within = DataRange.read(stats, path, "min", "max")
     if within is None:
-        raise UserError(f"{stats.location(*path)}: expected min and max of {kind}, as many of each")
+        raise UserError(f"{stats.location(*path)}: expected min and max of {kind}, of equal length")
     width = len(within.low)
     numbers = VectorNumbers(width, stats.evidence_of(*path, what=f"{kind}: {width} numbers"), range=within)
     present = ", ".join(word for word in ("min", "max", "q01", "q99", "mean", "std") if stats.at(*path, word))
-    rule = UnknownValue(
-        "min_max, quantiles or mean_std: the data config says it by key", (stats.evidence_of(*path, what=present),)
+    rule = UnknownFact(
+        "min_max, quantiles or mean_std: see the data config, by key", (stats.evidence_of(*path, what=present),)
     )
     return VectorSpec(numbers, name, rule)
 
 
-def _reference(config: ConfigDocument) -> Fact | UnknownValue:
+def _reference(config: ConfigDocument) -> Fact | UnknownFact:
     mode = config.get(str, *_DATA, "action_type", default="")
     where = config.evidence_of(*_DATA, "action_type")
     if mode.startswith("delta"):
         return likely("cumulative", where)
     if mode.startswith("abs"):
         return likely("absolute", where)
-    return UnknownValue("what actions are counted from", (where,) if mode else ())
+    return UnknownFact("what actions are relative to", (where,) if mode else ())
 
 
-def _chunk(config: ConfigDocument) -> Fact | UnknownValue:
+def _chunk(config: ConfigDocument) -> Fact | UnknownFact:
     for path in _HORIZONS:
         steps = config.get(int, *path, default=0)
         if steps > 0:
             later = path[-1].startswith("future")  # the present step comes before them
             return likely(steps + later, config.evidence_of(*path))
-    return UnknownValue("how many steps an answer has: config.yaml names no action_horizon")
+    return UnknownFact("number of actions in a chunk: config.yaml names no action_horizon")

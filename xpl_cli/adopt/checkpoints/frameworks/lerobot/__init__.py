@@ -1,1 +1,1 @@
-"""LeRobot: what `save_pretrained` and a data set's `meta/` say. Formats: huggingface/lerobot v0.3 to v0.6."""
+"""LeRobot: checkpoints of `save_pretrained`, and `meta/` of datasets. Formats: huggingface/lerobot v0.3 to v0.6."""

@@ -1,8 +1,8 @@
-"""A checkpoint of LeRobot: `config.json`, the two processors and their statistics, with or without its data set.
+"""A checkpoint of LeRobot: `config.json`, the two processors and their statistics, with or without its dataset.
 
 Source: huggingface/lerobot src/lerobot/configs/policies.py (PreTrainedConfig), policies/*/configuration_*.py and
-processor/ there. The model's inputs are those of LeRobot's policy class (`predict_action_chunk`), so that what the
-class does itself, such as letterboxing in pi0 and SmolVLA, is not in the block.
+processor/ there. The model's inputs are those of LeRobot's policy class (`predict_action_chunk`): conversions of
+the class itself, such as letterboxing in pi0 and SmolVLA, are not in the block.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from xpl_cli.adopt.checkpoints.frameworks.lerobot.types import CODE, LICENSE, RE
 from xpl_cli.adopt.checkpoints.layout import DataRange, VectorNumbers
 from xpl_cli.adopt.checkpoints.reading import ConfigDocument
 from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
-from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownValue, assumed, certain, likely
+from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact, assumed, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
@@ -31,11 +31,11 @@ _STATE: Final = "observation.state"
 _ACTION: Final = "action"
 _EMPTY: Final = "empty_camera"
 _SAME: Final = 0.5
-"""Share of a state's range that an absolute command's range has at least; deltas to the state have far less."""
+"""Least ratio of an absolute command's range to the state's range; deltas have a much smaller range."""
 
 
 def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
-    """Return the folder that holds config.json: this one, or where training put it; None if it is not LeRobot's."""
+    """Return the folder of config.json: this one, or that of training; None if it is not LeRobot's."""
     for name in ("", "pretrained_model", "checkpoints/last/pretrained_model"):
         candidate = folder.below(name) if name else folder
         if candidate.has(CONFIG) and _is_policy(candidate.json(CONFIG)):
@@ -44,14 +44,14 @@ def inner(folder: CheckpointFolder) -> CheckpointFolder | None:
 
 
 def read(folder: CheckpointFolder, data: LeRobotDataset | None = None) -> TrainedModel:
-    """Return what a checkpoint says.
+    """Read a checkpoint.
 
     Args:
-        folder: which holds config.json.
-        data: the data set that it was trained on.
+        folder: with config.json.
+        data: the dataset that it was trained on.
 
     Raises:
-        UserError: if a file is not what it should be.
+        UserError: a file is invalid.
     """
     return _LeRobotReader(folder, data).trained()
 
@@ -76,11 +76,11 @@ class _LeRobotReader:
         self.exempt: list[bool] = []
         if older is not None:
             self.notes.append(
-                "the checkpoint has no processors: LeRobot 0.4 and newer want them; its "
-                "src/lerobot/processor/migrate_policy_normalization.py makes them from these weights"
+                "the checkpoint has no processors: LeRobot 0.4 and newer need them; its "
+                "src/lerobot/processor/migrate_policy_normalization.py creates them from these weights"
             )
         elif self.before is None:
-            self.notes.append("the checkpoint has neither processors nor statistics in its weights: say normalize")
+            self.notes.append("the checkpoint has neither processors nor statistics in its weights: set normalize")
 
     def trained(self) -> TrainedModel:
         config = self.config
@@ -122,7 +122,7 @@ class _LeRobotReader:
         )
 
     def _features(self, which: str) -> dict[str, tuple[str, list[int]]]:
-        """Return name to kind and shape of inputs or outputs; older checkpoints have shapes only."""
+        """Return kind and shape of each input or output; older checkpoints have shapes only."""
         features: dict[str, tuple[str, list[int]]] = {}
         for name, entry in self.config.get(dict, f"{which}_features", default={}).items():
             path = (f"{which}_features", name)
@@ -152,7 +152,7 @@ class _LeRobotReader:
         resizes = bool(self.policy_type and self.policy_type.resizes)
         if size and not resizes:
             shape_evidence = Evidence(CONFIG, self.config.line("input_features", name, "shape"), f"shape: {shape}")
-            why = "LeRobot resizes no image of another size itself; torch's bilinear filter, with antialias"
+            why = "LeRobot does not resize images; assumed is torch's bilinear filter, with antialias"
             steps.append(
                 {
                     "resize": {
@@ -183,7 +183,7 @@ class _LeRobotReader:
         )
 
     def _renamed(self, name: str) -> str:
-        """Return what the data called an image that a processor renames."""
+        """Return the dataset's name of an image that a processor renames."""
         steps = self.steps.get(list, "steps", default=[])
         for index, _ in enumerate(steps):
             names = self.steps.get(dict, "steps", index, "config", "rename_map", default={})
@@ -196,8 +196,8 @@ class _LeRobotReader:
         normalize = self.before.rule(name, "STATE" if name == _STATE else "ENV") if self.before else self._no_rule()
         parts = None
         if name != _STATE:
-            reason = f"{name} is what a simulator knows, and no observation of the standard holds"
-            parts = UnknownValue(reason, (self._at("input", name),))
+            reason = f"{name} is privileged information of a simulator, which no observation of the standard has"
+            parts = UnknownFact(reason, (self._at("input", name),))
         return VectorSpec(numbers, certain(name, self._at("input", name)), normalize, parts=parts)
 
     def _numbers(self, which: str, name: str, shape: list[int], held: Statistics | None) -> VectorNumbers:
@@ -239,12 +239,12 @@ class _LeRobotReader:
         normalize = self.after.rule(_ACTION, "ACTION") if self.after else self._no_rule()
         return VectorSpec(self._numbers("output", _ACTION, shape, self.after), None, normalize)
 
-    def _no_rule(self) -> UnknownValue:
-        return UnknownValue(
-            "the checkpoint holds neither processors nor statistics in its weights", (self.config.evidence_of("type"),)
+    def _no_rule(self) -> UnknownFact:
+        return UnknownFact(
+            "the checkpoint has neither processors nor statistics in its weights", (self.config.evidence_of("type"),)
         )
 
-    def _reference(self, shape: list[int]) -> Fact | UnknownValue:
+    def _reference(self, shape: list[int]) -> Fact | UnknownFact:
         steps = self.steps.get(list, "steps", default=[])
         for index, step in enumerate(steps):
             if isinstance(step, dict) and step.get("registry_name") == "relative_actions_processor":
@@ -259,43 +259,43 @@ class _LeRobotReader:
             return certain("delta_state", self.config.evidence_of("use_delta_joint_actions_aloha"))
         return self._by_ranges(shape)
 
-    def _by_ranges(self, shape: list[int]) -> Fact | UnknownValue:
-        """Return what actions are counted from, by how far they and the states of the data reach."""
+    def _by_ranges(self, shape: list[int]) -> Fact | UnknownFact:
+        """Return what actions are relative to, by the ranges of actions and states."""
         states, actions = (
             processor.range(name) if processor else None
             for processor, name in ((self.before, _STATE), (self.after, _ACTION))
         )
         if states is None or actions is None or len(states.low) != shape[0] or len(actions.low) != shape[0]:
-            return assumed("absolute", "LeRobot records commands as they are sent to the robot")
+            return assumed("absolute", "LeRobot records commands as sent to the robot")
         wide = [
             high - low >= _SAME * (top - bottom)
             for low, high, bottom, top in zip(actions.low, actions.high, states.low, states.high, strict=True)
             if top > bottom
         ]
-        summary = f"{sum(wide)} of {len(wide)} commands reach as far as the state does"
+        summary = f"{sum(wide)} of {len(wide)} commands have the range of the state"
         where = Evidence(actions.evidence.file, None, summary)
         if wide and sum(wide) >= 0.8 * len(wide):
             return likely("absolute", where)
-        return UnknownValue("absolute, or deltas to the state: commands reach less far than the state", (where,))
+        return UnknownFact("absolute, or deltas to the state: commands have a smaller range than the state", (where,))
 
-    def _chunk(self) -> Fact | UnknownValue:
+    def _chunk(self) -> Fact | UnknownFact:
         key = self.policy_type.horizon if self.policy_type else "n_action_steps"
         if self._ensembling() is not None:
             key = "chunk_size"
         for name in (key, "n_action_steps", "chunk_size", "horizon"):
             if (steps := self.config.get(int, name, default=0)) > 0:
                 return certain(steps, self.config.evidence_of(name))
-        return UnknownValue(
-            "how many steps an answer has: config.json names no n_action_steps", (self.config.evidence_of("type"),)
+        return UnknownFact(
+            "number of actions in a chunk: config.json names no n_action_steps", (self.config.evidence_of("type"),)
         )
 
     def _ensembling(self) -> Fact | None:
         decay: float | None = self.config.get(float, "temporal_ensemble_coeff", default=None)
         return None if decay is None else certain(decay, self.config.evidence_of("temporal_ensemble_coeff"))
 
-    def _sampling(self) -> Fact | UnknownValue:
+    def _sampling(self) -> Fact | UnknownFact:
         if self.policy_type is None:
-            return UnknownValue(
+            return UnknownFact(
                 f"none, seeded or free: LeRobot's type {self.type!r} is not known here",
                 (self.config.evidence_of("type"),),
             )
@@ -304,7 +304,7 @@ class _LeRobotReader:
             return certain("seeded", self.config.evidence_of("temperature"))
         return likely(self.policy_type.sampling, _code(self.policy_type))
 
-    # -- the data set --------------------------------------------------------------------------------------------------
+    # -- the dataset --------------------------------------------------------------------------------------------------
 
     def _action_names(self) -> tuple[list[str], Evidence] | None:
         """Return the names of an answer's numbers, where a checkpoint keeps them."""
@@ -319,7 +319,7 @@ class _LeRobotReader:
             training = self.folder.json(_TRAINING).at("dataset", "repo_id")
         dataset_name = f" ({training})" if isinstance(training, str) else ""
         self.notes.append(
-            f"names of joints, grippers and cameras, the rate and the robot are in the data set{dataset_name}: "
+            f"names of joints, grippers and cameras, the rate and the robot are in the dataset{dataset_name}: "
             "give its folder with a second --from"
         )
 

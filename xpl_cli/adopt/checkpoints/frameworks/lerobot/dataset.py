@@ -1,4 +1,4 @@
-"""A data set of LeRobot: `meta/info.json` and `meta/stats.json`.
+"""A dataset of LeRobot: `meta/info.json` and `meta/stats.json`.
 
 Source: huggingface/lerobot src/lerobot/datasets/ (DEFAULT_FEATURES, INFO_PATH, STATS_PATH); `names` is a list, or a map
 with one list in it ("motors", "axes").
@@ -23,25 +23,25 @@ STATS: Final = "meta/stats.json"
 
 @dataclass(frozen=True)
 class LeRobotDataset:
-    """What a data set says of its features."""
+    """A LeRobot dataset's metadata of its features."""
 
     info: ConfigDocument
     stats: ConfigDocument | None
 
     @property
     def rate(self) -> Fact | None:
-        """Frames a second."""
+        """Frames per second."""
         fps = self.info.get(float, "fps", default=None)
         return certain(_integer_if_whole(fps), self.info.evidence_of("fps")) if fps else None
 
     @property
     def robot(self) -> Fact | None:
-        """What the recording calls the robot."""
+        """The robot's name in the dataset."""
         name = self.info.get(str, "robot_type", default="")
         return certain(name, self.info.evidence_of("robot_type")) if name else None
 
     def names(self, feature: str) -> tuple[Sequence[str], Evidence] | None:
-        """Return what the numbers of a feature are called, and where that stands."""
+        """Return the names of a feature's numbers, and their source."""
         path: tuple[str, ...] = ("features", feature, "names")
         labels = self.info.texts(*path)
         inner = self.info.at(*path)
@@ -53,20 +53,20 @@ class LeRobotDataset:
         return labels, Evidence(self.info.file, self.info.line(*path), "names")
 
     def range(self, feature: str) -> DataRange | None:
-        """Return the least and greatest numbers of a feature."""
+        """Return the range of a feature."""
         return None if self.stats is None else DataRange.read(self.stats, (feature,), "min", "max")
 
 
 def recognises(folder: CheckpointFolder) -> bool:
-    """Tell whether a folder is a data set of LeRobot."""
+    """Tell whether a folder is a dataset of LeRobot."""
     return folder.has(INFO)
 
 
 def read(folder: CheckpointFolder) -> LeRobotDataset:
-    """Return what a data set says.
+    """Read a dataset's metadata.
 
     Raises:
-        UserError: if its files are not what they should be.
+        UserError: a file is invalid.
     """
     return LeRobotDataset(folder.json(INFO), folder.json(STATS) if folder.has(STATS) else None)
 

@@ -1,4 +1,4 @@
-"""LeRobot's normalisation: which rule each kind of feature has, and where its numbers lie.
+"""LeRobot's normalisation: the rule of each kind of feature, and the location of its statistics.
 
 Source: huggingface/lerobot src/lerobot/processor/normalize_processor.py (`_apply_transform`), and for checkpoints from
 before version 0.4 src/lerobot/processor/migrate_policy_normalization.py, which names the buffers in the weights.
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.layout import DataRange
-from xpl_cli.adopt.facts import Evidence, Tree, UnknownValue, certain
+from xpl_cli.adopt.facts import Evidence, Tree, UnknownFact, certain
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
@@ -31,14 +31,15 @@ _WEIGHTS: Final = "model.safetensors"
 
 @dataclass(frozen=True)
 class Statistics:
-    """The numbers of one processor, or of the weights.
+    """The statistics of one processor, or of the weights.
 
     Attributes:
-        file: where they lie, "" if nowhere.
-        numbers: feature to name to numbers.
-        epsilon: what divisors get.
-        step: where the processor stands that uses them.
-        is_inside: whether they lie in the weights.
+        file: of the statistics; "" if there is none.
+        numbers: by feature, then by name of the statistic.
+        epsilon: added to divisors.
+        step: evidence of the processor that uses them.
+        modes: normalisation mode, by kind of feature.
+        is_inside: whether they are in the weights.
     """
 
     file: str
@@ -49,7 +50,7 @@ class Statistics:
     is_inside: bool = False
 
     def range(self, feature: str) -> DataRange | None:
-        """Return the least and greatest numbers of a feature."""
+        """Return the range of a feature."""
         arrays = self.numbers.get(feature, {})
         for low, high in (("min", "max"), ("q01", "q99")):
             if low in arrays and high in arrays:
@@ -72,16 +73,14 @@ class Statistics:
         if mode == "IDENTITY":
             return certain(None, Evidence(self.step.file, self.step.line, f"norm_map {kind}: {mode}"))
         if mode not in _RULES:
-            return UnknownValue(f"LeRobot's normalisation {mode} of {kind}, which is not known here", (self.step,))
+            return UnknownFact(f"LeRobot's normalisation {mode} of {kind}, which is not known here", (self.step,))
         rule, needed, names = _RULES[mode]
         arrays = self.numbers.get(feature, {})
         if not arrays:
-            reason = f"{self.file or self.step.file} has no numbers of {feature}: LeRobot leaves it as it is"
+            reason = f"{self.file or self.step.file} has no numbers of {feature}: LeRobot does not normalise it"
             return certain(None, Evidence(self.step.file, self.step.line, reason))
         if missing := [name for name in needed if name not in arrays]:
-            return UnknownValue(
-                f"{self.file} lacks {', '.join(missing)} of {feature}, which {mode} needs", (self.step,)
-            )
+            return UnknownFact(f"{self.file} lacks {', '.join(missing)} of {feature}, which {mode} needs", (self.step,))
         here = Evidence(self.step.file, self.step.line, f"norm_map {kind}: {mode}")
         entry: dict[str, Tree] = {"rule": certain(rule, here)}
         if self.is_inside:
@@ -97,13 +96,13 @@ class Statistics:
         return entry if rule == "mean_std" else {**entry, "constant": "epsilon"}
 
     def colours(self, feature: str) -> dict[str, Tree]:
-        """Return what an image's numbers are shifted and scaled by, after 0..1: `mean` and `std` of the block."""
+        """Return `mean` and `std` of an image, applied after scaling to 0..1."""
         mode, arrays = self.modes.get("VISUAL", "IDENTITY"), self.numbers.get(feature, {})
         if mode == "IDENTITY" or not arrays:
             return {}
         where = Evidence(self.file, None, f"{feature}, {mode} by {self.step}")
         if mode not in _RULES or any(len(arrays.get(name, ())) != 3 for name in _RULES[mode][1]):
-            return {"mean": UnknownValue(f"what {mode} does to images: no three numbers of {feature}", (where,))}
+            return {"mean": UnknownFact(f"what {mode} does to images: no three numbers of {feature}", (where,))}
         one, two = (arrays[name] for name in _RULES[mode][1])
         if mode != "MEAN_STD":  # 2 (x - low) / (high - low) - 1
             one, two = (
@@ -114,7 +113,7 @@ class Statistics:
 
 
 def of_processor(folder: CheckpointFolder, name: str, step: str) -> Statistics | None:
-    """Return the numbers of one processor file; None where there is no such file or step.
+    """Return the statistics of one processor file; None if the file or step does not exist.
 
     Args:
         folder: the checkpoint.
@@ -140,7 +139,7 @@ def of_processor(folder: CheckpointFolder, name: str, step: str) -> Statistics |
 
 
 def of_weights(folder: CheckpointFolder, config: ConfigDocument) -> Statistics | None:
-    """Return the numbers that a checkpoint from before version 0.4 keeps in its weights; None where it has none."""
+    """Return the statistics in the weights of a checkpoint from before version 0.4; None if there are none."""
     if not folder.has(_WEIGHTS):
         return None
     try:
@@ -148,7 +147,7 @@ def of_weights(folder: CheckpointFolder, config: ConfigDocument) -> Statistics |
     except UserError:
         if (folder.path / _WEIGHTS).stat().st_size > 1024:
             raise
-        return None  # a pointer of git-lfs, which holds no weights
+        return None  # a git-lfs pointer, without weights
     numbers: dict[str, dict[str, list[float]]] = {}
     features = [*config.get(dict, "input_features", default={}), *config.get(dict, "output_features", default={})]
     features += [*config.get(dict, "input_shapes", default={}), *config.get(dict, "output_shapes", default={})]
@@ -167,7 +166,7 @@ def of_weights(folder: CheckpointFolder, config: ConfigDocument) -> Statistics |
 
 
 def _older(config: ConfigDocument) -> dict[str, str]:
-    """Return the modes that checkpoints of 2024 wrote, by feature: `min_max`, `mean_std`."""
+    """Return the modes in checkpoints of 2024, by kind of feature: `min_max`, `mean_std`."""
     result: dict[str, str] = {}
     for key in ("input_normalization_modes", "output_normalization_modes"):
         for feature, mode in config.get(dict, key, default={}).items():
@@ -182,5 +181,5 @@ def _steps(document: ConfigDocument, name: str) -> list[int]:
 
 
 def _short(values: list[float]) -> list[float]:
-    """Return 32-bit floats with as many digits as tell them apart."""
+    """Return 32-bit floats with nine significant digits."""
     return [float(f"{value:.9g}") for value in values]

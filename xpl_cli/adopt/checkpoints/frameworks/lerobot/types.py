@@ -1,7 +1,6 @@
-"""What LeRobot's own code says of each type of policy, with its place in huggingface/lerobot at v0.4.4.
+"""Properties of LeRobot's policy types that its code defines, with their source in huggingface/lerobot at v0.4.4.
 
-Only what `config.json` leaves to the code is here. A type that is not listed is read all the same; what its code would
-say stays open.
+Only properties that are not in `config.json` are here. For a type that is not listed they stay unknown.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import Final
 REPOSITORY: Final = "huggingface/lerobot"
 LICENSE: Final = "Apache-2.0"
 CODE: Final = "huggingface/lerobot@v0.4.4:src/lerobot"
-"""What a source of LeRobot's own code begins with."""
+"""Prefix of sources in LeRobot's own code."""
 
 
 @dataclass(frozen=True)
@@ -20,12 +19,12 @@ class PolicyType:
     """One type of policy.
 
     Attributes:
-        family: kind, by the standard's words.
+        family: by the standard's vocabulary.
         sampling: none, seeded or free.
-        why: what says so: file, and the words there.
-        resizes: what says that the policy brings images to its size itself; "" if it does not.
-        horizon: key of config.json that counts the steps of an answer, where it is not `n_action_steps`.
-        recurrent: whether it keeps a state of its own from question to question.
+        why: source of `sampling`: file, and what it does.
+        resizes: source for the policy resizing images itself; "" if it does not.
+        horizon: key of config.json with the number of actions in a chunk.
+        recurrent: whether it keeps state between calls.
     """
 
     family: str
